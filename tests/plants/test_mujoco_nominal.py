@@ -15,6 +15,7 @@ from harness.export.robot import repaired_mjcf
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.physics.arms.mechanism import arm_mechanism
 from harness.physics.arms.mjcf_write import mjcf_with
+from harness.physics.arms.urdf_shapes import bounding_boxes
 from harness.signals import FloatArray
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'sysid-harness[mujoco]'")
@@ -255,3 +256,16 @@ def test_an_identified_arm_is_exported_as_the_file_that_it_was_read_from(tmp_pat
     assert [*again.damping, *again.friction, *again.motor_inertia] == pytest.approx([0.2, 0.5, 0.07])
     with pytest.raises(InputError, match=r"\.xml or \.mjcf.*--out found\.xml"):
         export(stored, out=tmp_path / "found.urdf")
+
+
+def test_bodies_have_the_boxes_of_their_shapes(tmp_path: Path) -> None:
+    boxes = bounding_boxes(load_arm(written(tmp_path, TWO)))
+    assert boxes[1] is None  # the slide carries the body, the swing before it nothing
+    (_, low_high), carriage, tool = boxes[0], boxes[2], boxes[3]
+    assert low_high == pytest.approx([0.1] * 3)
+    assert tool is None
+    turn = np.radians(30)
+    half = 0.1 * np.cos(turn) + 0.3 * np.sin(turn), 0.2, 0.1 * np.sin(turn) + 0.3 * np.cos(turn)
+    assert carriage is not None
+    assert carriage[0] == pytest.approx(0.1 - np.array(half))
+    assert carriage[1] == pytest.approx(0.1 + np.array(half))

@@ -20,7 +20,7 @@ from harness.physics.arms.mjcf_spec import compiled, mujoco, read_spec
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
-__all__ = ["Drive", "Stated", "drives", "joint_names", "load_mjcf", "simple_joints"]
+__all__ = ["Drive", "Stated", "drives", "joint_names", "load_mjcf", "rotation_of", "simple_joints"]
 
 EARTH = 9.81
 SAME_GRAVITY = 1e-3
@@ -126,7 +126,7 @@ def load_mjcf(path: str | Path, *, locked: Collection[str] = ()) -> Stated:
     last: dict[int, tuple[int, FloatArray]] = {0: (-1, np.zeros(3))}  # body -> its last joint and that one's anchor
     for body in range(1, model.nbody):
         parent, anchor = last[int(model.body_parentid[body])]
-        rotation, offset = _matrix(model.body_quat[body]), model.body_pos[body] - anchor
+        rotation, offset = rotation_of(model.body_quat[body]), model.body_pos[body] - anchor
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         own = [*range(first, first + count)]
         for place, number in enumerate(own):
@@ -219,7 +219,7 @@ def _welded(
 
 def _body(model: Any, body: int, anchor: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Return mass, centre of mass and inertia about it (3, 3) in the frame of a joint at an anchor."""
-    turn = _matrix(model.body_iquat[body])
+    turn = rotation_of(model.body_iquat[body])
     inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
     return float(model.body_mass[body]), model.body_ipos[body] - anchor, (inertia + inertia.T) / 2
 
@@ -337,7 +337,7 @@ def _notes(model: Any, names: Sequence[str], locked: Collection[str], shaped: Co
         yield f"actuators of the MJCF that do not drive one joint, torques are those on the joints: {', '.join(others)}"
 
 
-def _matrix(quaternion: FloatArray) -> FloatArray:
+def rotation_of(quaternion: FloatArray) -> FloatArray:
     """Return the rotation matrix of a quaternion (w, x, y, z)."""
     w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
     return np.array(
@@ -351,4 +351,4 @@ def _matrix(quaternion: FloatArray) -> FloatArray:
 
 def _turned(axis: FloatArray, angle: float) -> FloatArray:
     """Return the rotation matrix about a unit axis."""
-    return _matrix(np.concatenate([[math.cos(angle / 2)], math.sin(angle / 2) * np.asarray(axis)]))
+    return rotation_of(np.concatenate([[math.cos(angle / 2)], math.sin(angle / 2) * np.asarray(axis)]))

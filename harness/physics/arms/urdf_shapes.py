@@ -1,4 +1,4 @@
-"""Bounding boxes of the bodies of an arm, from the collision shapes of its URDF."""
+"""Bounding boxes of the bodies of an arm, from the collision shapes of its URDF or MJCF."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from harness.errors import InputError
+from harness.physics.arms.mjcf import rotation_of
+from harness.physics.arms.mjcf_spec import compiled, read_spec
 from harness.physics.arms.urdf import pose_of, vector_of
 from harness.signals import FloatArray
 
@@ -27,13 +29,16 @@ def bounding_boxes(model: ArmModel) -> list[Box | None]:
     Parameters
     ----------
     model : ArmModel
-        Read from a file. Meshes: STL (binary) and OBJ, beside the URDF.
+        Read from a file. Meshes of a URDF: STL (binary) and OBJ, beside it. Of an MJCF what MuJoCo collides counts, or
+        all shapes of a body of which it collides none.
 
     Raises
     ------
     InputError
         If a mesh is missing or of another kind.
     """
+    if model.mjcf is not None:
+        return _of_mjcf(model.mjcf)
     if model.path is None:
         raise InputError("shapes of an arm", expected="an arm read from a file", got="none", remedy="use load_arm")
     root = ElementTree.parse(model.path).getroot()
@@ -45,6 +50,28 @@ def bounding_boxes(model: ArmModel) -> list[Box | None]:
         assert child is not None  # the file was read before
         link = links[child.get("link")]
         points = [_points(shape, model.path, joint.name) for shape in link.findall("collision")]
+        whole = np.concatenate(points) if points else np.zeros((0, 3))
+        found.append((whole.min(axis=0), whole.max(axis=0)) if len(whole) else None)
+    return found
+
+
+def _of_mjcf(file: Path) -> list[Box | None]:
+    """Return the boxes of the bodies of an MJCF, in the order of its arm's joints."""
+    model = compiled(read_spec(file), file)
+    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=float)
+    found: list[Box | None] = []
+    for body in range(1, model.nbody):
+        count, last = int(model.body_jntnum[body]), int(model.body_jntadr[body] + model.body_jntnum[body]) - 1
+        found += [None] * (count - 1)  # the last joint of a body carries it
+        anchor = np.array(model.jnt_pos[last]) if count else np.zeros(3)
+        geoms = np.flatnonzero(model.geom_bodyid == body)
+        solid = [geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]]
+        points = []
+        for geom in solid or geoms.tolist():
+            centre, half = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
+            points.append(
+                (centre + corners * half) @ rotation_of(model.geom_quat[geom]).T + model.geom_pos[geom] - anchor
+            )
         whole = np.concatenate(points) if points else np.zeros((0, 3))
         found.append((whole.min(axis=0), whole.max(axis=0)) if len(whole) else None)
     return found
