@@ -109,6 +109,7 @@ ONLY_PARSED = {
     r"(check|list|identify) .*(soft_friction|peer-sippy|neighbours)": "needs a plug-in installed by pip",
     r"export learned": "needs a force that lowers the error: tests/learned has one",
     r"dask://": "needs a cluster",
+    r"rig\.ssp": "needs a system: tests/calibration has one",
     r"--model iiwa --out|robot\.urdf": "an arm takes half a minute: tests/diagnosis has them",
 }
 """Commands that no test runs, and why: what is not here runs."""
@@ -154,6 +155,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for role, name in zip(("estimation/0", "estimation/1", "validation/0"), runs, strict=True):
             options = f"-S duration=10 -S noise=1e-3 --role {role} -o {name}"
             sysid(f"sysid simulate pendulum-fmu --scenario multisine {options}")
+        sysid("sysid simulate theirs.fmu --stop 1 --step 0.01 -o theirs_ref.csv")
         (folder / "dataset.toml").write_text(
             'name = "swing"\nsignals.u = { role = "input" }\nsignals.theta = { role = "output" }\n'
             'nominal.model = "pendulum"\n'
