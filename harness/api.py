@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from harness.fleet import FleetResult
     from harness.learned import LearnedResidual
     from harness.modal import Criteria, Modes
-    from harness.models.analysis import Findings
+    from harness.models.analysis import Findings, Takes
     from harness.models.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.vetting import Agreement, Vetting
@@ -1210,7 +1210,9 @@ def analyse(
     *,
     options: Mapping[str, Any] | None = None,
     subject_options: Mapping[str, Any] | None = None,
+    out: str | Path | None = None,
     seed: int = 0,
+    force: bool = False,
     **signals: Unpack[Signals],
 ) -> Findings:
     """Return what an analysis finds in a process, a plant, a model's equations or records.
@@ -1225,8 +1227,12 @@ def analyse(
         Of the analysis.
     subject_options : mapping, optional
         Of the plant or the model that is looked at.
+    out : path, optional
+        Picture to write, of an analysis that has one: ``.svg``, ``.png`` or ``.pdf``.
     seed : int
         For analyses that draw random numbers.
+    force : bool
+        Overwrite ``out`` if it exists.
     **signals : Signals
         As for :func:`identify`, where records are looked at.
 
@@ -1242,23 +1248,32 @@ def analyse(
     """
     from harness.models.analysis import Analysis
 
+    _refuse_picture(out, force=force)
     made = cast(Analysis, registry.create("analyses", name, **dict(options or {})))
-    more = dict(subject_options or {})
-    rng = stream("analysis", name, seed)
-    if not isinstance(subject, str | Path) and made.takes != "data":
-        return made.of(subject, rng=rng)
-    if made.takes == "maker":
-        return made.of(lambda **other: make_plant(str(subject), {**more, **other}), rng=rng)
-    if made.takes == "definition":
-        return made.of(load_model(str(subject), **more), rng=rng)
-    if made.takes == "process" and str(subject).endswith(".json"):
-        return made.of(load_model(subject).model, rng=rng)
-    if made.takes == "process":
-        with make_plant(str(subject), more) as plant:
-            return made.of(plant, rng=rng)
-    from harness.data import load_dataset
+    seen = _subject(made.takes, subject, dict(subject_options or {}), signals)
+    try:
+        found = made.of(seen, rng=stream("analysis", name, seed))
+    finally:
+        if seen is not subject and hasattr(seen, "close"):
+            seen.close()
+    if out is not None:
+        _draw(found.plot, out)
+    return found
 
-    return made.of(load_dataset(registry.dataset_path(subject), **signals).dataset, rng=rng)
+
+def _subject(takes: Takes, subject: Any, more: dict[str, Any], signals: Signals) -> Any:
+    """Return the thing that an analysis looks at."""
+    if takes == "data":
+        from harness.data import load_dataset
+
+        return load_dataset(registry.dataset_path(subject), **signals).dataset
+    if not isinstance(subject, str | Path):
+        return subject
+    if takes == "maker":
+        return lambda **other: make_plant(str(subject), {**more, **other})
+    if takes == "definition":
+        return load_model(str(subject), **more)
+    return load_model(subject).model if str(subject).endswith(".json") else make_plant(str(subject), more)
 
 
 def check_data(

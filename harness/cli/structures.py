@@ -121,8 +121,10 @@ def analyse(
     unit: Units = None,
     sample_time: SampleTime = None,
     run: Runs = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
+    force: Force = False,
     trust: Trust = None,
 ) -> None:
     """Look into a finite process, a mechanism, a plant or records with a registered analysis."""
@@ -131,7 +133,9 @@ def analyse(
         subject,
         options=option_pairs(option, "--option"),
         subject_options=option_pairs(subject_option, "--subject-option"),
+        out=out,
         seed=seed,
+        force=force,
         **signals_of(input, output, column, unit, sample_time, run),
     )
     if as_json:
@@ -140,3 +144,5 @@ def analyse(
     print_rows([dict(row) for row in found.rows])
     for text in found.words:
         say(text)
+    if out is not None:
+        say(f"wrote {out}")

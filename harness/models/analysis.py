@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from harness.display import page, table
+from harness.errors import InputError
 
 __all__ = ["Analysis", "Findings", "Takes"]
 
 Takes = Literal["process", "maker", "definition", "data"]
-"""What an analysis looks at: a finite process (a plant, or a fitted model), a maker of plants ``make(**options)``, the
-equations of a model (:class:`harness.physics.System`), or a data set."""
+"""What an analysis looks at: a process (a plant, or a fitted model in its file), a maker of plants
+``make(**options)``, the equations of a model (:class:`harness.physics.System`), or a data set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +31,15 @@ class Findings:
         What the table means, in sentences.
     details : mapping
         Arrays and numbers for Python and JSON.
+    draw : callable, optional
+        Returns a matplotlib figure of it.
     """
 
     title: str
     rows: Sequence[Mapping[str, Any]]
     words: Sequence[str] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
+    draw: Callable[[], Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -43,6 +47,23 @@ class Findings:
             name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in self.details.items()
         }
         return {"title": self.title, "rows": [dict(row) for row in self.rows], "words": list(self.words), **plain}
+
+    def plot(self) -> Any:
+        """Draw it; returns the matplotlib figure.
+
+        Raises
+        ------
+        InputError
+            If this analysis has no picture.
+        """
+        if self.draw is None:
+            raise InputError(
+                f"picture of {self.title}",
+                expected="an analysis with a picture",
+                got="a table only",
+                remedy="leave -o out",
+            )
+        return self.draw()
 
     def __repr__(self) -> str:
         return f"<Findings: {self.title}>"

@@ -34,6 +34,7 @@ def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
         "iterative-learning",
         "base-parameters",
         "mass-extents",
+        "eigenfunctions",
     }
     assert all(listed.values())
     for entry in entries("analyses"):

@@ -31,7 +31,7 @@ class BaseParameters:
     >>> from harness.physics import load_model
     >>> found = BaseParameters().of(load_model("pendulum"), rng=np.random.default_rng(0))
     >>> [row["combination"] for row in found.rows]
-    ['J', 'mgl', 'b']
+    ['mgl', 'J', 'b']
     """
 
     takes: ClassVar[Takes] = "definition"
