@@ -49,7 +49,7 @@ nightly: $(READY)
 bench: $(READY)
 	@for script in benchmarks/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-# the site: site/index.html, with every option from the sources; broken links are errors
+# the site: site/index.html, with every option from the sources; broken links and pages are errors
 docs: $(READY)
 	$(BIN)/python docs/make_reference.py
 	$(BIN)/mkdocs build --quiet --strict

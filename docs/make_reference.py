@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import html
 import inspect
 import re
 from collections.abc import Mapping
@@ -68,8 +69,11 @@ SUITE_KEYS = {
 
 
 def cell(value: object) -> str:
-    """Return a value as the cell of a table."""
-    return " ".join(str(value).split()).replace("|", "\\|").replace("<", "&lt;")
+    """Return a value as the cell of a table; code with a bar in it as HTML, which every renderer shows alike."""
+    parts = re.split(r"`([^`]*[|<][^`]*)`", " ".join(str(value).split()))
+    parts[1::2] = [f"<code>{html.escape(code, quote=False).replace('|', '&#124;')}</code>" for code in parts[1::2]]
+    parts[::2] = [text.replace("|", "\\|").replace("<", "&lt;") for text in parts[::2]]
+    return "".join(parts)
 
 
 def rows(titles: list[str], lines: list[list[object]]) -> list[str]:
@@ -125,7 +129,7 @@ def parts(kind: str, title: str, head: str) -> list[str]:
         part = api.describe_part(row["id"], kind)
         assert part is not None
         text += [f"## {row['id']}", "", part["text"], ""]
-        text += [f"- {name}: `{cell(fact)}`" if name == "law" else f"- {name}: {cell(fact)}"
+        text += [f"- {name}: `{' '.join(str(fact).split())}`" if name == "law" else f"- {name}: {cell(fact)}"
                  for name, fact in part["facts"].items()]  # fmt: skip
         text += [""] * bool(part["facts"])
         if kind == "effects":

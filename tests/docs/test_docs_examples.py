@@ -1,7 +1,7 @@
 """Every Python block of README.md and docs/*.md runs by itself, as a reader copies it, in a folder of its own.
 
-A block that begins with ``# continues the block above`` runs after that one. A block that opens with ```python no-run
-is left out (it needs something that a test has not, and says so in the text).
+A block that begins with ``# continues the block above`` runs after that one. A block below
+``<!-- no-run -->`` is left out (it needs something that a test has not, and says so in the text).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<code>.*?)^```\s*$", re.MULTILINE | re.DOTALL)
+LEFT_OUT = "<!-- no-run -->\n"
 CONTINUES = "# continues the block above\n"
 
 
@@ -21,7 +22,7 @@ def blocks(text: str) -> list[list[tuple[int, str]]]:
     """Return for every block that is to run its line and code, after those that it continues."""
     found: list[list[tuple[int, str]]] = []
     for match in FENCE.finditer(text):
-        if match["info"].split() == ["python"]:
+        if match["info"].split() == ["python"] and not text[: match.start()].endswith(LEFT_OUT):
             block = (text.count("\n", 0, match.start("code")) + 1, match["code"])
             if match["code"].startswith(CONTINUES) and found:
                 found[-1].append(block)
@@ -50,9 +51,9 @@ def test_an_example_runs_alone(
 
 
 def test_blocks_are_found_and_marked_ones_left_out() -> None:
-    text = "a\n```python\nx = 1\n```\n```python no-run\nx = 1 / 0\n```\n```sh\nls\n```\n"
+    text = "a\n```python\nx = 1\n```\n<!-- no-run -->\n```python\nx = 1 / 0\n```\n```sh\nls\n```\n"
     text += f"```python\n{CONTINUES}y = x\n```\n"
-    assert blocks(text) == [[(3, "x = 1\n"), (12, f"{CONTINUES}y = x\n")]]
+    assert blocks(text) == [[(3, "x = 1\n"), (13, f"{CONTINUES}y = x\n")]]
     assert blocks("```python\nx = 1\n```\n```python\ny = 2\n```\n") == [[(2, "x = 1\n")], [(5, "y = 2\n")]]
 
 

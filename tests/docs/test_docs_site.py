@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import re
 import subprocess
@@ -28,7 +29,30 @@ def test_the_site_builds_and_every_link_and_anchor_leads_somewhere(tmp_path: Pat
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "site" / "reference" / "effects.html").is_file()
+    assert (
+        (tmp_path / "site" / "search" / "search_index.js").read_text(encoding="utf-8").startswith("window.searchIndex")
+    )
     assert "coulomb_friction" in (tmp_path / "site" / "search" / "search_index.json").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("page", "faults"),
+    [
+        ("<p>```python no-run\nx = 1</p>", ["a fence that is none"]),
+        (r"<li><code>F = -c \|v\| v</code></li>", ["a bar with its backslash"]),
+        ("<code>a &amp;lt; b</code>", ["an escape that is escaped"]),
+        ("<p>| a | b |</p>", ["a table that is none"]),
+        ("<pre><code>a | b &lt; c</code></pre><p>fine</p>", []),
+    ],
+)
+def test_what_markdown_did_not_understand_is_seen(page: str, faults: list[str]) -> None:
+    place = ROOT / "docs" / "site_hooks.py"
+    spec = importlib.util.spec_from_file_location("site_hooks", place)
+    assert spec is not None
+    assert spec.loader is not None
+    hooks = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    assert hooks.broken(page) == faults
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "examples/third_party_identifier/README.md"])
