@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
+    from harness.frequency.identified import IdentifiedResponse
     from harness.learned import LearnedResidual
     from harness.modal import Criteria, Modes
     from harness.models.analysis import Findings, Takes
@@ -64,6 +65,7 @@ __all__ = [
     "export",
     "halve",
     "identify",
+    "identify_response",
     "isolability",
     "learn_residual",
     "list_parts",
@@ -493,6 +495,80 @@ class Identified(Usable):
             shown = [(n, f"{v:.6g}", f"{spread[n]:.2g}" if n in spread else "") for n, v in values.items()]
             parts.append(table(["parameter", "value", "standard deviation"], shown))
         return page(f"{type(self.model).__name__}: {self.model.spec}", *parts)
+
+
+def identify_response(
+    data: Any,
+    *,
+    identifier: str = "transfer-function",
+    options: Mapping[str, Any] | None = None,
+    units: Mapping[str, str] | None = None,
+    sample_time: float | None = None,
+    low: float = 0.0,
+    high: float = float("inf"),
+    out: str | Path | None = None,
+    force: bool = False,
+) -> IdentifiedResponse:
+    """Fit a transfer function to a measured frequency response.
+
+    Parameters
+    ----------
+    data : path, FrequencyResponse or Spectrum
+        A CSV file (:func:`harness.frequency.read_response`), or what :func:`spectrum` found.
+    identifier : str
+        One that fits frequency responses: ``"transfer-function"``.
+    options : mapping, optional
+        Its options.
+    units : mapping, optional
+        Units of inputs and outputs of a file, by name.
+    sample_time : float, optional
+        [s]; the model that is stored is then that between samples, for records of this sample time.
+    low, high : float
+        [Hz]; the rest is left out.
+    out : path, optional
+        JSON file for the model.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If the file or the options cannot be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from harness.frequency import FrequencyResponse
+    >>> f = np.geomspace(0.01, 10, 30)
+    >>> found = identify_response(FrequencyResponse(f, 3 / (2j * np.pi * f + 2)), options={"order": 1, "delay": 0.0})
+    >>> print(found.model)
+    y per u: 3 / (s + 2)
+    """
+    from harness.frequency import FrequencyResponse, read_response
+    from harness.frequency.identified import IdentifiedResponse
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    if hasattr(data, "coherence"):
+        data = FrequencyResponse.of_spectrum(data)
+    elif not isinstance(data, FrequencyResponse):
+        data = read_response(data, units=units)
+    if low > 0 or high < float("inf"):
+        data = data.between(low, high)
+    made = registry.create("identifiers", identifier, **dict(options or {}))
+    if not hasattr(made, "fit_response"):
+        raise InputError(
+            f"identifier {identifier!r} fits records, not frequency responses",
+            expected="transfer-function",
+            got=identifier,
+            remedy="use transfer-function",
+        )
+    model = made.fit_response(data)
+    found = IdentifiedResponse(data, model)
+    if out is not None:
+        stored = model if sample_time is None else model.sampled(sample_time, getattr(made, "hold", "zoh"))
+        _write_json(Path(out), stored.to_dict())
+    return found
 
 
 def identify(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -43,6 +43,7 @@ from harness.cli.terminal import (
     whole_range,
 )
 from harness.errors import InputError
+from harness.frequency import is_response
 
 __all__ = ["check_data", "compare", "export", "identify", "order", "spectrum"]
 
@@ -116,6 +117,12 @@ def identify(
 ) -> None:
     """Fit one model to a data set and score it; with --free the parameters of an FMU or a system of FMUs."""
     demands = demands_of(None, max_error, None)
+    if is_response(dataset):
+        _identify_response(
+            dataset, identifier, option, unit, sample_time, {"file of records": validation, "a physical model": model},
+            out, as_json=as_json, force=force,
+        )  # fmt: skip
+        return
     if free:
         if model is None or identifier is not None:
             raise InputError(
@@ -169,6 +176,42 @@ def identify(
         if out is not None:
             say(f"wrote {out}")
     judged("identify", demands.of_errors(name, fitted.errors()), junit)
+
+
+def _identify_response(
+    file: str,
+    identifier: str | None,
+    option: list[str] | None,
+    unit: list[str] | None,
+    sample_time: float | None,
+    no_use: dict[str, Any],
+    out: Path | None,
+    *,
+    as_json: bool,
+    force: bool,
+) -> None:
+    """Fit a transfer function to the frequency response of a file, and print it."""
+    for what, given in no_use.items():
+        if given is not None:
+            raise InputError(
+                f"a frequency response and {what}", expected="the file alone", got=str(given), remedy="leave it out"
+            )
+    found = api.identify_response(
+        file,
+        identifier=identifier or "transfer-function",
+        options=option_pairs(option, "--option"),
+        units=option_pairs(unit, "--unit"),
+        sample_time=sample_time,
+        out=out,
+        force=force,
+    )
+    if as_json:
+        print_json(found.to_dict())
+        return
+    for line in found.words():
+        say(line)
+    if out is not None:
+        say(f"wrote {out}")
 
 
 def compare(

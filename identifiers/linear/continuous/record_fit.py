@@ -1,0 +1,222 @@
+"""Transfer functions in continuous time fitted to sampled records: the least output error under a declared hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import FitError
+from harness.models.spread import gains, response_covariance
+from harness.signals import FloatArray
+from identifiers.common.linear_model import LinearModel
+from identifiers.linear.continuous.rational import Hold, Rational, held
+from identifiers.linear.continuous.response_fit import fit_to_response
+from identifiers.linear.polynomial import Part
+
+__all__ = ["RecordFit", "fit_to_records", "start_from"]
+
+POINTS = 60
+"""Frequencies of the discrete model's response that a start is fitted to."""
+LOW, HIGH = 0.5, 0.8
+"""They reach from half a period in the longest record to this share of the highest frequency."""
+FAINT = 1e-3
+"""No response counts for surer than this share of its size: the discrete model is not exact."""
+STEP = 1e-5
+"""Relative difference of parameters in gradients."""
+EVALUATIONS = 60
+"""Of the search's gradients at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFit:
+    """A transfer function of one output in scaled signals.
+
+    Parameters
+    ----------
+    model : Rational
+    cost : float
+        Sum of squares of the output error.
+    errors : array (N,)
+        Record by record.
+    gradients : array (N, k)
+        Of the errors, initial states and level solved for; zeros of what is not fitted.
+    level : float
+    arrived : bool
+    """
+
+    model: Rational
+    cost: float
+    errors: FloatArray
+    gradients: FloatArray
+    level: float
+    arrived: bool
+
+    @property
+    def criterion(self) -> float:
+        """``N ln(cost / N) + k ln N`` (Schwarz 1978)."""
+        n = self.errors.size
+        free = int(np.sum(np.any(self.gradients != 0, axis=0)))
+        found = float(n * np.log(max(self.cost, 1e-300) / n) + free * np.log(n))
+        return found if np.isfinite(found) else float("inf")
+
+
+def start_from(
+    model: LinearModel, output: int, order: int, zeros: int | None, delay: float | None, hold: Hold, longest: int
+) -> Rational:
+    """Return the transfer function whose response comes nearest to that of a discrete model, without its hold.
+
+    Parameters
+    ----------
+    model : LinearModel
+        With a spread: frequencies count by what is known there.
+    output : int
+    order, zeros, delay, hold
+        Of the transfer function.
+    longest : int
+        Samples of the longest record.
+    """
+    step = model.spec.sample_time
+    frequency = np.geomspace(LOW / (longest * step), HIGH * 0.5 / step, POINTS)
+    response = gains(model.matrices, frequency, step)[:, output]
+    variance = (FAINT * np.abs(response)) ** 2 + 1e-30
+    if model.spread is not None:
+        own = response_covariance(model, frequency)[:, output]
+        variance = variance + np.trace(own, axis1=-2, axis2=-1)
+    s = 2j * np.pi * frequency * step
+    keeps = (1 - np.exp(-s)) / s
+    keeps = keeps if hold == "zoh" else keeps**2 * np.exp(s)
+    found = fit_to_response(
+        frequency, response / keeps[:, None], variance / np.abs(keeps[:, None]) ** 2, order, zeros=zeros, delay=delay
+    )
+    return found.model
+
+
+def fit_to_records(
+    parts: Sequence[Part], sample_time: float, start: Rational, hold: Hold, *, free_delay: bool, offset: bool
+) -> RecordFit:
+    """Return the transfer function with the least output error, initial states and level free.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        Of one output, scaled.
+    sample_time : float
+        [s]
+    start : Rational
+        Strictly proper.
+    hold : {"zoh", "foh"}
+    free_delay : bool
+        Estimate the dead times too.
+    offset : bool
+
+    Raises
+    ------
+    FitError
+        If the records are too short.
+    """
+    from scipy.optimize import least_squares
+
+    nu = len(start.b)
+    first = int(np.floor(start.delay.max() / sample_time)) + 3 if free_delay or start.delay.max() > 0 else 1
+    rows = sum(max(part.y.size - first, 0) for part in parts)
+    if rows <= start.vector.size + len(parts) * start.a.size + 1:
+        raise FitError(
+            "transfer-function: fewer equations than unknowns",
+            expected=f"more than {start.vector.size + len(parts) * start.a.size + 1} samples after the dead time",
+            got=str(rows),
+            remedy="record longer, or lower the order",
+        )
+    count = start.vector.size if free_delay else start.vector.size - nu
+    low, high = np.full(count, -np.inf), np.full(count, np.inf)
+    if free_delay:  # inputs before the record are not known: no row counts that they reach
+        low[-nu:], high[-nu:] = 0.0, (first - 1) * sample_time * start.rate
+    worst = np.full(rows, 1e3 * float(np.sqrt(np.mean(np.concatenate([part.y for part in parts]) ** 2)) + 1e-300))
+
+    def model_of(free: FloatArray) -> Rational:
+        return start.moved(np.concatenate([free, start.vector[count:]]))
+
+    def miss(free: FloatArray) -> FloatArray:
+        found = output_errors(model_of(free), parts, sample_time, hold, first, offset)[0]
+        return found if np.isfinite(found).all() else worst
+
+    begin = np.clip(start.vector[:count], low, high)
+    if free_delay:
+        begin[-nu:] = np.clip(begin[-nu:], 1e-6, high[-nu:] - 1e-6)
+    end = least_squares(
+        miss,
+        begin,
+        bounds=(low, high),
+        x_scale="jac",
+        diff_step=np.full(count, STEP),
+        xtol=1e-10,
+        ftol=1e-10,
+        max_nfev=EVALUATIONS,
+    )
+    errors, level = output_errors(model_of(end.x), parts, sample_time, hold, first, offset)
+    gradients = np.zeros((rows, start.vector.size))
+    gradients[:, :count] = np.asarray(end.jac, dtype=np.float64)
+    return RecordFit(model_of(end.x), float(errors @ errors), errors, gradients, level, bool(end.status > 0))
+
+
+def output_errors(
+    model: Rational, parts: Sequence[Part], sample_time: float, hold: Hold, first: int, offset: bool
+) -> tuple[FloatArray, float]:
+    """Return output errors (N,) of free runs from the row ``first`` of each record, and the level.
+
+    Initial states and the level are solved for. Modes are filtered one by one: a polynomial of poles near 1, as fast
+    sampling brings them, would lose its digits.
+    """
+    phi, pieces = held(model, sample_time, hold)
+    poles, vectors = np.linalg.eig(phi)
+    back = np.linalg.inv(vectors)
+    reads = vectors[0]
+    targets, columns = [], []
+    total = sum(part.y.size - first for part in parts)
+    place, n = 0, len(phi)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for part in parts:
+            forced = _forced(part.u, pieces, poles, back, reads)
+            rest = (part.y - forced)[first:]
+            powers = reads * poles ** np.arange(rest.size)[:, None]
+            # conjugate pairs span the same real space as their real and imaginary parts
+            real = np.where(poles.imag >= 0, powers.real, powers.imag)
+            own = np.zeros((total, n))
+            own[place : place + rest.size] = real
+            place += rest.size
+            targets.append(rest)
+            columns.append(own)
+    target = np.concatenate(targets)
+    regressors = np.hstack([*columns, np.ones((total, 1))]) if offset else np.hstack(columns)
+    if not (np.isfinite(target).all() and np.isfinite(regressors).all()):
+        return np.full(total, np.nan), 0.0
+    length = np.linalg.norm(regressors, axis=0)
+    length = np.where(length > 0, length, 1.0)
+    theta = np.linalg.lstsq(regressors / length, target, rcond=1e-10)[0] / length
+    return target - regressors @ theta, float(theta[-1]) if offset else 0.0
+
+
+def _forced(
+    u: FloatArray,
+    pieces: Sequence[tuple[int, FloatArray, FloatArray, float]],
+    poles: npt.NDArray[np.complex128],
+    back: npt.NDArray[np.complex128],
+    reads: npt.NDArray[np.complex128],
+) -> FloatArray:
+    """Return the outputs (N,) of a free run from rest under inputs (N, nu)."""
+    from scipy.signal import lfilter
+
+    driven = np.zeros((len(u), len(poles)), dtype=np.complex128)
+    direct = np.zeros(len(u))
+    for j, (delay, now, before, straight) in enumerate(pieces):
+        late = np.concatenate([np.full(delay, u[0, j]), u[:, j]])[: len(u)]
+        earlier = np.concatenate([late[:1], late[:-1]])
+        driven += late[:, None] * (back @ now) + earlier[:, None] * (back @ before)
+        direct += straight * late
+    states = np.empty_like(driven)
+    for mode, pole in enumerate(poles):
+        moved = lfilter([1.0], [1.0, -pole], driven[:, mode])
+        states[0, mode], states[1:, mode] = 0.0, moved[:-1]
+    return np.asarray((states @ reads).real + direct, dtype=np.float64)
