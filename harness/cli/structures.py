@@ -35,7 +35,7 @@ def modes(
     identifier: Annotated[
         str | None,
         typer.Option(
-            help="n4sid, ho-kalman, dmdc or another with an order; default a subspace fit with its covariance",
+            help="n4sid, ho-kalman, dmdc or another with an order; default ssi, a subspace fit with its covariance",
             autocompletion=completed("identifiers"),
         ),
     ] = None,

@@ -19,6 +19,8 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 
 __all__ = ["Modes", "Undetermined", "identify_modes"]
 
+SSI = "ssi"
+"""Name of the subspace fit of this room."""
 LEVEL = 0.95
 """Probability of every interval."""
 VAGUE = 0.05
@@ -239,7 +241,8 @@ def identify_modes(
         For titles.
     identifier : str, optional
         Id of an identifier of linear models, whose poles are taken: their intervals come from leaving out stretches.
-        By default a subspace fit with its covariance (:mod:`harness.modal.subspace`).
+        By default ``"ssi"``, a subspace fit with its covariance (:mod:`harness.modal.subspace`), which is refused where
+        past outputs foretell the input; named, it is made even so.
     orders : sequence of int, optional
         Numbers of states, two for each mode; by default 2, 4, ... 40, as far as the data reach.
     criteria : Criteria, optional
@@ -274,7 +277,10 @@ def identify_modes(
     criteria = criteria or Criteria()
     records = _moved([record.measured() for record in records])
     spec = records[0].spec
+    named, identifier = identifier is not None, None if identifier == SSI else identifier
     _refuse(spec, orders, window, options, identifier)
+    if not named:
+        _refuse_feedback(records)
     shown = ladder_of(records, window)
     size = _sizes(records) if len({channel.unit for channel in spec.outputs}) > 1 else None
     wanted = sorted(set(orders)) if orders is not None else range(STEP, min(MOST, shown.most) + 1, STEP)
@@ -325,7 +331,7 @@ def identify_modes(
     return Modes(
         name,
         spec,
-        identifier or "ssi",
+        identifier or SSI,
         tuple(modes),
         tuple(sorted(missed, key=lambda one: one.band)),
         tuple(notes),
@@ -375,6 +381,18 @@ def _moved(records: Sequence[Trajectory]) -> list[Trajectory]:
     kept = tuple(channel for channel, moving in zip(spec.inputs, moves, strict=True) if moving)
     spec = replace(spec, inputs=kept)
     return [replace(record, u=record.u[:, moves], spec=spec) for record in records]
+
+
+def _refuse_feedback(records: Sequence[Trajectory]) -> None:
+    """Refuse inputs that answer the outputs: noise that comes back through the loop would pass for motion."""
+    if records[0].spec.nu and feedback_of(records).found:
+        raise FitError(
+            "modes: past outputs foretell the input (feedback)",
+            expected="inputs that do not answer the outputs",
+            got="a controller in the loop, or inputs that follow the motion",
+            remedy="--identifier n4sid, which allows for it; --identifier ssi takes frequencies and damping with the "
+            "bias of noise",
+        )
 
 
 def _sizes(records: Sequence[Trajectory]) -> FloatArray:
@@ -512,8 +530,8 @@ def _notes(
         )
         if identifier is None and feedback_of(records).found:
             notes.append(
-                "past outputs foretell the input (feedback): frequencies and damping here are biased by noise; "
-                "use identifier n4sid, which allows for it"
+                "past outputs foretell the input (feedback): frequencies and damping here have the bias of noise, "
+                "which no interval holds"
             )
     else:
         notes.append(

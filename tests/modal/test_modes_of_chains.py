@@ -211,6 +211,25 @@ def test_what_cannot_be_used_is_refused_on_one_line() -> None:
         Criteria(mac=2.0)
 
 
+def test_a_controller_in_the_loop_is_refused_by_the_fit_that_it_would_bias() -> None:
+    plant = chain_ode(process_noise=1.0)
+    rng = np.random.default_rng(0)
+    y = plant.reset(rng=rng)
+    rows, inputs, last = [], [], y
+    for _ in range(3000):
+        seen = y + 0.02 * rng.normal(size=3)
+        u = np.array([-6.0 * seen[0] - 4.0 * (seen[0] - last[0]) / DT, 0.0, 0.0]) + np.array([rng.normal(), 0, 0])
+        rows.append(seen)
+        inputs.append(u[:1])
+        last, y = seen, plant.step(u)
+    spec = PlantSpec(plant.spec.inputs[:1], plant.spec.outputs, DT)
+    loop = Trajectory(DT * np.arange(3000, dtype=np.float64), np.array(inputs), np.array(rows), spec)
+    with pytest.raises(FitError, match="n4sid"):
+        identify_modes([loop])
+    forced = identify_modes([loop], identifier="ssi", orders=range(2, 13, 2))
+    assert any("feedback" in text for text in forced.words())
+
+
 def _covered(seed: int, force_at: int | None, count: int) -> FloatArray:
     """Return which of the intervals of frequency and damping of the three modes hold the truth (3, 2)."""
     frequency, ratio, shapes = chain_modes()
