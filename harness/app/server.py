@@ -137,7 +137,7 @@ class _Asked:
         opened = self.reach.opened
         names = await run_in_threadpool(self.reach.names)
         return JSONResponse({
-            "opened": None if opened is None else str(opened),
+            "opened": None if opened is None else str(opened.absolute()),
             "file": opened.name if opened is not None and not opened.is_dir() else None,
             "jobs": [job.told() for job in self.jobs.all],
             **names,
@@ -235,7 +235,8 @@ class _Asked:
         names = {"close-loop": "report", "identify": "model.json", "check-data": "check.html"}
         out = self.session.target(choice.task, names[choice.task])
         flags = ["--json"] if choice.task == "check-data" else []
-        what = [word for word in (Path(choice.model).name, choice.identifier) if word] or ["linear"]
+        what = [word for word in (Path(choice.model).name, choice.identifier) if word]
+        what = what or ([] if choice.log.endswith(".toml") else [LINEAR])
         title = ", ".join([Path(choice.log).name, *what, *choice.options])
         command = spoken([*shown, *_written(choice.task)])
         job = await self.jobs.start(choice.task, [*given, "--out", str(out), *flags], command, out, title)

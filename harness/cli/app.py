@@ -17,6 +17,7 @@ import typer
 from harness import __version__, api
 from harness.cli.loop import close_loop, isolability, learn_residual
 from harness.cli.models import check_data, compare, export, identify, order, spectrum
+from harness.cli.opening import open_page
 from harness.cli.options import AsJson, Force, ModelName
 from harness.cli.runs import bench, query, simulate, table
 from harness.cli.structures import analyse, modes
@@ -47,6 +48,7 @@ for _command in (*_NAMED_ALIKE, export, check):
 app.command(name="check-data")(check_data)
 app.command(name="close-loop")(close_loop)
 app.command(name="learn-residual")(learn_residual)
+app.command(name="open")(open_page)
 
 
 @app.command(name="list")

@@ -37,7 +37,7 @@ function fillPicks() {
   at("pick-field").hidden = !logs.length;
   const groups = [make("optgroup", { label: "Catalogue" }, ...catalogue.map((one) => option(one.id, one.id, one.id === state.model)))];
   if (models.length) groups.push(make("optgroup", { label: "Files" }, ...models.map((name) => option(name, name.replace(/^uploaded\/\d+\//, ""), name === state.model))));
-  at("model-pick").replaceChildren(option("", "none (linear, from the data)"), ...groups);
+  at("model-pick").replaceChildren(option("", isToml() ? "the one that the data set names" : "none (linear, from the data)"), ...groups);
   const others = logs.filter((name) => name !== state.log && !name.endsWith(".toml"));
   at("validation").replaceChildren(option("", "the last third of this log"), ...others.map((name) => option(name, name.replace(/^uploaded\/\d+\//, ""))));
 }
@@ -117,6 +117,7 @@ function uses(one) {
 }
 
 function fillTable() {
+  const holes = state.columns.some((one) => one.empty);
   const rows = state.columns.map((one, k) => {
     const name = `Column ${one.title}`;
     const choose = make("select", { "aria-label": `${name} is`, onchange: (event) => use(k, event.target.value) }, ...uses(one));
@@ -128,9 +129,9 @@ function fillTable() {
     return make("tr", {}, make("td", { class: "name" }, one.title, one.note ? make("small", {}, one.note) : null),
       isToml() ? null : make("td", {}, choose), isToml() ? make("td", {}, one.unit) : make("td", {}, unit), make("td", { class: size ? "n" : "n none", "data-label": "range" }, size),
       make("td", { class: one.mean == null ? "n none" : "n", "data-label": "mean" }, one.mean == null ? "" : `${number(one.mean)} ± ${number(one.deviation)}`),
-      make("td", { class: "n", "data-label": "empty" }, one.empty ? String(one.empty) : "0"), make("td", { class: "n", "data-label": "plot" }, tick));
+      holes ? make("td", { class: "n", "data-label": "empty" }, String(one.empty ?? 0)) : null, make("td", { class: "n", "data-label": "plot" }, tick));
   });
-  const titles = ["column", ...(isToml() ? [] : ["is"]), "unit", "range", "mean ± deviation", "empty", "plot"];
+  const titles = ["column", ...(isToml() ? [] : ["is"]), "unit", "range", "mean ± deviation", ...(holes ? ["empty"] : []), "plot"];
   at("table").replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles.map((title) => make("th", { scope: "col" }, title)))), make("tbody", {}, ...rows)));
   at("channels-help").hidden = isToml();
 }
