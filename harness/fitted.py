@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.errors import InputError
+from harness.models.determined import bands_of
 from harness.models.estimate import Estimate, estimate_of
+from harness.models.spread import Matrices, gain_and_phase_deviation, gains, pole_covariance, response_covariance
+from harness.models.transforms import Hold, continuous, discrete, reduction
 from harness.protocols import Model
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
@@ -17,6 +22,8 @@ if TYPE_CHECKING:
     import control
 
     from harness.comparison.responses import Response
+    from harness.models.forecasting import Forecast
+    from harness.models.regulators import Regulator
 
 __all__ = ["FittedModel", "Usable", "load_model"]
 
@@ -117,13 +124,138 @@ class Usable:
         inputs = np.zeros((int(steps or 0), 0)) if u is None else self._inputs(u)
         return self._run(self._state(self._record(past)), inputs)
 
-    def to_control(self, *, deviations: bool = False) -> control.StateSpace:
-        """Return a linear model as a discrete-time state-space system of python-control.
+    def forecast_bands(self, past: Any, u: Any = None, *, steps: int | None = None, level: float = 0.95) -> Forecast:
+        """Return what follows a record, as :meth:`forecast`, with the bands that its noise leaves open.
+
+        The bands are those of the innovations of the record: they grow as the model carries past disturbances on. What
+        is uncertain about the model itself is not in them (:meth:`step_response` shows that).
+
+        Parameters
+        ----------
+        past, u, steps
+            As of :meth:`forecast`.
+        level : float
+            Probability with which a band holds an output.
+
+        Raises
+        ------
+        InputError
+            If the model is not linear, or the record too short to tell its noise.
+        """
+        from harness.models.forecasting import forecast_bands
+
+        linear, record = self._linear("forecast_bands()"), self._record(past)
+        y = self.forecast(record, u, steps=steps)
+        return forecast_bands(linear, record, np.asarray(self.predict(record)), y, level)
+
+    @property
+    def determined(self) -> dict[str, list[list[float]]] | None:
+        """Frequencies [Hz] that the data of a linear model determine, by ``"output per input"``; None if unknown."""
+        return bands_of(self.model)
+
+    def frequency_response(
+        self, frequency: Any, *, deviation: bool = False
+    ) -> npt.NDArray[np.complex128] | tuple[npt.NDArray[np.complex128], FloatArray, FloatArray]:
+        """Return the response (F, ny, nu) of a linear model at frequencies [Hz].
+
+        Parameters
+        ----------
+        frequency : array (F,)
+        deviation : bool
+            With the standard deviations of gain and phase [rad], (F, ny, nu) each.
+
+        Raises
+        ------
+        InputError
+            If the model has no frequency response, or deviations are asked of one that knows none.
+        """
+        model = self._lifted("frequency_response()")
+        f = np.atleast_1d(np.asarray(frequency, dtype=np.float64))
+        found = gains(model.matrices, f, self.spec.sample_time)
+        if not deviation:
+            return found
+        self._spread(model)
+        return found, *gain_and_phase_deviation(found, response_covariance(model, f))
+
+    def pole_deviation(self) -> tuple[npt.NDArray[np.complex128], FloatArray]:
+        """Return the poles, by falling modulus, and the standard deviation of the modulus of each (nx,)."""
+        model = self._lifted("pole_deviation()")
+        self._spread(model)
+        poles, covariance = pole_covariance(model)
+        return poles, gain_and_phase_deviation(poles, covariance)[0]
+
+    def resampled(self, sample_time: float, method: Hold = "zoh") -> FittedModel:
+        """Return a linear model at another sample time, by way of continuous time; its intervals go along.
+
+        Parameters
+        ----------
+        sample_time : float
+            [s]
+        method : {"zoh", "foh", "tustin", "matched"}
+            What the inputs do between samples (:mod:`harness.models.transforms`).
+
+        Raises
+        ------
+        InputError
+            If the model is not linear, or has poles that belong to no system in continuous time.
+        """
+        model, old = self._linear("resampled()").centred(), self.spec.sample_time
+        if not (np.isfinite(sample_time) and sample_time > 0):
+            raise InputError("sample time", expected="seconds, above 0", got=repr(sample_time), remedy="correct it")
+
+        def moved(matrices: Matrices) -> Matrices:
+            return discrete(continuous(matrices, old, method), sample_time, method)
+
+        spec = replace(self.spec, sample_time=float(sample_time))
+        if bool(np.any(moved(model.matrices)[3])):
+            spec = replace(spec, feedthrough=True)
+        return FittedModel(_with_matrices(model, moved, spec, self._level(model)))
+
+    def reduced(self, order: int, method: Literal["balanced", "modal"] = "balanced") -> FittedModel:
+        """Return a stable linear model with fewer states; ``notes["reduction"]`` and its print say how far off it is.
+
+        Parameters
+        ----------
+        order : int
+        method : {"balanced", "modal"}
+            Keep the directions of the largest Hankel singular values, or the modes that do most.
+
+        Raises
+        ------
+        InputError
+            If the model is not linear and stable, or has no more states than that.
+        """
+        linear = self._linear("reduced()")
+        found = reduction(linear.matrices, order, method)
+        made = _with_matrices(linear.centred(), found.of, self.spec, self._level(linear))
+        notes = {**made.notes, "order": order, "reduction": {"words": str(found), "bound": found.bound,
+                                                            "error": found.error}}  # fmt: skip
+        gain = found.left @ np.asarray(linear.filter_gain)
+        return FittedModel(replace(made, filter_gain=gain, notes=notes))
+
+    def regulator(self, q: Any = None, r: Any = None) -> Regulator:
+        """Return the LQR of a linear model, and where it relies on frequencies that the data do not determine.
+
+        Parameters
+        ----------
+        q : array (ny, ny), optional
+            Weight of the outputs; the identity by default.
+        r : array (nu, nu), optional
+            Weight of the inputs; the identity by default.
+        """
+        from harness.models.regulators import regulator
+
+        return regulator(self._linear("regulator()"), q, r)
+
+    def to_control(self, *, deviations: bool = False, continuous: Hold | None = None) -> control.StateSpace:
+        """Return a linear model as a state-space system of python-control, in discrete time unless asked otherwise.
 
         Parameters
         ----------
         deviations : bool
             Leave out the constant offsets: the system then speaks of deviations from the equilibrium.
+        continuous : {"zoh", "foh", "tustin", "matched"}, optional
+            In continuous time, by this view of the inputs between samples.
 
         Raises
         ------
@@ -133,7 +265,7 @@ class Usable:
         from harness.export.linear import to_control
 
         linear = self._linear("to_control()")
-        return to_control(linear.centred() if deviations else linear)
+        return to_control(linear.centred() if deviations else linear, continuous=continuous)
 
     @property
     def poles(self) -> npt.NDArray[np.complex128]:
@@ -187,6 +319,28 @@ class Usable:
                 remedy="use simulate(u, start=...), or fit a linear one (arx, n4sid, prediction-error)",
             )
         return self.model
+
+    def _lifted(self, what: str) -> Any:
+        """Return the model if its free runs are linear in its inputs."""
+        return self.model if hasattr(self.model, "matrices") else self._linear(what)
+
+    def _spread(self, model: Any) -> None:
+        """Refuse a model that does not know how sure it is."""
+        if getattr(model, "spread", None) is None:
+            raise InputError(
+                "standard deviations of a model",
+                expected="a fit that keeps its spread",
+                got="none: too few rows, too many states, or the model was moved (stable = true)",
+                remedy="record longer, or give a lower order",
+            )
+
+    def _level(self, linear: Any) -> FloatArray:
+        """Return the outputs (ny,) at rest under no input, which stay when states change; none of an integrator."""
+        a, c = np.asarray(linear.a_matrix), np.asarray(linear.c_matrix)
+        if not np.any(linear.state_offset):
+            return np.asarray(linear.output_offset, dtype=np.float64)
+        rest = np.linalg.lstsq(np.eye(len(a)) - a, np.asarray(linear.state_offset), rcond=None)[0]
+        return np.asarray(c @ rest + linear.output_offset, dtype=np.float64)
 
     def _record(self, data: Any, y: Any = None) -> Trajectory:
         """Return data as one record in the model's language."""
@@ -341,6 +495,28 @@ def load_model(name: str | Path, **options: Any) -> Any:
     from harness.physics import load_model as definition
 
     return definition(str(name), **options)
+
+
+def _with_matrices(model: Any, moved: Callable[[Matrices], Matrices], spec: PlantSpec, level: FloatArray) -> Any:
+    """Return a linear model with other matrices, its neighbours moved as it is; nothing corrects its state."""
+    a, b, c, d = moved(model.matrices)
+    near = []
+    for one in [] if model.spread is None else model.spread.models:
+        try:
+            near.append(moved(one))
+        except InputError:  # a neighbour that cannot be moved: no interval is known
+            near = []
+            break
+    spread = None
+    if near and all(one[0].shape == a.shape for one in near):
+        stacks = [np.array([one[k] for one in near]) for k in range(4)]
+        spread = replace(model.spread, a=stacks[0], b=stacks[1], c=stacks[2], d=stacks[3])
+    nx, ny = len(a), spec.ny
+    return replace(
+        model, spec=spec, a_matrix=a, b_matrix=b, c_matrix=c, d_matrix=d, filter_gain=np.zeros((nx, ny)),
+        state_offset=np.zeros(nx), output_offset=level, burn_in=0, spread=spread,
+        notes={key: value for key, value in model.notes.items() if key != "estimate"},
+    )  # fmt: skip
 
 
 def _is_array(data: Any) -> bool:

@@ -10,6 +10,9 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.export.describe import Variable, describe, xml_text
+from harness.models.determined import bands_of, bands_words
+from harness.models.transforms import Hold, discrete
+from harness.models.transforms import continuous as to_continuous
 from harness.protocols import Model
 from harness.signals import Channel, FloatArray, PlantSpec
 
@@ -35,13 +38,15 @@ class Linear(Protocol):
     output_offset: FloatArray
 
 
-def to_control(model: Any) -> control.StateSpace:
-    """Return a linear model as a discrete-time state-space system of python-control.
+def to_control(model: Any, *, continuous: Hold | None = None) -> control.StateSpace:
+    """Return a linear model as a state-space system of python-control, in discrete time unless asked otherwise.
 
     Parameters
     ----------
     model : LinearModel
         ``x+ = A x + B u + a``, ``y = C x + D u + c`` at its sample time.
+    continuous : {"zoh", "foh", "tustin", "matched"}, optional
+        In continuous time, by this view of the inputs between samples (:mod:`harness.models.transforms`).
 
     Returns
     -------
@@ -81,30 +86,38 @@ def to_control(model: Any) -> control.StateSpace:
         )
     import control
 
+    matrices = (model.a_matrix, model.b_matrix, model.c_matrix, model.d_matrix)
+    step = model.spec.sample_time
+    if continuous is not None:
+        matrices, step = to_continuous(matrices, step, continuous), 0.0
     return control.StateSpace(
-        model.a_matrix,
-        model.b_matrix,
-        model.c_matrix,
-        model.d_matrix,
-        model.spec.sample_time,
+        *matrices,
+        step,
         inputs=[channel.name for channel in model.spec.inputs],
         outputs=[channel.name for channel in model.spec.outputs],
     )
 
 
 def from_state_space(
-    system: control.StateSpace, *, sample_time: float | None = None, units: Mapping[str, str] | None = None
+    system: control.StateSpace,
+    *,
+    sample_time: float | None = None,
+    units: Mapping[str, str] | None = None,
+    method: Hold = "zoh",
 ) -> Model:
     """Return a state-space system of python-control as a model that can be scored, compared and exported.
 
     Parameters
     ----------
     system : control.StateSpace
-        In continuous time it is sampled with held inputs; its labels become names of channels.
+        In continuous time it is sampled; its labels become names of channels.
     sample_time : float, optional
         [s]; needed in continuous time, and where ``dt`` is True (discrete, of no stated step).
     units : mapping, optional
         Units by name of input or output; ``"1"`` otherwise.
+
+    method : {"zoh", "foh", "tustin", "matched"}
+        How a system in continuous time is sampled (:mod:`harness.models.transforms`).
 
     Returns
     -------
@@ -145,7 +158,8 @@ def from_state_space(
             remedy="give sample_time",
         )
     dt = float(stated or sample_time or 0.0)
-    sampled = control.c2d(system, dt, "zoh") if continuous else system
+    own = (np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), np.asarray(system.D))
+    a, b, c, d = discrete(own, dt, method) if continuous else own
     unknown = sorted(set(units or {}) - {*system.input_labels, *system.output_labels})
     if unknown:
         raise InputError(
@@ -156,11 +170,11 @@ def from_state_space(
         )
     named = [tuple(Channel(name, (units or {}).get(name, "1")) for name in labels)
              for labels in (system.input_labels, system.output_labels)]  # fmt: skip
-    d = np.asarray(sampled.D, dtype=float)
+    d = np.asarray(d, dtype=float)
     spec = PlantSpec(named[0], named[1], dt, (), bool(np.any(d)))
-    nx, ny = int(system.nstates), len(named[1])
+    nx, ny = len(np.asarray(a)), len(named[1])
     make: Any = registry.load("model_readers", "linear")
-    matrices = [np.asarray(matrix, dtype=float) for matrix in (sampled.A, sampled.B, sampled.C)]
+    matrices = [np.asarray(matrix, dtype=float) for matrix in (a, b, c)]
     model: Model = make(spec, *matrices, d, np.zeros((nx, ny)), np.zeros(nx), np.zeros(ny))
     return model
 
@@ -216,8 +230,15 @@ def linear_description(model: Linear, x0: Mapping[str, float] | None = None, *, 
     variables += [Variable(f"state.{key}", "state", "1", value) for key, value in starts.items()]
     token = hashlib.sha256(f"{linear_source(model)}{starts}".encode()).hexdigest()[:32]
     direct: Sequence[int] = [int(k) for k in np.flatnonzero(np.any(model.d_matrix != 0, axis=0))]
+    bands = bands_of(model)
+    told = f", determined by its data: {bands_words(bands)}" if bands else ""
     root = describe(
-        name, f"linear model of order {len(starts)}", token, variables, sample_time=spec.sample_time, direct=direct
+        name,
+        f"linear model of order {len(starts)}{told}",
+        token,
+        variables,
+        sample_time=spec.sample_time,
+        direct=direct,
     )
     return xml_text(root)
 
