@@ -1231,7 +1231,8 @@ def modes(
     Parameters
     ----------
     dataset : path or table
-        As for ``identify``. A table whose ``input`` is ``["none"]`` is the answer to unknown excitation.
+        As for ``identify``; estimation and validation records are used alike, as nothing is judged. A table whose
+        ``input`` is ``["none"]`` is the answer to unknown excitation.
     identifier, orders, criteria, window, options, seed, progress
         As for :func:`harness.modal.identify_modes`.
     model, undriven
@@ -1261,7 +1262,7 @@ def modes(
     data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven, **signals).dataset
     _note_oddities(data, note)
     found = identify_modes(
-        data.estimation,
+        (*data.estimation, *data.validation),
         name=data.name,
         identifier=identifier,
         orders=orders,

@@ -125,10 +125,10 @@ class Mode:
         spread = self.pole.shape_deviation
         return {
             "frequency": self.frequency,
-            "frequency_interval": list(self.frequency_interval),
+            "frequency_interval": [_number(end) for end in self.frequency_interval],
             "damping": self.damping if self.damping_determined else None,
-            "damping_interval": list(self.damping_interval),
-            "share": self.share,
+            "damping_interval": [_number(end) for end in self.damping_interval],
+            "share": _number(self.share),
             "order": self.pole.order,
             "orders": list(self.orders),
             "shape": {
@@ -137,11 +137,16 @@ class Mode:
                     "real": float(self.shape[k].real) if self.seen[k] else None,
                     "imaginary": float(self.shape[k].imag) if self.seen[k] else None,
                     "deviation": None if spread is None else [float(spread[k].real), float(spread[k].imag)],
-                    "bound": float(self.bound[k]),
+                    "bound": _number(self.bound[k]),
                 }
                 for k, name in enumerate(outputs)
             },
         }
+
+
+def _number(value: float) -> float | None:
+    """Return a number as JSON can hold it."""
+    return float(value) if np.isfinite(value) else None
 
 
 def mac(first: ComplexArray, second: ComplexArray) -> float:

@@ -98,6 +98,15 @@ def test_from_python_with_a_table(ambient: Path) -> None:
         api.modes(ambient, input=["none"], output=["q1"], out=ambient.parent)
 
 
+def test_a_record_too_short_for_intervals_says_so_in_the_file_too(ambient: Path, tmp_path: Path) -> None:
+    few = tmp_path / "few.csv"
+    few.write_text("".join(ambient.read_text(encoding="utf-8").splitlines(keepends=True)[:170]), encoding="utf-8")
+    found = api.modes(few, input=["none"], output=["q1", "q2", "q3"], window=8, out=tmp_path / "few")
+    assert any("no intervals" in text for text in found.words())
+    content = json.loads((tmp_path / "few" / "modes.json").read_text(encoding="utf-8"))
+    assert all(mode["frequency_interval"] == [None, None] for mode in content["modes"])
+
+
 @pytest.mark.slow
 def test_an_fmu_of_a_chain_has_the_modes_of_the_chain(tmp_path: Path) -> None:
     from harness.scoring import linearise
