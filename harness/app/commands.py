@@ -104,6 +104,7 @@ def words(choice: Choice, reach: Reach, *, shown: bool = False) -> list[str]:
     for name in choice.undriven:
         found += _flag("--undriven", name)
     if choice.task == "identify":
+        _refuse_code(choice, log)
         found += _flag("--identifier", choice.identifier) if choice.identifier else []
         for option in choice.options:
             found += _flag("--option", option)
@@ -117,6 +118,20 @@ def words(choice: Choice, reach: Reach, *, shown: bool = False) -> list[str]:
             )
         found += _flag("--trust", model)
     return found
+
+
+def _refuse_code(choice: Choice, log: Path) -> None:
+    """Refuse options that name code or a file out of the log's folder: there is no question of trust for these.
+
+    Raises
+    ------
+    InputError
+        With the option.
+    """
+    from harness.trust import registered_only
+
+    for option in choice.options:
+        registered_only(option.partition("=")[2], file=log, place=f"--option {option}", options=True)
 
 
 def spoken(given: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ __all__ = ["HOST", "Gate"]
 HOST = "127.0.0.1"
 """The only address that is listened on; a name could be made to mean it by a foreign page (DNS rebinding)."""
 SAFE = ("GET", "HEAD")
+NO_TOKEN = "no token"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
     "connect-src 'self'; frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
@@ -41,10 +42,13 @@ class Gate:
         The first part of every path.
     port : int
         Where this is served.
+    once : str, optional
+        A second token that leads to the first, a single time: what starts a browser can be read by all users of a
+        computer.
     """
 
-    def __init__(self, application: Application, token: str, port: int) -> None:
-        self.application, self.token = application, token
+    def __init__(self, application: Application, token: str, port: int, once: str | None = None) -> None:
+        self.application, self.token, self.once = application, token, once
         self.host = f"{HOST}:{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -53,6 +57,9 @@ class Gate:
             await self.application(scope, receive, send)
             return
         reason = self._refusal(scope)
+        if reason == NO_TOKEN and scope["type"] == "http" and self._first_time(scope):
+            await _lead(send, f"/{self.token}/")
+            return
         if reason is not None:
             await _refuse(scope, send, reason)
             return
@@ -67,6 +74,14 @@ class Gate:
 
         await self.application({**scope, "path": path, "raw_path": path.encode()}, receive, guarded)
 
+    def _first_time(self, scope: Scope) -> bool:
+        """Return True for the token that is good once, which it then was."""
+        given = scope["path"].strip("/")
+        if self.once is None or not secrets.compare_digest(given.encode(), self.once.encode()):
+            return False
+        self.once = None
+        return True
+
     def _refusal(self, scope: Scope) -> str | None:
         """Return why a request is refused; None if it is not."""
         headers: dict[bytes, list[str]] = {}
@@ -79,9 +94,16 @@ class Gate:
             return "another origin"
         first = scope["path"].lstrip("/").partition("/")[0]
         if not secrets.compare_digest(first.encode(), self.token.encode()):
-            return "no token"
+            return NO_TOKEN
         unsafe = scope["type"] == "websocket" or scope["method"] not in SAFE
         return "no origin" if unsafe and not origins else None
+
+
+async def _lead(send: Send, path: str) -> None:
+    """Answer with where to go."""
+    headers = [(b"location", path.encode()), (b"content-length", b"0"), *HEADERS]
+    await send({"type": "http.response.start", "status": 303, "headers": headers})
+    await send({"type": "http.response.body", "body": b""})
 
 
 async def _refuse(scope: Scope, send: Send, reason: str) -> None:

@@ -6,9 +6,11 @@ import asyncio
 import contextlib
 import importlib.util
 import json
+import os
 import secrets
 import signal
 import socket
+import sys
 import tempfile
 import threading
 import webbrowser
@@ -55,6 +57,8 @@ class Session:
     jobs: Jobs = field(init=False)
     logs: Logs = field(default_factory=Logs)
     pages: int = 0
+    seen: bool = False
+    """True once a page was open."""
     closing: asyncio.Event = field(default_factory=asyncio.Event)
 
     def __post_init__(self) -> None:
@@ -301,7 +305,7 @@ class _Asked:
         session = self.session
 
         async def told() -> AsyncIterator[str]:
-            session.pages += 1
+            session.pages, session.seen = session.pages + 1, True
             try:
                 yield ": open\n\n"
                 async for job in session.jobs.events():
@@ -459,7 +463,8 @@ def serve(
 
         async def begin() -> None:
             session = Session(reach)
-            gate = Gate(application(session), token, number)
+            once = secrets.token_urlsafe(24) if browser and _has_screen() else None
+            gate = Gate(application(session), token, number, once)
             server = _Server(
                 uvicorn.Config(
                     gate, log_level="error", access_log=False, lifespan="off", ws="none", server_header=False,
@@ -470,8 +475,9 @@ def serve(
             ending = asyncio.create_task(_end(server, session, first, closed))
             if ready is not None:
                 ready(address)
-            if browser:
-                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+            if once is not None:
+                first_address = f"http://{HOST}:{number}/{once}/"
+                threading.Thread(target=webbrowser.open, args=(first_address,), daemon=True).start()
             try:
                 await server.serve(sockets=[line])
             finally:
@@ -482,6 +488,11 @@ def serve(
         asyncio.run(begin())
 
 
+def _has_screen() -> bool:
+    """Return False where only a browser of the terminal could be started, which would take it over."""
+    return sys.platform in ("win32", "darwin") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")))
+
+
 def _warm() -> None:
     """Import what reads logs while the browser draws the page."""
     importlib.import_module("harness.data")
@@ -490,12 +501,12 @@ def _warm() -> None:
 async def _end(server: uvicorn.Server, session: Session, first: float, closed: float) -> None:
     """End the server once nobody has looked at the page for some time."""
     clock = asyncio.get_running_loop().time
-    limit, since = first, clock()
+    since = clock()
     while not server.should_exit:
         await asyncio.sleep(min(0.2, closed / 4))
         if session.pages or session.jobs.running:
-            limit, since = closed, clock()
-        elif clock() - since > limit:
+            since = clock()
+        elif clock() - since > (closed if session.seen else first):
             server.should_exit = True
     session.closing.set()
 
@@ -511,6 +522,7 @@ def _socket(port: int) -> socket.socket:
     found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         found.bind((HOST, port))
+        found.listen()  # who is given the address may ask at once
     except (OSError, OverflowError) as error:
         found.close()
         raise InputError(

@@ -139,3 +139,9 @@ def test_an_fmu_runs_only_when_it_is_trusted(reach: Reach, folder: Path) -> None
 def test_what_the_page_does_not_send_is_refused(text: bytes) -> None:
     with pytest.raises(InputError, match="what was chosen"):
         read_choice(text)
+
+
+@pytest.mark.parametrize("option", ["model=evil.py:m", "model=../evil.fmu", "weights=/etc/passwd"])
+def test_an_option_that_names_code_or_a_file_elsewhere_is_refused(reach: Reach, folder: Path, option: str) -> None:
+    with pytest.raises(InputError, match=r"runs code|reaches out"):
+        words(chosen(options=[option]), reach)

@@ -94,3 +94,14 @@ def test_a_websocket_is_held_to_the_same(path: str, origin: str, open_: bool) ->
     asyncio.run(Gate(inner, TOKEN, PORT)(scope, None, send))  # type: ignore[arg-type]
     assert (met == ["/x"]) is open_
     assert [one["type"] for one in sent] == ([] if open_ else ["websocket.close"])
+
+
+def test_the_address_that_a_browser_is_started_with_leads_here_once() -> None:
+    async def ask() -> list[tuple[int, str]]:
+        transport = httpx.ASGITransport(Gate(_open, TOKEN, PORT, once="first-time"))
+        async with httpx.AsyncClient(transport=transport, base_url=OWN) as client:
+            await client.get("/first-time/", headers={"host": "evil.example"})
+            answers = [await client.get("/first-time/"), await client.get("/first-time/")]
+            return [(one.status_code, one.headers.get("location", "")) for one in answers]
+
+    assert asyncio.run(ask()) == [(303, f"/{TOKEN}/"), (403, "")]
