@@ -36,8 +36,8 @@ _MEMORY = 12
 _ARRIVED, _ROUNDS = 1e-9, 60
 # Time constants of C and D that a record holds at least.
 _MEMORIES = 5.0
-# Probability of keeping a noise model where the noise is white; starts nearer than this are one.
-_CHANCE, _SAME = 0.01, 1e-3
+# Starts whose denominators are nearer than this are one.
+_SAME = 1e-3
 # Refinements of a starting model by filtering with its own denominator.
 _STEIGLITZ = 12
 # Gradients that depend on others up to this share of the largest singular value: what numpy.linalg.pinv leaves out.
@@ -400,13 +400,11 @@ def _needed(end: _End, orders: Orders, parts: Sequence[Part], offset: bool) -> _
     Without noise that is coloured C and D may be any common factor: at the edge of the unit circle it follows the
     record's slow chances by its free start, and foretells nothing.
     """
-    from scipy.stats import chi2
-
     none, model = np.zeros(0), end[1]
     quiet = replace(model, orders=replace(orders, nc=0, nd=0), c=none, d=none)
     plain = _search(quiet, parts, offset)
     rows, free = sum(part.y.size for part in parts), orders.nc + orders.nd + len(parts) * orders.start_z
-    if rows * np.log(plain[0] / max(end[0], 1e-300)) > chi2.ppf(1.0 - _CHANCE, free):
+    if rows * np.log(plain[0] / max(end[0], 1e-300)) > free * np.log(rows):  # Schwarz 1978
         return end
     blank = replace(plain[1], orders=orders, c=np.zeros(orders.nc), d=np.zeros(orders.nd))
     return _search(blank, parts, offset, rounds=0)
