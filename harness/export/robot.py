@@ -48,10 +48,8 @@ def write_robot(content: Mapping[str, Any], target: Path) -> Path:
     inertial, damping, friction, rotors = (
         np.array(content[name], dtype=float) for name in ("inertial", "damping", "friction", "motor_inertia")
     )
-    if arm.mjcf is None:
-        text = urdf_with(arm, inertial, damping=damping, friction=friction)
-    else:
-        text = mjcf_with(arm, inertial, damping=damping, friction=friction, motor_inertia=rotors)
+    write = urdf_with if arm.mjcf is None else mjcf_with
+    text = write(arm, inertial, damping=damping, friction=friction, motor_inertia=rotors)
     target.write_text(text, encoding="utf-8")
     return target
 

@@ -82,10 +82,12 @@ class ArmDynamics:
         return np.asarray(rigid + self.damping * v + self.friction * np.tanh(v / REST) + self.motor_inertia * a)
 
     def to_urdf(self) -> str:
-        """Return the URDF with these bodies, damping and friction (a URDF has no place for reflected inertia)."""
+        """Return the URDF with these bodies, damping, friction and rotors."""
         from harness.physics.arms.urdf_write import urdf_with
 
-        return urdf_with(self.arm, self.inertial, damping=self.damping, friction=self.friction)
+        return urdf_with(
+            self.arm, self.inertial, damping=self.damping, friction=self.friction, motor_inertia=self.motor_inertia
+        )
 
     def to_mjcf(self) -> str:
         """Return the MJCF with these bodies, damping, friction and rotors."""

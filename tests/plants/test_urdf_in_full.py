@@ -12,6 +12,7 @@ import pytest
 from harness import api
 from harness.errors import InputError
 from harness.physics.arms.arm import load_arm
+from harness.physics.arms.urdf_write import urdf_with
 from harness.signals import FloatArray
 from plants.mujoco.plant import MujocoPlant
 
@@ -106,6 +107,20 @@ def test_drakes_namespace_and_a_mechanical_reduction_are_read() -> None:
     assert any("the inertia of its rotor is not in the URDF" in note for note in load_arm_text(robot(more=bare)).notes)
     with pytest.raises(InputError, match="rotor inertia: expected a number >= 0"):
         load_arm_text(robot(more=ROTOR.replace("2e-5", "-1")))
+
+
+@pytest.mark.parametrize(
+    "more", ["", ROTOR, ROTOR.replace("rotor_inertia", "d:rotor_inertia")], ids=["", "own", "drake"]
+)
+def test_a_rotor_is_written_where_it_is_read(tmp_path: Path, more: str) -> None:
+    text = robot(more=FINGER.replace('<mimic joint="hinge" multiplier="2"/>', "") + more)
+    arm = load_arm_text(text.replace("<robot", '<robot xmlns:d="http://drake.mit.edu"'), tmp_path)
+    same = urdf_with(arm, arm.arm.parameters, motor_inertia=arm.motor_inertia)
+    assert same.count("<transmission") == bool(more)
+    found = np.array([0.37, 0.0])
+    again = load_arm_text(urdf_with(arm, arm.arm.parameters, motor_inertia=found), tmp_path)
+    assert again.motor_inertia == pytest.approx(found)
+    assert again.idle == arm.idle
 
 
 def test_a_joint_that_follows_another_is_refused_locked_or_coupled() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.physics.arms.inertia import about_the_centre, refuse_inconsistent
+from harness.physics.arms.urdf import rotors_of
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ def urdf_with(
     *,
     damping: FloatArray | None = None,
     friction: FloatArray | None = None,
+    motor_inertia: FloatArray | None = None,
 ) -> str:
     """Return the text of the arm's URDF with these inertial parameters.
 
@@ -34,6 +36,9 @@ def urdf_with(
         In the order of :attr:`harness.physics.arms.rigid_tree.Arm.parameters`.
     damping, friction : array (n,), optional
         Of the joints that move, into ``<dynamics>``; as in the file by default.
+    motor_inertia : array (n,), optional
+        Of rotors behind their gears, into ``<transmission>`` (see :func:`harness.physics.arms.urdf.rotors_of`);
+        nothing is written where all are those of the file.
 
     Raises
     ------
@@ -57,7 +62,34 @@ def urdf_with(
         for key, values in (("damping", damping), ("friction", friction)):
             if values is not None:
                 _child(elements[joint.name], "dynamics").set(key, repr(float(values[number])))
+    if motor_inertia is not None and not np.array_equal(motor_inertia, model.motor_inertia):
+        if not root.findall("transmission"):  # with some there, joints without one would have no motor
+            for joint in model.arm.moving:
+                drive = ElementTree.SubElement(root, "transmission", name=f"drive of {joint.name}")
+                ElementTree.SubElement(drive, "joint", name=joint.name)
+        for joint, rotor in zip(model.arm.moving, motor_inertia, strict=True):
+            _write_rotor(root, joint.name, float(rotor))
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _write_rotor(root: ElementTree.Element, joint: str, inertia: float) -> None:
+    """Put the inertia of a rotor, seen at its joint, into the joint's transmission."""
+    drives = [d for d in root.findall("transmission") if any(j.get("name") == joint for j in d.findall("joint"))]
+    if not drives:
+        if not inertia:
+            return
+        drives = [ElementTree.SubElement(root, "transmission", name=f"drive of {joint}")]
+        ElementTree.SubElement(drives[0], "joint", name=joint)
+    parts = {element.tag.rpartition("}")[2]: element for element in drives[0].iter()}
+    rotor = parts.get("rotor_inertia")
+    if rotor is None:
+        if not inertia:
+            return
+        rotor = ElementTree.SubElement(parts.get("actuator", drives[0]), "rotor_inertia", value="1")
+    else:
+        rotor.set("value", "1")
+    at_the_joint = rotors_of(root, None)[joint]  # of a rotor of 1 kg m^2: the square of the ratio
+    rotor.set("value", repr(inertia / at_the_joint))
 
 
 def _write_body(link: ElementTree.Element, row: FloatArray) -> None:
