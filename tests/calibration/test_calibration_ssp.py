@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from harness import api, calibrate
+from harness.calibration.variables import contents_of, free_parameters
 from harness.errors import InputError
 from harness.parts.files import make_plant
 from harness.signals import Trajectory
@@ -29,6 +30,7 @@ def packages() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_parameters_of_two_components(tmp_path: Path, packages: ModuleType) -> None:
     system, copy = tmp_path / "loop.ssp", tmp_path / "copy.ssp"
     packages.package(system)
@@ -47,5 +49,26 @@ def test_parameters_of_two_components(tmp_path: Path, packages: ModuleType) -> N
     theirs = api.simulate(str(copy), **window)
     ours = api.simulate(str(system), options={"parameters": found.parameters}, **window)
     assert np.array_equal(theirs.y, ours.y)
+
+
+def test_names_of_a_system_and_its_values(tmp_path: Path, packages: ModuleType) -> None:
+    """What can be free in a system: components' parameters, with the values that the package binds."""
+    system = packages.package(tmp_path / "loop.ssp")
+    contents = contents_of(system)
+    assert contents.variables["law.Kp"].start == 0.8
+    assert contents.variables["arm.J"].start == pytest.approx(0.05)  # 500 kg cm^2
+    (gain,) = free_parameters(contents, ["law.Kp"], {"law.Kp": (0.1, 2.0)}, {})
+    assert (gain.value, gain.minimum, gain.maximum) == (0.8, 0.1, 2.0)
     with pytest.raises(InputError, match=r"did you mean law\.Kp"):
-        calibrate(record, model=system, free=["law.kp"])
+        free_parameters(contents, ["law.kp"], {}, {})
+    with (
+        make_plant(str(system), {"sample_time": 0.02}) as plant,
+        make_plant(str(system), {"sample_time": 0.02, "parameters": TRUTH}) as other,
+    ):
+        u = np.full((20, 1), 0.5)
+        rows = []
+        for one, values in ((plant, TRUTH), (other, {})):
+            one.preset(values)  # type: ignore[attr-defined]
+            one.reset(rng=np.random.default_rng(0))
+            rows.append(one.rollout(u))  # type: ignore[attr-defined]
+        assert np.array_equal(*rows)

@@ -55,12 +55,17 @@ def values(path: Path) -> dict[str, float]:
     return arm.parameters
 
 
-@pytest.mark.parametrize(
-    "source", ["resources/rig%20one.ssv", "resources/rig one.ssv", "./resources/../resources/rig%20one.ssv"]
-)
+SOURCES = ("resources/rig%20one.ssv", "resources/rig one.ssv", "./resources/../resources/rig%20one.ssv")
+
+
+@pytest.mark.parametrize("source", SOURCES)
 def test_values_are_read_from_the_fmu_and_not_from_the_package(tmp_path: Path, source: str) -> None:
     inside = package(tmp_path / "a.ssp", INSIDE.format(source=source, mapping=MAPPED.format(base="component")))
     assert values(inside) == pytest.approx({"J": 0.07, "mgl": 1.3})
+
+
+def test_the_system_moves_as_the_fmu_with_these_values(tmp_path: Path) -> None:
+    inside = package(tmp_path / "a.ssp", INSIDE.format(source=SOURCES[0], mapping=MAPPED.format(base="component")))
     moved = api.simulate(str(inside), stop=0.5, step=0.01, options={"parameters": {"arm.theta": 0.3}})
     theirs = api.simulate(
         str(mockup("pendulum")),

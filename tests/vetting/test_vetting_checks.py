@@ -73,6 +73,7 @@ def test_the_order_of_a_step_is_measured(tried: Callable[[int, str], list[Findin
     assert exact.passed
 
 
+@pytest.mark.slow
 def test_what_instances_leave_and_what_they_share(tried: Callable[[int, str], list[Finding]]) -> None:
     (leaks,) = tried(LEAKS, "leaks")
     assert leaks.passed is False
@@ -83,6 +84,7 @@ def test_what_instances_leave_and_what_they_share(tried: Callable[[int, str], li
     assert alone.passed
 
 
+@pytest.mark.slow
 def test_what_changes_at_once_must_be_declared(tried: Callable[[int, str], list[Finding]]) -> None:
     (through,) = tried(THROUGH, "dependencies")
     assert through.passed is False
@@ -91,6 +93,7 @@ def test_what_changes_at_once_must_be_declared(tried: Callable[[int, str], list[
     assert sound.passed
 
 
+@pytest.mark.slow
 def test_two_processes_must_agree(tried: Callable[[int, str], list[Finding]]) -> None:
     (off,) = tried(RANDOM, "determinism")
     assert off.passed is False
@@ -108,6 +111,7 @@ def test_what_it_prints_is_told_and_kept_from_the_terminal(
     assert "a step of" not in "".join(capfd.readouterr())
 
 
+@pytest.mark.slow
 def test_parameters_and_the_own_experiment(tried: Callable[[int, str], list[Finding]]) -> None:
     (parameters,) = tried(SOUND, "parameters")
     assert parameters.passed
@@ -151,7 +155,7 @@ def test_what_is_wrong_in_the_description(tmp_path: Path, check: str, before: st
     assert others == {name: one.passed for name, one in sound.items() if name != check}
 
 
-@pytest.mark.parametrize(("mode", "words"), [(1, "SIGSEGV"), (4, "within 1 s"), (5, "not finite"), (16, "SIGSEGV")])
+@pytest.mark.parametrize(("mode", "words"), [(1, "SIGSEGV"), (4, "within 1 s"), (16, "SIGSEGV")])
 def test_a_crash_or_a_hang_is_one_line_within_its_limit(hostile: Path, mode: int, words: str) -> None:
     found = vet(hostile, options={"parameters": {"mode": mode}}, limit=1.0)
     assert not found.passed
