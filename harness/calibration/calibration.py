@@ -164,17 +164,22 @@ class Calibration:
             "notes": list(self.notes),
         }
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Values by name, those that were given and those that were found [SI]."""
+        return {**self.given, **self.parameters}
+
     def write_ssv(self, path: str | Path) -> Path:
         """Write the calibrated values (and those that were given) as an SSV file; see :mod:`.written`."""
         from harness.calibration.written import write_ssv
 
-        return write_ssv(self, path)
+        return write_ssv(self.values, self.units, path)
 
     def write_model(self, path: str | Path) -> Path:
         """Write a copy of the FMU or the SSP that starts from the calibrated values; see :mod:`.written`."""
         from harness.calibration.written import write_model
 
-        return write_model(self, path)
+        return write_model(self.model, self.kind, self.values, self.units, path)
 
     def __str__(self) -> str:
         return f"{self.estimate}; " + "; ".join(f"the data do not tell: {words}" for words in self.untold)

@@ -259,9 +259,12 @@ def _solver_noise(
     record = data.using("estimation")[0].measured()
     x0 = np.asarray(fit.x0[0]) if fit.x0 else np.zeros(0)
     dt = data.spec.sample_time
-    finer = {**options, "step": options.get("step", dt) / 2} if contents.kind == "fmu" else options
     if contents.kind != "fmu":
         return []
+    finer = {**options, "step": options.get("step", dt) / 2}
+    tolerance = options.get("tolerance", contents.tolerance)
+    if tolerance is not None:
+        finer["tolerance"] = 0.01 * float(tolerance)
     try:
         with _plant(contents, data, finer) as plant:
             if fixed:
@@ -277,7 +280,9 @@ def _solver_noise(
     if not np.isfinite(change).all() or change[worst] < DOMINATES * rms[worst] or change[worst] < 1e-6 * size:
         return []
     name = data.spec.outputs[worst].name
+    share = 100 * change[worst] / rms[worst]
+    finer_words = "" if tolerance is None else " and a hundredth of the tolerance"
     return [
-        f"half the communication step moves {name} by {change[worst]:.2g}, {100 * change[worst] / rms[worst]:.0f} % of "
-        "the residual: the step is part of what is fitted (--option step=...)"
+        f"half the communication step{finer_words} moves {name} by {change[worst]:.2g}, {share:.0f} % of the residual: "
+        "the solver inside is part of what is fitted (--option step=..., --option tolerance=...)"
     ]

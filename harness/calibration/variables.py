@@ -55,13 +55,14 @@ class Variable:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a model file holds: ``kind`` is ``"fmu"`` or ``"system"``; ``kinds`` are those of the FMU (cs, me)."""
+    """What a model file holds: ``kind`` is ``"fmu"`` or ``"system"``; the tolerance is that of an FMU's experiment."""
 
     path: Path
     name: str
     kind: str
     variables: Mapping[str, Variable]
     start_time: float
+    tolerance: float | None = None
 
     def variable(self, name: str, what: str) -> Variable:
         """Return one of the real scalars that can be set, or refuse the name with the nearest ones."""
@@ -107,8 +108,10 @@ def contents_of(path: str | Path) -> Contents:
     if not is_system(str(path)):
         described = describe_fmu(path)
         rows = [_variable(row, row["name"], row["name"], None) for row in described["variables"] if not row["alias"]]
-        start = described["experiment"]["startTime"]
-        return Contents(path, str(described["model"]), "fmu", {one.name: one for one in rows}, float(start or 0.0))
+        experiment = described["experiment"]
+        named = {one.name: one for one in rows}
+        start, tolerance = float(experiment["startTime"] or 0.0), experiment["tolerance"]
+        return Contents(path, str(described["model"]), "fmu", named, start, tolerance)
     from harness.cosim.structure import opened
     from harness.cosim.structure.flatten import flatten
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 from harness.data.whole_files import whole_file
@@ -20,17 +20,16 @@ from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitio
 from harness.fmi.archive import STARTS
 from harness.parts.files import describe_fmu
 
-if TYPE_CHECKING:
-    from harness.calibration.calibration import Calibration
-
 __all__ = ["write_model", "write_ssv"]
+
+Values = Mapping[str, float]
 
 DESCRIPTION, STRUCTURE = "modelDescription.xml", "SystemStructure.ssd"
 VALUES = "resources/calibrated.ssv"
 
 
-def write_ssv(found: Calibration, path: str | Path) -> Path:
-    """Write calibrated values, and those that were given, as a parameter set of SSP 1.0 in SI units.
+def write_ssv(values: Values, units: Mapping[str, str], path: str | Path) -> Path:
+    """Write values by name as a parameter set of SSP 1.0 in SI units.
 
     Names are those of the FMU's variables; of a system ``component.parameter``, for a binding of the whole system.
 
@@ -41,30 +40,34 @@ def write_ssv(found: Calibration, path: str | Path) -> Path:
     """
     path = Path(path)
     with whole_file(path) as scratch:
-        scratch.write_text(_values(found), encoding="utf-8")
+        scratch.write_text(_values(values, units), encoding="utf-8")
     return path
 
 
-def _values(found: Calibration) -> str:
+def _values(values: Values, units: Mapping[str, str]) -> str:
     """Return the parameter set."""
     for prefix, space in SPACES.items():
         ElementTree.register_namespace(prefix, space)
     root = child(None, "ssv:ParameterSet", version="1.0", name="calibrated")
     listed = child(root, "ssv:Parameters")
-    for name, value in {**found.given, **found.parameters}.items():
-        unit = found.units.get(name)
+    for name, value in values.items():
+        unit = units.get(name)
         stated = {} if unit is None or unit == "1" or base_unit(unit) is None else {"unit": unit}
         child(child(listed, "ssv:Parameter", name=name), "ssv:Real", value=repr(float(value)), **stated)
     unit_definitions(root, "ssv:Units")
     return xml_text(root)
 
 
-def write_model(found: Calibration, path: str | Path) -> Path:
-    """Write a copy of the model with the calibrated values as its start values.
+def write_model(model: Path, kind: str, values: Values, units: Mapping[str, str], path: str | Path) -> Path:
+    """Write a copy of an FMU or an SSP package with values by name as its start values.
 
     Parameters
     ----------
-    found : Calibration
+    model : Path
+    kind : str
+        ``fmu``, or that of a system.
+    values, units : mapping
+        In SI; units are those of the values.
     path : path
         ``.fmu`` for an FMU, ``.ssp`` for an SSP package.
 
@@ -74,20 +77,20 @@ def write_model(found: Calibration, path: str | Path) -> Path:
         If the name does not suit the model, the model is no package, or the file cannot be written.
     """
     path = Path(path)
-    wanted = ".fmu" if found.kind == "fmu" else ".ssp"
+    wanted = ".fmu" if kind == "fmu" else ".ssp"
     if path.suffix != wanted:
         raise InputError(
             "copy of the model", expected=f"a name that ends in {wanted}", got=str(path), remedy="rename it"
         )
-    if not found.model.is_file() or not zipfile.is_zipfile(found.model):
+    if not model.is_file() or not zipfile.is_zipfile(model):
         raise InputError(
-            "copy of the model", expected="a package (.fmu, .ssp)", got=str(found.model), remedy="write an SSV (--ssv)"
+            "copy of the model", expected="a package (.fmu, .ssp)", got=str(model), remedy="write an SSV (--ssv)"
         )
-    if found.kind == "fmu":
-        added = {STARTS: json.dumps({"names": sorted({**found.given, **found.parameters})}).encode()}
-        _copied(found.model, path, DESCRIPTION, lambda root: _with_starts(root, found), added)
+    if kind == "fmu":
+        added = {STARTS: json.dumps({"names": sorted(values)}).encode()}
+        _copied(model, path, DESCRIPTION, lambda root: _with_starts(root, model, values), added)
     else:
-        _copied(found.model, path, STRUCTURE, _with_binding, {VALUES: _values(found).encode()})
+        _copied(model, path, STRUCTURE, _with_binding, {VALUES: _values(values, units).encode()})
     return path
 
 
@@ -111,11 +114,11 @@ def _copied(source: Path, target: Path, name: str, change: Callable[[Any], None]
                 new.writestr(place, content)
 
 
-def _with_starts(root: Any, found: Calibration) -> None:
+def _with_starts(root: Any, model: Path, values: Values) -> None:
     """Set the start attributes, in the units of the FMU."""
-    rows = {row["name"]: row for row in describe_fmu(found.model)["variables"]}
+    rows = {row["name"]: row for row in describe_fmu(model)["variables"]}
     variables = {node.get("name"): node for node in root.find("ModelVariables")}
-    for name, value in {**found.given, **found.parameters}.items():
+    for name, value in values.items():
         row, node = rows[name], variables.get(name)
         if node is None:
             raise InputError(

@@ -52,9 +52,9 @@ def vet(
     Examples
     --------
     >>> from plants.mockups import mockup
-    >>> found = vet(mockup("mass_spring"))
-    >>> found.passed, [one.name for one in found.findings if one.passed is None]
-    (True, ['co-simulation', 'texts', 'derivatives', 'events', 'timing'])
+    >>> found = vet(mockup("mass_spring"), options={"parameters": {"m": -1.0}})  # what the FMU refuses
+    >>> found.passed, [one.name for one in found.findings if one.passed is False]
+    (False, ['runs'])
     """
     path = Path(path)
     tell = progress or (lambda share, what: None)

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from harness import api, calibrate
 from harness.calibration.runs import FreeModel, FreeRuns
 from harness.errors import FitError, InputError, PlantError
+from harness.fmi import build
 from harness.physics.definition.parameters import Parameter
 from harness.signals import Channel, Dataset, PlantSpec, Trajectory
 from plants.fmu.plant import FmuPlant
@@ -181,6 +182,28 @@ def test_what_cannot_be_used_is_refused_in_a_line(asked: dict[str, Any], words: 
     with pytest.raises(InputError, match=words) as caught:
         here(rig(n=60), **{"model": mockup("pendulum"), **asked})
     assert "\n" not in str(caught.value)
+
+
+def test_a_solver_that_is_part_of_what_is_fitted_is_said(tmp_path: Path) -> None:
+    """An FMU that steps by explicit Euler with the communication step."""
+    if build.compiler() is None:
+        pytest.skip("no C compiler: install gcc")
+    path = tmp_path / "euler.fmu"
+    build.build_fmu(Path(__file__).parents[1] / "vetting" / "fmus" / "faulty", 2, path)
+    notes = {}
+    for mode in (0, 1):
+        options = {"sample_time": 0.05, "outputs": ["y"], "parameters": {"mode": mode, "T": 0.3}}
+        with FmuPlant(path, **options) as plant:
+            u = np.repeat(np.random.default_rng(0).normal(size=(10, 1)), 10, axis=0)
+            y = np.vstack([plant.reset(rng=np.random.default_rng(0)), plant.rollout(u[:-1])])
+            y += 1e-3 * np.random.default_rng(1).normal(size=y.shape)
+            record = Trajectory(np.arange(100) * 0.05, u, y, plant.spec)
+        given = {"isolated": False, "parameters": {"mode": mode}}
+        found = here(record, model=path, free=["T"], starts=1, options=given)
+        assert found.parameters["T"] == pytest.approx(0.3, rel=0.02)
+        notes[mode] = " ".join(found.notes)
+    assert "half the communication step" in notes[1]
+    assert "half the communication step" not in notes[0]
 
 
 def test_too_few_readings() -> None:
