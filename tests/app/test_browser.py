@@ -57,7 +57,7 @@ def address(folder: Path) -> Iterator[str]:
     ) as process:
         assert process.stdout is not None
         yield process.stdout.readline().split()[-1]
-        process.kill()
+        process.terminate()
 
 
 def _page(browser: Any, address: str, width: int, scheme: str) -> tuple[Any, list[str]]:

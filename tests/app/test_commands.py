@@ -14,7 +14,7 @@ from harness.app.reach import Reach
 from harness.cli.app import run
 from harness.errors import InputError
 from harness.supervision.interrupts import Interrupts
-from plants.fmu.mockups import mockup
+from plants.mockups import mockup
 
 
 def columns(*given: tuple[str, ...]) -> list[Column]:

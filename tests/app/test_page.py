@@ -163,7 +163,7 @@ def _serving(*words: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str],
         try:
             yield process, process.stdout.readline().split()[-1]
         finally:
-            process.kill()
+            process.terminate()
 
 
 def test_the_command_serves_on_loopback_and_ctrl_c_ends_it(folder: Path) -> None:
