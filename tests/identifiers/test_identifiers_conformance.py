@@ -56,6 +56,7 @@ TESTED_ELSEWHERE = {
     "lumped-energy": "needs its own mechanism: tested beside the lumped forms",
     "neural-state-space": "needs torch: tested beside the networks",
     "neural-network": "needs torch: tested beside the networks",
+    "transfer-function": "many seconds for all checks: tested, slowly, in a file of its own",
     "neural-output-error": "seconds for each fit: tested beside the recurrent networks",
     "attention-network": "needs torch: tested in a file of its own",
     "embed-to-control": "needs torch: tested in a file of its own",

@@ -341,13 +341,14 @@ def test_a_growing_model_that_was_asked_for_is_told():
 
 
 @pytest.mark.parametrize("identifier", [HoKalman(markov=30, order=2), Subspace(order=2)], ids=["ho-kalman", "n4sid"])
-def test_a_record_tells_poles_and_static_gains_with_units_and_claims_no_interval(identifier):
+def test_a_record_tells_poles_and_static_gains_with_units_and_intervals(identifier):
     a = np.array([[0.8, 0.3], [-0.3, 0.8]])
     b, c = np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
     record = run(600, 0, noise=1e-4, a=a, b=b, c=c)
     found = estimate_of(identifier.fit([record], rng=RNG))
     assert found is not None
-    assert found.intervals is None
+    low, high = found.interval("pole 1, modulus")
+    assert low < np.sqrt(0.73) < high < low + 0.01
     assert found.value("pole 1, modulus") == pytest.approx(np.sqrt(0.73), rel=1e-2)
     assert found.value("pole 1, angle") == pytest.approx(np.arctan2(0.3, 0.8), rel=1e-2)
     gain = (c @ np.linalg.solve(np.eye(2) - a, b)).item()

@@ -20,7 +20,7 @@ from identifiers.common.scaling import Scaling, scaled
 from identifiers.linear.arx import Arx
 from identifiers.linear.continuous.model import TransferFunction, estimate_of_rows, sampled_model
 from identifiers.linear.continuous.rational import Hold, Rational
-from identifiers.linear.continuous.record_fit import RecordFit, fit_to_records, start_from
+from identifiers.linear.continuous.record_fit import RecordFit, Shown, fit_to_records
 from identifiers.linear.continuous.response_fit import ResponseFit, fit_response
 from identifiers.linear.polynomial import Part
 
@@ -28,6 +28,9 @@ __all__ = ["ContinuousTransferFunction"]
 
 ORDERS = (1, 2, 3, 4, 5)
 """Orders that are tried where none is given."""
+
+ENOUGH = 2
+"""Orders beyond the best one that are still tried on records, where each is a search of its own."""
 
 
 @dataclass(frozen=True)
@@ -145,16 +148,20 @@ class ContinuousTransferFunction:
         """Return the fit of the order with the least criterion, and the criteria of all."""
         parts = [Part(record.u, record.y[:, column]) for record in records]
         step, longest = records[0].spec.sample_time, max(map(len, records))
+        shown = Shown.of(discrete, column, self.hold, longest)
         fits: dict[int, RecordFit] = {}
         refused: FitError | None = None
         for order in ORDERS if self.order is None else (self.order,):
             degree = order - 1 if self.zeros is None else min(self.zeros, order - 1)
             try:
-                start = start_from(discrete, column, order, degree, self.delay, self.hold, longest)
+                start = shown.start(order, degree, self.delay)
                 free = self.delay is None
                 fits[order] = fit_to_records(parts, step, start, self.hold, free_delay=free, offset=self.offset)
             except FitError as error:
                 refused = error
+                continue
+            if order - min(fits, key=lambda one: fits[one].criterion) >= ENOUGH:
+                break
         if not fits:
             assert refused is not None
             raise refused

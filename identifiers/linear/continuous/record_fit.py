@@ -16,7 +16,7 @@ from identifiers.linear.continuous.rational import Hold, Rational, held
 from identifiers.linear.continuous.response_fit import fit_to_response
 from identifiers.linear.polynomial import Part
 
-__all__ = ["RecordFit", "fit_to_records", "start_from"]
+__all__ = ["RecordFit", "Shown", "fit_to_records"]
 
 POINTS = 60
 """Frequencies of the discrete model's response that a start is fitted to."""
@@ -26,7 +26,11 @@ FAINT = 1e-3
 """No response counts for surer than this share of its size: the discrete model is not exact."""
 STEP = 1e-5
 """Relative difference of parameters in gradients."""
-EVALUATIONS = 60
+SLOWEST, FASTEST = 1e-4, 1e3
+"""Poles of a start relative to the middle of the frequencies."""
+GROWS = 1e9
+"""A model that grows by so much in a sample is none: the search is turned back."""
+EVALUATIONS = 30
 """Of the search's gradients at most."""
 
 
@@ -45,6 +49,8 @@ class RecordFit:
         Of the errors, initial states and level solved for; zeros of what is not fitted.
     level : float
     arrived : bool
+    states : int
+        Initial states that were solved for.
     """
 
     model: Rational
@@ -53,45 +59,58 @@ class RecordFit:
     gradients: FloatArray
     level: float
     arrived: bool
+    states: int
 
     @property
     def criterion(self) -> float:
         """``N ln(cost / N) + k ln N`` (Schwarz 1978)."""
         n = self.errors.size
-        free = int(np.sum(np.any(self.gradients != 0, axis=0)))
+        free = int(np.sum(np.any(self.gradients != 0, axis=0))) + self.states
         found = float(n * np.log(max(self.cost, 1e-300) / n) + free * np.log(n))
         return found if np.isfinite(found) else float("inf")
 
 
-def start_from(
-    model: LinearModel, output: int, order: int, zeros: int | None, delay: float | None, hold: Hold, longest: int
-) -> Rational:
-    """Return the transfer function whose response comes nearest to that of a discrete model, without its hold.
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """Response of a discrete model without its hold: ``response`` (F, nu) and ``variance`` at ``frequency`` [Hz]."""
 
-    Parameters
-    ----------
-    model : LinearModel
-        With a spread: frequencies count by what is known there.
-    output : int
-    order, zeros, delay, hold
-        Of the transfer function.
-    longest : int
-        Samples of the longest record.
-    """
-    step = model.spec.sample_time
-    frequency = np.geomspace(LOW / (longest * step), HIGH * 0.5 / step, POINTS)
-    response = gains(model.matrices, frequency, step)[:, output]
-    variance = (FAINT * np.abs(response)) ** 2 + 1e-30
-    if model.spread is not None:
-        own = response_covariance(model, frequency)[:, output]
-        variance = variance + np.trace(own, axis1=-2, axis2=-1)
-    s = 2j * np.pi * frequency * step
-    keeps = (1 - np.exp(-s)) / s
-    keeps = keeps if hold == "zoh" else keeps**2 * np.exp(s)
-    found = fit_to_response(
-        frequency, response / keeps[:, None], variance / np.abs(keeps[:, None]) ** 2, order, zeros=zeros, delay=delay
-    )
-    return found.model
+    frequency: FloatArray
+    response: npt.NDArray[np.complex128]
+    variance: FloatArray
+
+    @classmethod
+    def of(cls, model: LinearModel, output: int, hold: Hold, longest: int) -> Shown:
+        """Return that of one output; ``longest`` is the length of the longest record in samples.
+
+        Frequencies count by what the model's spread says is known there.
+        """
+        step = model.spec.sample_time
+        frequency = np.geomspace(LOW / (longest * step), HIGH * 0.5 / step, POINTS)
+        response = gains(model.matrices, frequency, step)[:, output]
+        variance = (FAINT * np.abs(response)) ** 2 + 1e-30
+        if model.spread is not None:
+            spread = response_covariance(model, frequency)[:, output]
+            variance = variance + np.trace(spread, axis1=-2, axis2=-1)
+        s = 2j * np.pi * frequency * step
+        keeps = (1 - np.exp(-s)) / s
+        keeps = keeps if hold == "zoh" else keeps**2 * np.exp(s)
+        return cls(frequency, response / keeps[:, None], variance / np.abs(keeps[:, None]) ** 2)
+
+    def start(self, order: int, zeros: int | None, delay: float | None) -> Rational:
+        """Return the transfer function of an order whose response comes nearest."""
+        found = fit_to_response(
+            self.frequency, self.response, self.variance, order, zeros=zeros, delay=delay, rough=True
+        ).model
+        return _settled(found)
+
+
+def _settled(model: Rational) -> Rational:
+    """Return the model with growing poles mirrored: a free run that overflows has no gradient."""
+    poles = model.poles / model.rate
+    size = np.clip(np.abs(poles), SLOWEST, FASTEST)
+    poles = poles / np.where(np.abs(poles) > 0, np.abs(poles), 1.0) * size
+    poles = -np.abs(poles.real) - (poles.real == 0) * SLOWEST + 1j * poles.imag
+    return Rational(np.real(np.poly(poles))[1:], model.b, model.delay, model.rate)
 
 
 def fit_to_records(
@@ -140,7 +159,9 @@ def fit_to_records(
 
     def miss(free: FloatArray) -> FloatArray:
         found = output_errors(model_of(free), parts, sample_time, hold, first, offset)[0]
-        return found if np.isfinite(found).all() else worst
+        if not np.isfinite(found).all():
+            return worst
+        return np.clip(found, -worst, worst)
 
     begin = np.clip(start.vector[:count], low, high)
     if free_delay:
@@ -151,14 +172,15 @@ def fit_to_records(
         bounds=(low, high),
         x_scale="jac",
         diff_step=np.full(count, STEP),
-        xtol=1e-10,
-        ftol=1e-10,
+        xtol=1e-8,
+        ftol=1e-8,
         max_nfev=EVALUATIONS,
     )
     errors, level = output_errors(model_of(end.x), parts, sample_time, hold, first, offset)
     gradients = np.zeros((rows, start.vector.size))
     gradients[:, :count] = np.asarray(end.jac, dtype=np.float64)
-    return RecordFit(model_of(end.x), float(errors @ errors), errors, gradients, level, bool(end.status > 0))
+    states = len(parts) * start.a.size
+    return RecordFit(model_of(end.x), float(errors @ errors), errors, gradients, level, bool(end.status > 0), states)
 
 
 def output_errors(
@@ -169,12 +191,15 @@ def output_errors(
     Initial states and the level are solved for. Modes are filtered one by one: a polynomial of poles near 1, as fast
     sampling brings them, would lose its digits.
     """
-    phi, pieces = held(model, sample_time, hold)
+    total = sum(part.y.size - first for part in parts)
+    with np.errstate(over="ignore", invalid="ignore"):
+        phi, pieces = held(model, sample_time, hold)
+    if not np.isfinite(phi).all() or np.abs(phi).max() > GROWS:
+        return np.full(total, np.nan), 0.0
     poles, vectors = np.linalg.eig(phi)
     back = np.linalg.inv(vectors)
     reads = vectors[0]
     targets, columns = [], []
-    total = sum(part.y.size - first for part in parts)
     place, n = 0, len(phi)
     with np.errstate(over="ignore", invalid="ignore"):
         for part in parts:

@@ -17,8 +17,8 @@ ITERATIONS = 25
 """Of Sanathanan and Koerner; it has settled long before, or swings."""
 DELAYS = 9
 """Dead times from which the search begins, from none to that of the steepest phase."""
-TIGHT = 1e-12
-"""Relative change of parameters, sum and gradient below which the search has arrived."""
+FINE, ROUGH = (1e-12, 1000), (1e-5, 20)
+"""Relative change of parameters, sum and gradient below which the search has arrived, and evaluations at most."""
 NEARLY = 1e-12
 """Weights never below this share of the largest: a variance of nothing is not believed."""
 
@@ -56,6 +56,7 @@ def fit_to_response(
     *,
     zeros: int | None = None,
     delay: float | None = 0.0,
+    rough: bool = False,
     what: str = "transfer-function",
 ) -> ResponseFit:
     """Return the transfer function of an order that is most likely for a measured response.
@@ -77,6 +78,8 @@ def fit_to_response(
         Degree of the numerators; by default ``order - 1``.
     delay : float, optional
         [s], of all inputs; None estimates one for each input.
+    rough : bool
+        Where the answer is only where another search begins.
     what : str
 
     Raises
@@ -108,9 +111,9 @@ def fit_to_response(
     sigma = np.maximum(sigma, NEARLY * sigma.max())
     rate = _rate(frequency)
     best: tuple[float, Rational, FloatArray] | None = None
-    for late in _delays(frequency, response, delay):
+    for late in _delays(frequency, response, delay)[:: 2 if rough else 1]:
         start = _sanathanan(frequency, response, sigma, order, degree, np.full(nu, late), rate)
-        found = _search(frequency, response, sigma, start, delay is None)
+        found = _search(frequency, response, sigma, start, delay is None, ROUGH if rough else FINE)
         if best is None or found[0] < best[0]:
             best = found
     assert best is not None
@@ -218,10 +221,12 @@ def _search(
     sigma: FloatArray,
     start: Rational,
     free_delay: bool,
+    ends: tuple[float, int],
 ) -> tuple[float, Rational, FloatArray]:
     """Return half of the least sum of squares, where it is, and the gradients of the residuals (N, k)."""
     from scipy.optimize import least_squares
 
+    tight, most = ends
     count = start.vector.size if free_delay else start.vector.size - start.delay.size
     whole = start.vector
 
@@ -243,7 +248,7 @@ def _search(
     begin = np.maximum(whole[:count], low)
     try:
         end = least_squares(
-            miss, begin, slopes, bounds=(low, np.inf), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12
+            miss, begin, slopes, bounds=(low, np.inf), x_scale="jac", xtol=tight, ftol=tight, gtol=tight, max_nfev=most
         )
         found = model_of(end.x)
         cost = float(end.cost)
