@@ -280,6 +280,11 @@ class Effort:
         "one every 0.4 s of 20 s: along such a grid the likelihood of payload steps rose to one top",
         "judged records of 290000, which judge no more",
     )
+    closer: int = _number(
+        8,
+        "parts of the distance of such instants that are tried next to the likeliest, until a sample is reached",
+        "cost",
+    )
     negligible: float = _number(
         1e-3,
         "latent force over the typical force below which play and hidden resonances have nothing to explain",

@@ -88,6 +88,9 @@ def motion_sizes(
         if load is not None:
             carried = ca.Function("load", arguments(system), [down(system, ca.SX(load))])
             result[coordinate.name]["L"] = float(rms(along(carried, system, signals, p, None))[0])
+    for port in system.ports:
+        if port.kind == "mass":
+            result.setdefault(port.name, dict(common)).update(M=abs(float(p[system.parameter_names.index(port.name)])))
     outputs = ca.Function("h", arguments(system), [down(system, system.h)])
     values = rms(along(outputs, system, signals, p, None))
     for row, channel in enumerate(system.outputs):

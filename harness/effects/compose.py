@@ -176,6 +176,7 @@ def _place(system: System, placed: Placed, sizes: Mapping[str, float]) -> System
         "output": _place_output,
         "base": _place_base,
         "process": _place_process,
+        "mass": _place_mass,
     }[port.kind](system, placed, port, made)
 
 
@@ -283,6 +284,14 @@ def _place_base(system: System, placed: Placed, port: Port, made: _Symbols) -> S
     return system.rebuild(gravity=turned, states=hidden, parameters=made.declared)
 
 
+def _place_mass(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
+    """Put another mass in the place of one that moves with several coordinates."""
+    mass = system.p[system.parameter_names.index(port.name)]
+    value, derivatives = placed.effect.evaluate(mass, made.states, made.values, 0.0, 0.0, t=system.t, a=0.0, load=0.0)
+    hidden = _hidden(system, placed, port, made, derivatives, {"signal": mass, "q": 0.0, "v": 0.0})
+    return system.rebuild(parameters_as={port.name: value}, states=hidden, parameters=made.declared)
+
+
 def _place_process(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
     """Add to the rate of a process state, and to the next one's if the effect says so."""
     row = [channel.name for channel in system.states].index(port.name)
@@ -324,7 +333,7 @@ def _placing_order(system: System, placed: Sequence[Placed]) -> list[Placed]:
     forces = sorted(those("coordinate"), key=lambda force: force.effect.drives)
     tanks = sorted(those("process"), key=lambda tank: system.process.index(tank.at))
     readings = sorted(those("output"), key=lambda reading: reading.effect.cuts)
-    return [*forces, *those("base"), *tanks, *reversed(those("input")), *readings]
+    return [*those("mass"), *forces, *those("base"), *tanks, *reversed(those("input")), *readings]
 
 
 def _refuse_twice(placed: Sequence[Placed]) -> None:

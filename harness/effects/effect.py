@@ -18,9 +18,9 @@ from harness.signals import FloatArray
 
 __all__ = ["EXPERIMENTS", "Effect", "EffectParameter", "Kind", "Placed", "effect", "par", "port_units", "unit_of"]
 
-Kind = Literal["input", "coordinate", "output", "base", "process"]
+Kind = Literal["input", "coordinate", "output", "base", "process", "mass"]
 Along = Callable[[Mapping[str, float], FloatArray, FloatArray], bool]
-KINDS: tuple[Kind, ...] = ("input", "coordinate", "output", "base", "process")
+KINDS: tuple[Kind, ...] = ("input", "coordinate", "output", "base", "process", "mass")
 EXPERIMENTS = ("slow motion", "chirp", "turned base", "large swing", "full swing", "small reversals", "fast swing",
                "rest", "added mass")  # fmt: skip
 """Kinds of experiments that separate laws: slow triangles through standstill; a chirp to five times the corner of the
@@ -38,7 +38,7 @@ class Effect:
     ----------
     name : str
         The name users write.
-    kinds : tuple of {"input", "coordinate", "output", "base", "process"}
+    kinds : tuple of {"input", "coordinate", "output", "base", "process", "mass"}
         Ports it fits.
     parameters : tuple of EffectParameter
     states : tuple of str
@@ -427,6 +427,8 @@ def port_units(kind: str, unit: str, force_unit: str = "") -> dict[str, str]:
         return {"q": unit, "v": rate, "a": rate_unit(rate), "F": force}
     if kind == "process":
         return {"x": unit}
+    if kind == "mass":
+        return {"M": unit}
     return {"u": unit, "F": unit} if kind == "input" else {"y": unit}
 
 

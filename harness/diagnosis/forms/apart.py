@@ -116,7 +116,7 @@ def _within_spread(likelihood: Likelihood, fit: Fit, after: LikelihoodFit) -> li
 def _moved(fit: Fit, after: LikelihoodFit) -> dict[str, float]:
     """Return how far the parameters moved, in standard deviations of both."""
     moved = {}
-    for name in fit.free:
+    for name in set(fit.free).difference(fit.own):
         spread = float(np.hypot(fit.deviations[name], after.deviation(name) if name in after.names else 0.0))
         change = after.parameters[name] - fit.values[name]
         if name in fit.logarithmic:

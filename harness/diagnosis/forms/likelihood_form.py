@@ -241,14 +241,22 @@ class LikelihoodForm(SystemForm[SystemT]):
         longest = max(len(record) for record in likelihood.records) * self.dt
         for name in set(_own(likelihood.system.effects, "instant")).intersection(fit.names):
             k = likelihood.system.parameter_names.index(name)
-            tried = []
-            for part in (np.arange(EFFORT.instants) + 0.5) / EFFORT.instants:
-                p = fit.point.p.copy()
-                p[k] = part * longest
-                tried.append(replace(fit.point, p=p))
-            values = [likelihood.nll(point) for point in tried]
-            if min(values) < fit.nll - POLICY.tie:
-                moved = likelihood.maximise(tried[int(np.argmin(values))], free=free, reach=reach, exact=False)
+
+            def at(instant: float, k: int = k, near: Point = fit.point) -> Point:
+                p = near.p.copy()
+                p[k] = instant
+                return replace(near, p=p)
+
+            span = longest / EFFORT.instants
+            best = min(
+                (span * (number + 0.5) for number in range(EFFORT.instants)), key=lambda t: likelihood.nll(at(t))
+            )
+            while span > self.dt and likelihood.nll(at(best)) < fit.nll - POLICY.tie:
+                span /= EFFORT.closer
+                steps = span * np.arange(1 - EFFORT.closer, EFFORT.closer)
+                best = min(best + steps, key=lambda t: likelihood.nll(at(t)))
+            if likelihood.nll(at(best)) < fit.nll - POLICY.tie:
+                moved = likelihood.maximise(at(best), free=free, reach=reach, exact=False)
                 fit = moved if moved.nll < fit.nll else fit
         return fit
 

@@ -70,7 +70,7 @@ def thinned_dataset(dataset: Dataset) -> Thinned:
         return Thinned.not_at_all(dataset)
     factor = int(1 / (DATA_POLICY.per_period * max(bands) * dt))
     factor = min(factor, min(len(run) for run in runs) // DATA_POLICY.fewest)
-    while factor > 1 and moves and _left_of_inputs(runs, factor, dataset.intersample) > DATA_POLICY.input_left:
+    while factor > 1 and moves and not _follows_inputs(runs, factor, dataset.intersample):
         factor -= 1
     if factor < 2:
         return Thinned.not_at_all(dataset)
@@ -173,14 +173,9 @@ def _half_widths(runs: Sequence[Trajectory], factor: int) -> tuple[int, ...]:
 
     A jump of the acceleration by its rms moves the middle of a cubic by at most a stated part of the noise it has.
     """
-    spec, noise, found = runs[0].spec, sensor_noise(runs), []
-    for j, channel in enumerate(spec.outputs):
-        long = [run.readings[:, j] for run in runs if len(run) > 2 * factor]
-        windows = np.concatenate([_windows(read, factor, channel.period) for read in long])
-        steps = np.arange(-factor, factor + 1)
-        weights = 2 * np.linalg.pinv(np.vander(steps, 3))[0]  # acceleration times the square of a row's time
-        size = np.nanmean((windows @ weights) ** 2) - noise[j] ** 2 * np.sum(weights**2)
-        jump = float(np.sqrt(max(size, 0.0)))
+    noise, found = sensor_noise(runs), []
+    for j in range(runs[0].spec.ny):
+        jump = _acceleration(runs, j, factor, noise[j])
         able = [
             half
             for half in range(2, factor + 1)
@@ -255,15 +250,38 @@ def hat_projection(u: FloatArray, factor: int, intersample: str = "zoh") -> Floa
     return np.asarray(solveh_banded(mass, load))
 
 
-def _left_of_inputs(runs: Sequence[Trajectory], factor: int, intersample: str) -> float:
-    """Return the share of the inputs' variance that piecewise linear ones leave, the largest of all inputs."""
-    left, whole = np.zeros(runs[0].spec.nu), np.zeros(runs[0].spec.nu)
+def _follows_inputs(runs: Sequence[Trajectory], factor: int, intersample: str) -> bool:
+    """Return True if piecewise linear inputs leave little of those that were applied, and move the plant as these do.
+
+    Between two kept instants a mass is elsewhere for a moment, and what depends on its place goes on from there: by no
+    more than the part of the noise that an average may be off. How much an input accelerates an output is taken from
+    their sizes.
+    """
+    spec = runs[0].spec
+    left, whole, astray, count = (np.zeros(spec.nu) for _ in range(4))
     for run in runs:
         nodes = hat_projection(run.u, factor, intersample)
         rows = (np.arange((len(nodes) - 1) * factor) + (0.0 if intersample == "foh" else 0.5)) / factor
-        for k in range(run.spec.nu):
+        for k in range(spec.nu):
             used = run.u[: len(rows), k]
-            left[k] += float(np.sum((used - np.interp(rows, np.arange(len(nodes)), nodes[:, k])) ** 2))
+            rest = used - np.interp(rows, np.arange(len(nodes)), nodes[:, k])
+            left[k] += float(np.sum(rest**2))
             whole[k] += float(np.sum((used - used.mean()) ** 2))
+            astray[k] += float(np.sum(np.cumsum(np.cumsum(rest)) ** 2))
+        count += len(rows)
     moving = whole > 0
-    return float(np.max(left[moving] / whole[moving], initial=0.0))
+    if np.any(left[moving] > DATA_POLICY.input_left * whole[moving]):
+        return False
+    most = float(np.sqrt(np.max(astray[moving] / whole[moving], initial=0.0)))
+    noise = sensor_noise(runs)
+    return all(most * _acceleration(runs, j, factor, noise[j]) <= DATA_POLICY.jump * noise[j] for j in range(spec.ny))
+
+
+def _acceleration(runs: Sequence[Trajectory], output: int, half: int, noise: float) -> float:
+    """Return the rms acceleration of an output times the square of a row's time, the part of the noise left out."""
+    period = runs[0].spec.outputs[output].period
+    long = [run.readings[:, output] for run in runs if len(run) > 2 * half]
+    windows = np.concatenate([_windows(read, half, period) for read in long])
+    weights = 2 * np.linalg.pinv(np.vander(np.arange(-half, half + 1), 3))[0]
+    size = np.nanmean((windows @ weights) ** 2) - noise**2 * np.sum(weights**2)
+    return float(np.sqrt(max(size, 0.0)))

@@ -16,6 +16,7 @@ __all__ = [
     "end_stop",
     "gravity_tilt",
     "linear_spring",
+    "mass_step",
     "maxwell_element",
     "payload_step",
     "quadratic_spring",
@@ -142,7 +143,7 @@ def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
             grid=(1.0, 0.2, 0.4, 0.6, 0.8, 1.2, 1.4, 1.6, 1.8),
             meaning="instant of the change",
         ),
-        par("w", "s", scale="2 dt", minimum=1e-6, nuisance=True, fixed=True, meaning="duration of the change"),
+        par("w", "s", scale="0.5 dt", minimum=1e-6, nuisance=True, fixed=True, meaning="duration of the change"),
     ],
     formula="F = -(dJ q'' + dG sin q) step((t - t0)/w)",
     family=("eccentric_load", "force_bias", "input_gain"),
@@ -153,6 +154,33 @@ def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def payload_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any, a: Any) -> Any:
     """Load that is picked up during the record."""
     return -(p.dJ * a + p.dG * sin(q)) * sigmoid((t - p.t0) / p.w)
+
+
+@effect(
+    "mass",
+    [
+        par("dm", "M", scale="0.2 M", neutral=0.0, main=True, linear=True, meaning="mass that comes; negative: goes"),
+        par(
+            "t0",
+            "s",
+            scale="0.5 T",
+            minimum=0.0,
+            per_record=True,
+            role="instant",
+            grid=(1.0, 0.2, 0.4, 0.6, 0.8, 1.2, 1.4, 1.6, 1.8),
+            meaning="instant of the change",
+        ),
+        par("w", "s", scale="0.5 dt", minimum=1e-6, nuisance=True, fixed=True, meaning="duration of the change"),
+    ],
+    formula="m' = m + dm step((t - t0)/w), m a mass that moves with several coordinates",
+    family=("payload_step", "drifting_damping"),
+    same_as={"parameter": "if t0 lies outside the record: an error of the nominal mass"},
+    experiment="repeat the same excitation before and after the change",
+    told_by=("added mass",),
+)
+def mass_step(m: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
+    """Load that is picked up, or dropped, by a body that several coordinates move."""
+    return m + p.dm * sigmoid((t - p.t0) / p.w)
 
 
 @effect(

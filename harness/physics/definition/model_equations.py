@@ -105,7 +105,7 @@ class Equations(Dimensions):
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """Where effects can act: inputs, coordinates, outputs, the base (gravity), process states."""
+        """Where effects can act: inputs, coordinates, outputs, the base (gravity), process states, carried masses."""
         found = [Port("input", channel.name, channel.unit) for channel in self.inputs]
         found += [Port("coordinate", coordinate.name, coordinate.unit) for coordinate in self.coordinates]
         found += [Port("output", channel.name, channel.unit) for channel in self.outputs]
@@ -113,6 +113,20 @@ class Equations(Dimensions):
             found.append(Port("base", "base", "rad"))
         units = {channel.name: channel.unit for channel in self.states}
         found += [Port("process", name, units[name]) for name in self.process]
+        found += [Port("mass", name, "kg") for name in self._carried]
+        return tuple(found)
+
+    @cached_property
+    def _carried(self) -> tuple[str, ...]:
+        """Names of the masses whose inertia couples coordinates: a load on one of them is no load on one coordinate."""
+        n, found = len(self.coordinates), []
+        declared = (self if self.nominal is None else self.nominal).parameters
+        for k, parameter in enumerate(declared if n > 1 else ()):
+            if parameter.unit != "kg":
+                continue
+            entries = ca.jacobian(ca.vec(self.mass_matrix), self.p[k]).sparsity().row()
+            if any(entry // n != entry % n for entry in entries):
+                found.append(parameter.name)
         return tuple(found)
 
     @cached_property

@@ -9,7 +9,7 @@ from harness.signals import Channel
 
 __all__ = ["BodyTerm", "Coordinate", "Hidden", "Port", "PortKind", "SampledBlock"]
 
-PortKind = Literal["input", "coordinate", "output", "base", "process"]
+PortKind = Literal["input", "coordinate", "output", "base", "process", "mass"]
 
 
 @dataclass(frozen=True)
