@@ -87,20 +87,7 @@ def read_response(
         pair, part = _part(name, path)
         if part != "coherence":
             pairs.setdefault(pair, {})[part] = _converted(rows[:, column], part, own, titles[column], path)
-    inputs, outputs = (list(dict.fromkeys(pair[side] for pair in pairs)) for side in (1, 0))
-    missing = [f"{o}/{i}" for o in outputs for i in inputs if (o, i) not in pairs]
-    if missing or not pairs:
-        raise InputError("pairs of a frequency response", expected="every output with every input",
-                         got=f"no {', '.join(missing) or 'response'}", remedy=_REMEDY, file=path)  # fmt: skip
-    response = np.empty((len(rows), len(outputs), len(inputs)), dtype=np.complex128)
-    variance = np.full(response.shape, np.nan)
-    for (output, given), parts in pairs.items():
-        place = (slice(None), outputs.index(output), inputs.index(given))
-        response[place] = _complex(parts, f"{output}/{given}", path)
-        if "variance" in parts:
-            variance[place] = parts["variance"]
-        elif "deviation" in parts:
-            variance[place] = parts["deviation"] ** 2
+    inputs, outputs, response, variance = _filled(pairs, len(rows), path)
     known = not np.isnan(variance).any()
     of = units or {}
     try:
@@ -114,6 +101,32 @@ def read_response(
         return found.between(low, high) if low > 0 or np.isfinite(high) else found
     except InputError as error:
         raise error.located(file=path) from error
+
+
+def _filled(
+    pairs: Mapping[tuple[str, str], Mapping[str, FloatArray]], count: int, path: Path
+) -> tuple[list[str], list[str], npt.NDArray[np.complex128], FloatArray]:
+    """Return names of inputs and outputs, and responses and variances (F, ny, nu) of all pairs; NaN where unknown."""
+    inputs, outputs = (list(dict.fromkeys(pair[side] for pair in pairs)) for side in (1, 0))
+    missing = [f"{o}/{i}" for o in outputs for i in inputs if (o, i) not in pairs]
+    if missing or not pairs:
+        raise InputError(
+            "pairs of a frequency response",
+            expected="every output with every input",
+            got=f"no {', '.join(missing) or 'response'}",
+            remedy=_REMEDY,
+            file=path,
+        )
+    response = np.empty((count, len(outputs), len(inputs)), dtype=np.complex128)
+    variance = np.full(response.shape, np.nan)
+    for (output, given), parts in pairs.items():
+        place = (slice(None), outputs.index(output), inputs.index(given))
+        response[place] = _complex(parts, f"{output}/{given}", path)
+        if "variance" in parts:
+            variance[place] = parts["variance"]
+        elif "deviation" in parts:
+            variance[place] = parts["deviation"] ** 2
+    return inputs, outputs, response, variance
 
 
 def write_response(found: FrequencyResponse, path: str | Path) -> Path:

@@ -23,7 +23,7 @@ CONTRADICTED = 0.5
 """Share of a model's gain in a band that its residual may take back: beyond it the data say something else."""
 QUIET, FAINT = 1e-8, 1e-6
 """Powers, relative to those of output and input, below which a spectrum is rounding or leaks from other lines."""
-SEGMENTS, LONGEST, ROWS, MEMORY = 6, 4096, 100_000, 1000
+SEGMENTS, LONGEST, ROWS, MEMORY = 6, 1024, 20_000, 400
 """Segments of a record at least, samples of one at most, samples looked at, samples of a response."""
 MOST = 36
 """Pairs of input and output up to which a model says its bands."""

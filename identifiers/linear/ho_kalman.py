@@ -241,16 +241,8 @@ class HoKalman:
         scaling = Scaling(sizes([record.u for record in records]), np.maximum(response.rms, _QUIET * size))
         response = response.scaled(scaling)
         a, b, c = self._realized(response, notes)
-        if self.observer is None and not self.stable and spectral_radius(a) >= 1.0:
-            notes.setdefault(
-                "warning",
-                f"the model grows (spectral radius {spectral_radius(a):.4g}) although its response was taken to have "
-                "died away: lower the order, or use stable or observer",
-            )
-        if self.stable and spectral_radius(a) >= 1.0:
-            a = clip_eigenvalues(a)
-            b = _input_matrix(a, c, response.input[1:])
-            notes["stabilized"] = True
+        if spectral_radius(a) >= 1.0:
+            a, b = self._settled(a, b, c, response, notes)
         if self.observer is not None and "stabilized" not in notes:
             gain = _observer_gain(a, c, response.innovation)
         else:
@@ -265,6 +257,22 @@ class HoKalman:
         rule = "given" if self.order is not None else "Hankel singular values above the noise"
         estimate = state_space_estimate(model, notes["hankel_singular_values"], rule)
         return replace(model, notes=notes if estimate is None else {**notes, "estimate": estimate.to_dict()})
+
+    def _settled(
+        self, a: FloatArray, b: FloatArray, c: FloatArray, response: _Response, notes: dict[str, Any]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return A and B of a model that grows, stable if that was asked for; ``notes`` say so."""
+        if self.stable:
+            notes["stabilized"] = True
+            a = clip_eigenvalues(a)
+            return a, _input_matrix(a, c, response.input[1:])
+        if self.observer is None:
+            notes.setdefault(
+                "warning",
+                f"the model grows (spectral radius {spectral_radius(a):.4g}) although its response was taken to have "
+                "died away: lower the order, or use stable or observer",
+            )
+        return a, b
 
     def _without_stretches(
         self, records: Sequence[Trajectory], response: _Response, scaling: Scaling, order: int
