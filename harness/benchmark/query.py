@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.benchmark.store import Store
-from harness.data.tables.binary_files import optional
+from harness.extras import optional
 from harness.jobs.query import Answer, ask
 
 __all__ = ["query"]

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.binary_files import optional
 from harness.data.trajectories import columns_of
 from harness.errors import InputError
+from harness.extras import optional
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
 __all__ = ["from_control", "from_fmpy", "to_pandas", "to_polars", "to_xarray"]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.data.tables.binary_files import optional
 from harness.errors import InputError
+from harness.extras import optional
 
 __all__ = ["Answer", "ask", "filtered"]
 

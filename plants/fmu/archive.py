@@ -10,6 +10,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+from xml.etree import ElementTree
 
 from harness.errors import InputError
 from harness.fmi.archive import STARTS, check_entries, has_document_type, plain_name
@@ -77,6 +78,18 @@ class FmuFile:
     def interface(self, kind: Kind) -> Any:
         """Return fmpy's record of abilities of one kind."""
         return self.description.coSimulation if kind == "cs" else self.description.modelExchange
+
+    def offers_slopes(self, kind: Kind) -> bool:
+        """Return True if the FMU offers directional derivatives."""
+        if self.version == 1:
+            return False
+        if self.version == 2:
+            return bool(self.interface(kind).providesDirectionalDerivative)
+        # FMI 3.0 writes the attribute in the plural, which fmpy does not read
+        with zipfile.ZipFile(self.path) as archive:
+            root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+        element = root.find("CoSimulation" if kind == "cs" else "ModelExchange")
+        return element is not None and element.get("providesDirectionalDerivatives") in ("true", "1")
 
     @property
     def platforms(self) -> tuple[str, ...]:

@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
-from xml.etree import ElementTree
 
 import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray
-from plants.fmu.archive import FmuFile, Kind
+from plants.fmu.archive import FmuFile
 from plants.fmu.instance import Instance
 from plants.fmu.variables import Port, port, unknown
 
-__all__ = ["offers_slopes", "slopes"]
-
-
-def offers_slopes(file: FmuFile, kind: Kind) -> bool:
-    """Return True if the FMU offers directional derivatives."""
-    if file.version == 1:
-        return False
-    if file.version == 2:
-        return bool(file.interface(kind).providesDirectionalDerivative)
-    # FMI 3.0 writes the attribute in the plural, which fmpy does not read
-    with zipfile.ZipFile(file.path) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    element = root.find("CoSimulation" if kind == "cs" else "ModelExchange")
-    return element is not None and element.get("providesDirectionalDerivatives") in ("true", "1")
+__all__ = ["slopes"]
 
 
 def slopes(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str], seed: FloatArray | None) -> FloatArray:
@@ -41,7 +26,7 @@ def slopes(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str], s
         If the FMU fails to.
     """
     file = instance.file
-    if not offers_slopes(file, instance.kind):
+    if not file.offers_slopes(instance.kind):
         raise InputError(
             "directional derivatives",
             expected="an FMU with providesDirectionalDerivative",

@@ -289,14 +289,12 @@ def describe(path: str | Path) -> dict[str, Any]:
 
 def _abilities(file: FmuFile, kind: Kind) -> dict[str, Any]:
     """Return the abilities of one kind by readable names."""
-    from plants.fmu.slopes import offers_slopes
-
     i = file.interface(kind)
     found: dict[str, Any] = {
         "identifier": i.modelIdentifier,
         "get and set state": bool(i.canGetAndSetFMUstate),
         "serialise state": bool(i.canSerializeFMUstate),
-        "directional derivatives": offers_slopes(file, kind),
+        "directional derivatives": file.offers_slopes(kind),
         "once per process": bool(i.canBeInstantiatedOnlyOncePerProcess),
         "needs its tool": bool(i.needsExecutionTool),
     }

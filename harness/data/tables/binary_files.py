@@ -11,9 +11,10 @@ from harness.data.tables.cells import seconds_of
 from harness.data.tables.packing import NUMBER, refuse_large
 from harness.data.tables.selectors import parse_selector, vector
 from harness.errors import InputError
+from harness.extras import optional
 from harness.signals import FloatArray
 
-__all__ = ["FeatherFile", "Hdf5File", "MatFile", "NumpyFile", "ParquetFile", "broken", "open_mat", "optional"]
+__all__ = ["FeatherFile", "Hdf5File", "MatFile", "NumpyFile", "ParquetFile", "broken", "open_mat"]
 
 
 def broken(path: Path, kind: str, error: Exception) -> InputError:
@@ -25,21 +26,6 @@ def broken(path: Path, kind: str, error: Exception) -> InputError:
         remedy="check that it was copied whole",
         file=path,
     )
-
-
-def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") -> Any:
-    """Return an optional package, or refuse with the words that install it."""
-    import importlib
-
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise InputError(
-            f"{kind} needs the package {package}",
-            expected=f"{package} installed",
-            got="it is not",
-            remedy=f"pip install {install}",
-        ) from error
 
 
 class ParquetFile:

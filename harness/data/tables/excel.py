@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from harness.data.tables.binary_files import broken, optional
+from harness.data.tables.binary_files import broken
 from harness.data.tables.cells import units_below
 from harness.data.tables.columns import MemoryTable
 from harness.data.tables.packing import refuse_bomb
 from harness.errors import InputError
+from harness.extras import optional
 
 __all__ = ["ExcelFile"]
 

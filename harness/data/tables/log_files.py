@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.binary_files import broken, optional
+from harness.data.tables.binary_files import broken
 from harness.errors import InputError
+from harness.extras import optional
 from harness.signals import FloatArray
 
 __all__ = ["McapFile", "MdfFile"]

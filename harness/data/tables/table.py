@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
@@ -45,52 +46,14 @@ class Source(Protocol):
         ...
 
 
-def _csv(path: Path) -> Source:
-    from harness.data.tables.text_files import TextFile
+def _reader(file: str, name: str) -> Callable[[Path], Source]:
+    """Return what opens a file by a reader of this folder, which is imported then."""
 
-    return TextFile(path)
+    def opened(path: Path) -> Source:
+        source: Source = getattr(import_module(f"harness.data.tables.{file}"), name)(path)
+        return source
 
-
-def _parquet(path: Path) -> Source:
-    from harness.data.tables.binary_files import ParquetFile
-
-    return ParquetFile(path)
-
-
-def _mat(path: Path) -> Source:
-    from harness.data.tables.binary_files import open_mat
-
-    return open_mat(path)
-
-
-def _feather(path: Path) -> Source:
-    from harness.data.tables.binary_files import FeatherFile
-
-    return FeatherFile(path)
-
-
-def _excel(path: Path) -> Source:
-    from harness.data.tables.excel import ExcelFile
-
-    return ExcelFile(path)
-
-
-def _npz(path: Path) -> Source:
-    from harness.data.tables.binary_files import NumpyFile
-
-    return NumpyFile(path)
-
-
-def _hdf5(path: Path) -> Source:
-    from harness.data.tables.binary_files import Hdf5File
-
-    return Hdf5File(path)
-
-
-def _mdf(path: Path) -> Source:
-    from harness.data.tables.log_files import MdfFile
-
-    return MdfFile(path)
+    return opened
 
 
 def _mcap(path: Path) -> Source:
@@ -100,11 +63,15 @@ def _mcap(path: Path) -> Source:
     return McapFile(path) if holds_json(path) else BagFile(path)
 
 
-def _bag(path: Path) -> Source:
-    from harness.data.tables.bags import BagFile
-
-    return BagFile(path)
-
+_csv = _reader("text_files", "TextFile")
+_parquet = _reader("binary_files", "ParquetFile")
+_mat = _reader("binary_files", "open_mat")
+_feather = _reader("binary_files", "FeatherFile")
+_excel = _reader("excel", "ExcelFile")
+_npz = _reader("binary_files", "NumpyFile")
+_hdf5 = _reader("binary_files", "Hdf5File")
+_mdf = _reader("log_files", "MdfFile")
+_bag = _reader("bags", "BagFile")
 
 FORMATS: dict[str, Callable[[Path], Source]] = {
     ".csv": _csv,

@@ -32,7 +32,7 @@ def mujoco() -> Any:
     InputError
         If it is not installed.
     """
-    from harness.data.tables.binary_files import optional
+    from harness.extras import optional
 
     engine = optional("mujoco", "a robot in MuJoCo", "'sysid-harness[mujoco]'")
     if engine.get_mju_user_warning() is None:
