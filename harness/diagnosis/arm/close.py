@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["close_arm", "recorded_arm", "repaired_urdf"]
 
 URDF = "repaired.urdf"
+MJCF = "repaired.xml"
 
 
 def close_arm(
@@ -37,11 +38,12 @@ def close_arm(
 
     Parameters are those of :func:`harness.diagnosis.arm.diagnose.diagnose_arm`. The folder holds ``report.json``,
     ``report.html`` and, where the arm fits its log, ``repaired.urdf``: the URDF with the friction, damping and payload
-    that were found, and the bodies where inertial parameters are free.
+    that were found, and the bodies where inertial parameters are free (``repaired.xml`` for one read from an MJCF).
     """
     from harness.diagnosis.arm.page import write_arm_html
     from harness.diagnosis.arm.report import arm_report
     from harness.diagnosis.store import write_atomic
+    from harness.export.robot import repaired_mjcf
 
     diagnosis = diagnose_arm(dataset, arm, progress=progress, dictionary=dictionary)
     if progress is not None:
@@ -52,6 +54,9 @@ def close_arm(
         write_arm_html(diagnosis, data, folder / "report.html")
         if arm.path is not None and not diagnosis.misfit:
             write_atomic(folder / URDF, repaired_urdf(diagnosis, data))
+        if arm.mjcf is not None and not diagnosis.misfit:
+            bodies = None if diagnosis.bodies is None else diagnosis.bodies.parameters
+            write_atomic(folder / MJCF, repaired_mjcf(arm, data["effects"], bodies))
         write_atomic(folder / "report.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
         progress(1.0, data["summary"])
