@@ -44,7 +44,7 @@ function card(job) {
     job.notes.length ? make("details", {}, make("summary", {}, job.notes.length === 1 ? "1 note" : `${job.notes.length} notes`), ...job.notes.map((one) => make("p", { class: "note" }, one))) : null,
     make("div", { class: "row" },
       running ? button("cancel", "Cancel", async () => take(await send("cancel", [job.id]))) : null,
-      job.status === "done" ? button("look", "Show", () => look(job)) : null,
+      job.status === "done" || (!running && job.files.length) ? button("look", "Show", () => look(job)) : null,
       fit && job.status === "done" ? button("export", "Export as FMU", async () => take(await send("export", [job.id]))) : null,
       job.command ? button("again", "Copy the command", () => navigator.clipboard.writeText(job.command)) : null));
 }
