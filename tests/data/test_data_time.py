@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.data import load_dataset
 from harness.data.conditioning.timebase import TimeRules, pieces_of, sample_time_of
 from harness.data.recipe.sections import ResampleSection
 from harness.errors import InputError
@@ -244,3 +246,13 @@ def test_the_sample_time_of_any_uniform_axis_is_found(dt: float, n: int, start: 
         return
     tolerance = 1e-8 + 4 * np.finfo(float).eps * np.abs(time).max() / (dt * (n - 1))
     assert sample_time_of(time) == pytest.approx(dt, rel=tolerance)
+
+
+def test_a_sample_time_that_is_written_once_is_no_clock(tmp_path: Path) -> None:
+    rows = [f"{k % 7},{np.sin(0.1 * k):.6f},{4 if not k else ''}" for k in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join(["u,y,Ts", *rows]) + "\n", encoding="utf-8")
+    data = load_dataset(tmp_path / "log.csv", input=["u"], output=["y"], sample_time=4.0).dataset
+    assert data.spec.sample_time == 4.0
+    assert sum(len(run.trajectory) for run in data) == 60
+    with pytest.raises(InputError, match="no time stamp"):
+        load_dataset(tmp_path / "log.csv", input=["u"], output=["y"])

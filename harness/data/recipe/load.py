@@ -509,6 +509,11 @@ class _Reader:
             raise error.located(file=self.path, place="time.unit") from error
         if not stated and self.description.sample_time is None:
             refuse_unlikely_seconds(time, str(column))
+        asked_for = declared is not None or "time" in section.columns
+        if (
+            not asked_for and self.description.sample_time is not None and np.isnan(time[1:]).all()
+        ):  # a "Ts" is no clock
+            return None
         return time
 
     def _rows(self, section: RunSection, n: int) -> slice:
