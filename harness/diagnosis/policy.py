@@ -142,7 +142,8 @@ class Policy:
     misfit_gain: float = _number(
         50.0,
         "log-likelihood that the repair of a column must gain to be named, and an effect or a free force where it was "
-        "fitted to be told, or tried on the validation records once more, though they show nothing of it",
+        "fitted to be told, or tried on the validation records once more, though they show nothing of it; that of free "
+        "runs beside an error that remembers, where the validation records alone lose",
         "ten times the evidence of an effect",
     )
     disturbed: float = _number(

@@ -29,7 +29,8 @@ from harness.units import fits as unit_fits
 
 NAMES = """viscous_friction coulomb_friction stribeck_friction sublinear_friction asymmetric_friction quadratic_drag
 load_dependent_friction hysteresis position_dependent_friction linear_spring quadratic_spring cubic_spring gravity_tilt
-eccentric_load payload_step mass_step end_stop dead_zone saturation rate_limit input_delay actuator_lag input_gain force_bias
+eccentric_load payload_step mass_step end_stop dead_zone saturation rate_limit input_delay actuator_lag input_gain
+force_bias
 backlash elasticity cogging sensor_offset sensor_gain sensor_cyclic_error sensor_delay sensor_rectification
 sensor_saturation sensor_quantisation sensor_nonlinearity position_dependent_damping maxwell_element input_compression
 periodic_disturbance overflow level_saturation leak yield_friction

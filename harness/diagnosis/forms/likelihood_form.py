@@ -397,6 +397,7 @@ class LikelihoodForm(SystemForm[SystemT]):
             },
             detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
             beyond=best.beyond,
+            free_run=not self.latent,
         )
         fit = replace(
             fit,

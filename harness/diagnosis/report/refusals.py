@@ -24,6 +24,11 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
         f"the validation records do not confirm it: they gain {r.numbers[0]:.1f} in log-likelihood, "
         f"{r.numbers[1]:.1f} asked of them alone"
     ),
+    Kind.COLOURED: lambda r: (
+        f"an error that drifts explains these free runs as well: beside one it gains {r.numbers[0]:.1f} in "
+        f"log-likelihood on the estimation records (its parameters paid) and {r.numbers[1]:.1f} on the validation "
+        f"records, {r.numbers[2]:.1f} asked of both together"
+    ),
     Kind.SHARE: lambda r: (
         f"it brings {100 * r.numbers[0]:.1f} % of what all effects together bring: next to nothing changes by it"
     ),

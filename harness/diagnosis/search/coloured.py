@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,12 +10,14 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Before", "Coloured", "burg", "fitted_error"]
+__all__ = ["Before", "Coloured", "burg", "coloured_likelihood", "fitted_error"]
 
 STEEPEST = 0.999
 """Largest partial autocorrelation: nearer to 1 an error is a drift without end."""
 LONGEST = 2000
 """Rows after which an error is forgotten."""
+LEAST = 1e-9
+"""Smallest deviation of an error over its rms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,3 +228,35 @@ def burg(values: list[FloatArray], before: list[Before], order: int) -> FloatArr
         forward = [f - partial[k] * b for f, b in pairs]
         backward = [b - partial[k] * f for f, b in pairs]
     return partial
+
+
+def coloured_likelihood(errors: Mapping[str, Sequence[tuple[FloatArray, FloatArray]]], order: int) -> dict[str, float]:
+    """Return the log-likelihood of errors by use, an autoregression of each output taken from the estimation records.
+
+    Parameters
+    ----------
+    errors : mapping
+        By use, for each record errors (N, ny), NaN where a reading is missing, and their variances.
+    order : int
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> drift = np.cumsum(rng.standard_normal(3000))[:, None]
+    >>> white = {use: [(rng.standard_normal((3000, 1)), np.ones((3000, 1)))] for use in ("estimation", "validation")}
+    >>> slow = {use: [(drift, np.ones((3000, 1)))] for use in ("estimation", "validation")}
+    >>> [round(coloured_likelihood(one, 4)["validation"] / 3000, 1) for one in (white, slow)]
+    [-0.5, -0.5]
+    """
+    total = dict.fromkeys(errors, 0.0)
+    for output in range(errors["estimation"][0][0].shape[1]):
+        values = {use: [error[:, output] for error, _ in records] for use, records in errors.items()}
+        before = {use: [Before.of(np.isfinite(one).astype(float), order) for one in values[use]] for use in values}
+        known = {use: [np.nan_to_num(one) for one in values[use]] for use in values}
+        floor = LEAST * float(np.sqrt(np.mean(np.concatenate(known["estimation"]) ** 2))) + 1e-300
+        error = fitted_error(known["estimation"], before["estimation"], order, floor)
+        for use, records in known.items():
+            for one, rows in zip(records, before[use], strict=True):
+                white, left = error._both(one, rows)
+                total[use] -= float(0.5 * white @ white + np.log(left).sum())
+    return total

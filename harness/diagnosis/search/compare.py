@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
+from harness.diagnosis.search.coloured import coloured_likelihood
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.effects.effect import Placed
@@ -170,11 +171,28 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
             reasons += [
                 Refusal(Kind.OTHER_LAW, str(placed), cause=refusal) for refusal in wrong_signs(placed, fit.values)
             ]
+    if not reasons and fit.free_run:
+        gains = coloured_gains(fit, base, policy.order)
+        least = 2 * policy.evidence if gains[1] >= 0.0 else policy.misfit_gain
+        if gains[0] < 0.0 or sum(gains) < least:
+            reasons.append(Refusal(Kind.COLOURED, numbers=(*gains, least)))
     for placed in added if not reasons else ():
         share = fit.change(placed)
         if share < policy.least:
             reasons.append(Refusal(Kind.SIZE, str(placed), (share, policy.least)))
     return Judged(tuple(added), fit, comparison, tuple(reasons))
+
+
+def coloured_gains(fit: Fit, base: Fit, order: int) -> tuple[float, float]:
+    """Return what a fit gains of the estimation records, penalised, and of the validation records, beside a memory.
+
+    The error of a free run is what nobody modelled, and lasts: taken as noise that is new with every sample it makes
+    any slow law likely that follows it by chance. Beside an autoregressive error, its own for either model, only what
+    an error that remembers cannot tell from its last values counts.
+    """
+    mine, theirs = (coloured_likelihood(one.innovations, order) for one in (fit, base))
+    price = 0.5 * (fit.count - base.count) * float(np.log(fit.samples))
+    return mine["estimation"] - theirs["estimation"] - price, mine["validation"] - theirs["validation"]
 
 
 def pays(fit: Fit, base: Fit, policy: Policy = POLICY) -> bool:

@@ -66,6 +66,8 @@ class Fit:
     on_bound : tuple of str
     beyond : bool
         True if it was left on its way because it could not come near a rival any more, or not to what it costs.
+    free_run : bool
+        True if the innovations are errors of free runs: what is not modelled moves many of them together.
     own : dict
         Parameters of the validation records themselves.
     wandering : dict
@@ -99,6 +101,7 @@ class Fit:
     wandering: dict[str, float] = field(default_factory=dict)
     detail: Any = field(default=None, repr=False)
     beyond: bool = False
+    free_run: bool = False
     change: Callable[[Placed], float] = field(default=_untold, repr=False)
     distance: Callable[[Fit], float] = field(default=_far, repr=False)
     braking: Callable[[str], tuple[FloatArray, FloatArray] | None] = field(default=_unbraked, repr=False)

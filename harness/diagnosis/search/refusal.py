@@ -23,6 +23,8 @@ class Kind(Enum):
     """The estimation records alone gain too little: the gain and what is asked."""
     VALIDATION = "validation"
     """The validation records alone gain too little: the gain and what is asked."""
+    COLOURED = "coloured"
+    """Of free runs: beside an error that remembers, it gains too little: both gains and what is asked."""
     SHARE = "share"
     """It brings a negligible share of what all effects bring."""
     SIZE = "size"
@@ -43,7 +45,7 @@ class Kind(Enum):
     """It was accepted, and taken back: with it the model runs further from the validation records."""
 
 
-WANT_OF_EVIDENCE = frozenset({Kind.EVIDENCE, Kind.ESTIMATION, Kind.VALIDATION, Kind.SHARE, Kind.SIZE})
+WANT_OF_EVIDENCE = frozenset({Kind.EVIDENCE, Kind.ESTIMATION, Kind.VALIDATION, Kind.COLOURED, Kind.SHARE, Kind.SIZE})
 """Kinds that say nothing against a candidate but that the data do not ask for it."""
 
 OF_ESTIMATION_AND_VALIDATION = frozenset({Kind.EVIDENCE, Kind.ESTIMATION, Kind.VALIDATION})

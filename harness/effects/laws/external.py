@@ -20,6 +20,7 @@ __all__ = ["periodic_disturbance"]
             scale="20 1/T",
             sign="+",
             minimum=1e-9,
+            floor="12.5664 1/T",  # two periods: what does not come again within a record is a drift
             grid=(1.0, 0.3, 3.0, 10.0),
             role="frequency",
             meaning="frequency",

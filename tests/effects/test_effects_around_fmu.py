@@ -1,0 +1,38 @@
+"""An FMU with effects around it goes from one process to another: a loop on an FMU runs in a child."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from harness.blackbox.effects import surround
+from harness.blackbox.reader import fmu_system
+from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.signals import Channel, PlantSpec
+from plants.mockups import mockup
+
+SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "values"),
+    [("coulomb_friction", "theta", {"Fc": 0.2, "w": 0.05}), ("actuator_lag", "u", {"tau": 0.1})],
+)
+def test_it_simulates_the_same_after_the_journey(name: str, at: str, values: dict[str, float]) -> None:
+    nominal = fmu_system(mockup("pendulum"), SPEC)
+    system = surround(nominal, [Placed(builtin()[name], at, values)])
+    there = pickle.loads(pickle.dumps(system))
+    assert there.effects == system.effects
+    assert there.fingerprint == system.fingerprint
+    u = np.sin(np.arange(60) * 0.1)[:, None]
+    runs = []
+    for one in (system, there, pickle.loads(pickle.dumps(nominal))):
+        simulator = FmuSimulator(one, Runner(one, SPEC.sample_time))
+        runs.append(simulator.run(one.vector(), np.zeros(one.nx), u)[1])
+    assert np.array_equal(runs[0], runs[1])
+    assert np.abs(runs[0] - runs[2]).max() > 1e-3
