@@ -17,6 +17,7 @@ from harness.diagnosis.runs.residual_tests import max_autocorrelation
 from harness.effects import builtin
 from harness.parts.files import make_plant
 from harness.physics import Parameter
+from harness.physics.compiled.sampled import delayed_between
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.001)
@@ -137,3 +138,18 @@ def test_missing_readings_stay_missing_and_spoil_no_other() -> None:
     assert np.flatnonzero(np.isnan(thin.readings[:, 0])).tolist() == [10]
     kept = np.arange(40) != 10
     np.testing.assert_allclose(thin.y[kept, 0], np.sin(3 * thin.t[kept]), atol=1e-4)
+
+
+@given(part=st.floats(0.0, 3.0), per_period=st.integers(20, 80))
+@settings(max_examples=40, deadline=None)
+def test_an_input_that_is_linear_between_samples_is_delayed_without_being_smoothed(
+    part: float, per_period: int
+) -> None:
+    """A line between two samples would take (w dt)^2 / 8 of a sine, and look like a lag of the drive."""
+    dt, omega = 0.1, 2 * np.pi / per_period / 0.1
+    t = np.arange(200) * dt
+    late, change = delayed_between(np.sin(omega * t), part * dt, dt)
+    inside = slice(6, -2)
+    np.testing.assert_allclose(late[inside], np.sin(omega * (t - part * dt))[inside], atol=0.03 * (omega * dt) ** 4)
+    slope = -omega * np.cos(omega * (t - part * dt))
+    np.testing.assert_allclose(change[inside], slope[inside], atol=0.1 * omega * (omega * dt) ** 2)

@@ -7,7 +7,7 @@ import numpy as np
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray
 
-__all__ = ["SampledBlocks", "delayed", "quantised"]
+__all__ = ["SampledBlocks", "delayed", "delayed_between", "quantised"]
 
 
 def delayed(signal: FloatArray, delay: float, dt: float) -> tuple[FloatArray, FloatArray]:
@@ -40,6 +40,31 @@ def delayed(signal: FloatArray, delay: float, dt: float) -> tuple[FloatArray, Fl
     return (1.0 - fraction) * near + fraction * far, (far - near) / dt
 
 
+def delayed_between(signal: FloatArray, delay: float, dt: float) -> tuple[FloatArray, FloatArray]:
+    """Return a signal that is linear between samples delayed by any fraction of one, and its derivative by the delay.
+
+    By the cubic through four samples (Lagrange): a straight line between two would smooth what it delays, and pass for
+    a lag. Its arguments are those of :func:`delayed`.
+
+    Examples
+    --------
+    >>> late, change = delayed_between(np.arange(6.0) ** 2, 0.05, 0.1)
+    >>> late[2:5].tolist(), change[2:5].round(9).tolist()
+    ([2.25, 6.25, 12.25], [-30.0, -50.0, -70.0])
+    """
+    whole, f = divmod(max(delay, 0.0) / dt, 1.0)
+    count = signal.shape[0]
+    rows = np.arange(count) - int(min(whole, count))
+    near = [signal[np.clip(rows + shift, 0, count - 1)] for shift in (1, 0, -1, -2)]
+    weights = (-f * (1 - f) * (2 - f) / 6, (1 - f * f) * (2 - f) / 2, f * (1 + f) * (2 - f) / 2, -f * (1 - f * f) / 6)
+    slopes = (
+        -(2 - 6 * f + 3 * f * f) / 6, (-1 - 4 * f + 3 * f * f) / 2, (2 + 2 * f - 3 * f * f) / 2, -(1 - 3 * f * f) / 6,
+    )  # fmt: skip
+    late = sum((weight * part for weight, part in zip(weights, near, strict=True)), np.zeros_like(signal))
+    change = sum((weight * part for weight, part in zip(slopes, near, strict=True)), np.zeros_like(signal))
+    return late, change / dt
+
+
 # So many samples before a window are continued backwards by a parabola; earlier ones are held.
 _BACKWARDS = 25
 
@@ -67,15 +92,24 @@ def quantised(signal: FloatArray, step: float) -> FloatArray:
 class SampledBlocks:
     """The sampled blocks of a system, applied to arrays of inputs and outputs.
 
+    Parameters
+    ----------
+    system : Equations
+    dt : float
+        Sample time [s].
+    held : bool
+        False for inputs that move between samples.
+
     Attributes
     ----------
     delay_columns : tuple of int
         The parameters (by index) through which the inputs depend on p, one for each input delay.
     """
 
-    def __init__(self, system: Equations, dt: float) -> None:
+    def __init__(self, system: Equations, dt: float, *, held: bool = True) -> None:
         names = system.parameter_names
         self.dt = dt
+        self._delayed = delayed if held else delayed_between
         self.input_delays = [(b.index, names.index(b.parameter)) for b in system.sampled if b.kind == "input_delay"]
         self.output_blocks = [
             (b.kind, b.index, names.index(b.parameter)) for b in system.sampled if b.kind != "input_delay"
@@ -92,10 +126,10 @@ class SampledBlocks:
             for column, parameter in self.input_delays:
                 place = self.delay_columns.index(parameter)
                 for other in range(len(self.delay_columns)):
-                    input_jacobian[window, :, column, other] = delayed(
+                    input_jacobian[window, :, column, other] = self._delayed(
                         input_jacobian[window, :, column, other], p[window, parameter], self.dt
                     )[0]
-                late, change = delayed(seen[window, :, column], p[window, parameter], self.dt)
+                late, change = self._delayed(seen[window, :, column], p[window, parameter], self.dt)
                 seen[window, :, column] = late
                 input_jacobian[window, :, column, place] += change
         return seen, (np.ascontiguousarray(input_jacobian) if jacobian else None)

@@ -141,7 +141,7 @@ class Simulator:
             self.substeps = max(self.substeps, _SMOOTH_PIECES)
         self.backend = backend
         self._finer: list[tuple[FloatArray, FloatArray]] = []
-        self.functions, self.sampled = Functions(system), SampledBlocks(system, self.dt)
+        self.functions, self.sampled = Functions(system), SampledBlocks(system, self.dt, held=intersample == "zoh")
         self._compilation: dict[bool, Compilation] = {}
         self._work = 0
         self._compiles = compiler() is not None
