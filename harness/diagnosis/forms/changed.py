@@ -69,7 +69,10 @@ def changed_share(
 
 def _stepped(trace: Trace, system: System, x: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the states one sample later, from evenly spread ones of a record's (K, nx), and its readings (K, ny)."""
-    functions, sampled = Functions(system), SampledBlocks(system, trace.dt, held=trace.passes.simulator.intersample == "zoh")
+    functions, sampled = (
+        Functions(system),
+        SampledBlocks(system, trace.dt, held=trace.passes.simulator.intersample == "zoh"),
+    )
     simulator = trace.passes.simulator
     u = sampled.inputs(trace.record.u[None], p[None], False)[0][0]
     n, t = len(x), trace.record.t

@@ -6,6 +6,7 @@ eight times as much in every fit. What is thrown away is the rate and not the in
 - a reading that is kept is that of the cubic through its neighbours (Savitzky & Golay 1964, *Anal. Chem.* 36:1627),
   with the noise of all of them: of so many that a jump of the acceleration, as dry friction makes, moves it by no more
   than a part of its noise. Where a cubic does not follow the readings, at an impact, it is the reading itself;
+- where nothing drives the plant, a longer filter takes all readings in, and keeps their noise white;
 - an input becomes piecewise linear, by least squares over time. What is left of it is orthogonal to every hat function,
   and so to ``(t_k - t)_+``, the answer of a mass at a kept instant: a double integrator is at the kept instants exactly
   where the input as it was would have taken it, jumps or not.
@@ -23,7 +24,12 @@ from harness.diagnosis.records.motion import motion_band
 from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["Thinned", "hat_projection", "local_cubics", "thinned_by", "thinned_dataset"]
+__all__ = ["Thinned", "hat_projection", "local_cubics", "thinned_by", "thinned_dataset", "white_keeping_filter"]
+
+
+ROLL_OFF = 0.5
+SPAN = 8
+"""Half length of the filter of what nothing drives, in new samples."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,7 @@ def thinned_dataset(dataset: Dataset) -> Thinned:
     if not bands or (moves and dataset.intersample == "smooth"):
         return Thinned.not_at_all(dataset)
     factor = int(1 / (DATA_POLICY.per_period * max(bands) * dt))
-    factor = min(factor, min(len(run) for run in runs) // DATA_POLICY.fewest)
+    factor = min(factor, min(len(run) for run in runs) // (DATA_POLICY.fewest + (0 if moves else 2 * SPAN)))
     while factor > 1 and moves and not _follows_inputs(runs, factor, dataset.intersample):
         factor -= 1
     if factor < 2:
@@ -78,7 +84,7 @@ def thinned_dataset(dataset: Dataset) -> Thinned:
         f"the motion lies below {max(bands):.3g} Hz: the search looks at {1 / (factor * dt):.4g} Hz instead of "
         f"{1 / dt:.4g} Hz; free runs are compared at the full rate"
     )
-    found = thinned_by(dataset, factor)
+    found = thinned_by(dataset, factor) if moves else _filtered(dataset, factor)
     return replace(found, dataset=replace(found.dataset, warnings=(*dataset.warnings, words)))
 
 
@@ -107,11 +113,56 @@ def thinned_by(dataset: Dataset, factor: int) -> Thinned:
         missing = np.isnan(y)
         y = np.where(missing, record.y[rows], y)
         runs.append(Run(Trajectory(record.t[rows], u, y, spec, missing=missing), run.use, run.label))
-    moves = any(np.ptp(run.trajectory.u, axis=0).any() for run in dataset)
     share_of = dict(zip((channel.name for channel in spec.outputs), shares, strict=True))
     noise = {name: value * share_of[name] for name, value in dataset.noise.items()}
-    intersample = "foh" if moves else dataset.intersample
-    return Thinned(replace(dataset, runs=tuple(runs), noise=noise, intersample=intersample), factor, shares)
+    return Thinned(replace(dataset, runs=tuple(runs), noise=noise, intersample="foh"), factor, shares)
+
+
+def _filtered(dataset: Dataset, factor: int) -> Thinned:
+    """Return records that nothing drives, low-passed and decimated, without the ends that the filter does not reach."""
+    from scipy.signal import fftconvolve
+
+    spec = replace(dataset.spec, sample_time=factor * dataset.spec.sample_time)
+    taps = white_keeping_filter(factor)
+    share, runs = float(np.sqrt(np.sum(taps**2))), []  # of the deviation of white noise
+    for run in dataset:
+        record = run.trajectory
+        columns = []
+        for read, channel in zip(record.y.T, record.spec.outputs, strict=True):
+            known = read if channel.period is None else np.unwrap(read, period=channel.period)
+            columns.append(fftconvolve(known, taps, mode="valid")[::factor])
+        y = np.stack(columns, axis=1)
+        first = (len(taps) - 1) // 2
+        rows = slice(first, first + (len(y) - 1) * factor + 1, factor)
+        missing = None if record.missing is None else record.missing[rows]
+        runs.append(Run(Trajectory(record.t[rows], record.u[rows], y, spec, missing=missing), run.use, run.label))
+    noise = {name: value * share for name, value in dataset.noise.items()}
+    return Thinned(replace(dataset, runs=tuple(runs), noise=noise), factor, (share,) * dataset.spec.ny)
+
+
+def white_keeping_filter(factor: int) -> FloatArray:
+    """Return taps (16 * factor + 1,) of a low-pass: every ``factor``-th sample of white noise stays white.
+
+    The square root of a raised cosine: the squares of its pass bands, moved by the new sampling frequency, add up to a
+    constant (Proakis, Digital Communications, section 9.2).
+
+    Examples
+    --------
+    >>> taps = white_keeping_filter(4)
+    >>> float(round(taps.sum(), 6)), float(abs(round((taps[:-4] * taps[4:]).sum() / (taps**2).sum(), 2)))
+    (1.0, 0.0)
+    """
+    t = np.arange(-SPAN * factor, SPAN * factor + 1) / factor
+    b = ROLL_OFF
+    with np.errstate(divide="ignore", invalid="ignore"):
+        taps = (np.sin(np.pi * t * (1 - b)) + 4 * b * t * np.cos(np.pi * t * (1 + b))) / (
+            np.pi * t * (1 - (4 * b * t) ** 2)
+        )
+    taps[t == 0] = 1 - b + 4 * b / np.pi
+    edge = np.isclose(np.abs(t), 1 / (4 * b))
+    quarter = np.pi / (4 * b)
+    taps[edge] = b / np.sqrt(2) * ((1 + 2 / np.pi) * np.sin(quarter) + (1 - 2 / np.pi) * np.cos(quarter))
+    return np.asarray(taps / taps.sum())
 
 
 def local_cubics(readings: FloatArray, factor: int, half: int, period: float | None = None) -> FloatArray:
