@@ -59,7 +59,10 @@ Resume = Annotated[bool, typer.Option("--resume", help="continue what was interr
 Seed = Annotated[int, typer.Option(help="keys every random number")]
 ModelName = Annotated[
     str | None,
-    typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf, FILE.xml (MJCF) or FILE.py:NAME", autocompletion=completed("models")),
+    typer.Option(
+        help="nominal model: NAME, FILE.fmu, FILE.urdf, FILE.xml (MJCF) or FILE.py:NAME",
+        autocompletion=completed("models"),
+    ),
 ]
 Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
 Undriven = Annotated[

@@ -1,7 +1,7 @@
 """The catalogue of nominal models.
 
-``catalogue`` has most of the mechanical ones, ``chain``, ``flight`` and ``tanks`` others. Add a model as a function that
-returns a mechanism or an ODE, with its entry point in ``pyproject.toml``.
+``catalogue`` has most of the mechanical ones, ``chain``, ``flight`` and ``tanks`` others. Add a model as a function
+that returns a mechanism or an ODE, with its entry point in ``pyproject.toml``.
 """
 
 from __future__ import annotations
