@@ -445,10 +445,14 @@ def _search(
         cost = float(miss @ miss)
         return (cost if np.isfinite(cost) else np.inf), miss, gradients
 
-    if max(first.radii[1:]) > forgotten:
-        first = replace(first, c=_inside(first.c, forgotten), d=_inside(first.d, forgotten))
+    if max(first.radii[1:]) > forgotten:  # well inside: roots that meet are known to a root of rounding
+        first = replace(first, c=_inside(first.c, 0.99 * forgotten), d=_inside(first.d, 0.99 * forgotten))
+    if first.radii[0] > furthest:
+        first = replace(first, f=_inside(first.f))
     vector = np.concatenate([first.vector, np.zeros(len(parts) * (nx + nz))])
     cost, miss, gradients = evaluated(vector)
+    if not gradients.size:  # no start of a model that is allowed
+        return np.inf, first, miss, gradients, False
     # The initial states are linear in the errors: solve for them first.
     if gradients.shape[1] > count:
         vector[count:] -= np.linalg.lstsq(gradients[:, count:], miss, rcond=1e-9)[0]

@@ -40,7 +40,7 @@ OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("stlsq", {"time": "discrete"}),
     ("stlsq", {"order": 1}),
 ]
-SLOW = ("volterra", "piecewise-affine", "random-forest", "gaussian-process")
+SLOW = ("volterra", "piecewise-affine", "random-forest", "gaussian-process", "transfer-function")
 """Seconds for each system: asked on one."""
 PHYSICAL = {
     "true-model": "is the plant itself: its units are its own",
