@@ -40,7 +40,7 @@ test: style
 	@told=$$(mktemp); trap 'rm -f "$$told"' EXIT; $(BIN)/mypy >"$$told" 2>&1 & types=$$!; \
 	trap 'kill $$types 2>/dev/null; exit 130' INT TERM; \
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"; tests=$$?; \
-	wait $$types; typed=$$?; cat "$$told"; [ $$tests -eq 0 ] && [ $$typed -eq 0 ]
+	wait $$types; typed=$$?; [ $$typed -eq 0 ] || cat "$$told"; [ $$tests -eq 0 ] && [ $$typed -eq 0 ]
 
 # what takes long: whole loops on recordings, fleets, interrupts, plug-ins installed by pip
 nightly: $(READY)
