@@ -213,7 +213,7 @@ def _is_code(path: Path) -> bool:
             return False
         with zipfile.ZipFile(path) as archive:
             return any(name in DESCRIPTIONS for name in archive.namelist())
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # zipfile: a way of packing it lacks
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # no archive of code: its reader says why
         return False
 
 

@@ -49,6 +49,24 @@ class Around:
     rates: tuple[bool, ...]
     reads: bool
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the blocks as a function: symbols belong to one process."""
+        import casadi as ca
+
+        given = [self.u, self.q, self.v, self.t, self.z, self.p, self.y]
+        made = [ca.SX(part) for part in (self.command, self.reading, self.derivatives, self.starts)]
+        function = ca.Function("around", given, made)
+        return {"function": function.serialize(), "rates": self.rates, "reads": self.reads}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        import casadi as ca
+
+        function = ca.Function.deserialize(state["function"])
+        given = function.sx_in()
+        names = ("u", "q", "v", "t", "z", "p", "y", "command", "reading", "derivatives", "starts")
+        self.__dict__.update(zip(names, [*given, *function.call(given)], strict=True))
+        self.__dict__.update(rates=state["rates"], reads=state["reads"])
+
     @property
     def points(self) -> int:
         """How often the effects are evaluated in a sample: a reversal must move the mean force without jumps."""

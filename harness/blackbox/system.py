@@ -7,7 +7,7 @@ are added to that input. :func:`harness.blackbox.reader.fmu_system` makes one of
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,16 +92,6 @@ class FmuSystem(Dimensions):
     loads = None
     h = None
     process: tuple[str, ...] = ()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "around"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Put the effects around it again: their symbols belong to one process."""
-        from harness.blackbox.effects import surround
-
-        around = surround(state["nominal"], state["effects"]).around if state["effects"] else None
-        self.__dict__.update(state, around=around)
 
     def __str__(self) -> str:
         return " + ".join([f"{self.name} ({self.path.name}, {self.digest})", *map(str, self.effects)])
