@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from harness.learned import LearnedResidual
     from harness.modal import Criteria, Modes
     from harness.models.analysis import Findings, Takes
-    from harness.models.predictive import ProbabilityScore
+    from harness.scoring.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.vetting import Agreement, Vetting
 
@@ -633,7 +633,7 @@ def identify(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     from harness.data import load_dataset
-    from harness.models.predictive import probability_score
+    from harness.scoring.predictive import probability_score
     from harness.scoring import equation_error, simulation_error
 
     if y is not None:

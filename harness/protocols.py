@@ -249,7 +249,7 @@ class Distribution(Protocol):
 
 @runtime_checkable
 class Predictive(Protocol):
-    """A model that says how sure it is; scored by :mod:`harness.models.predictive`."""
+    """A model that says how sure it is; scored by :mod:`harness.scoring.predictive`."""
 
     def predictive(self, x: FloatArray, u: FloatArray) -> Distribution:
         """Return the distribution of the measured output (..., ny) in state x (..., nx) under input u (..., nu)."""
@@ -307,7 +307,7 @@ class Tracking(OnlineIdentifier, Protocol):
 
 @runtime_checkable
 class OnlinePredictive(Protocol):
-    """An online identifier that predicts distributions; :func:`harness.models.predictive.log_regret` scores it."""
+    """An online identifier that predicts distributions; :func:`harness.scoring.predictive.log_regret` scores it."""
 
     def forecast(self, state: Any, u: FloatArray) -> Distribution:
         """Return the distribution of the output (ny,) that ``u`` (nu,) leads to."""

@@ -230,7 +230,7 @@ def _fit_and_score(
 
 def _score_distributions(model: Any, held_out: Sequence[Trajectory], row: Row) -> None:
     """Fill in log score and coverage, one step ahead; an outcome that was called impossible leaves no log score."""
-    from harness.models.predictive import probability_score
+    from harness.scoring.predictive import probability_score
 
     scores = [probability_score(model, record, levels=(_SETS,)) for record in held_out]
     gain = float(np.mean([np.mean(score.skill) for score in scores]))
@@ -282,7 +282,7 @@ def _score_regret(
     row.curve_steps = tuple(int(n) for n in result.steps[known])
     row.curve_regret = tuple(result.curve[known].tolist())
     if isinstance(identifier, OnlinePredictive):
-        from harness.models.predictive import log_regret
+        from harness.scoring.predictive import log_regret
 
         in_nats = log_regret(cast(Any, identifier), shown, rng=rng)
         row.log_regret, row.average_log_regret = in_nats.total, in_nats.average

@@ -8,8 +8,9 @@ This room may import the contracts and the registry; it knows no identifier by i
 
 from __future__ import annotations
 
-from harness.modal.modes import Modes, Undetermined, identify_modes
+from harness.modal.modes import identify_modes
 from harness.modal.poles import Mode, Pole, mac
+from harness.modal.result import Modes, Undetermined
 from harness.modal.stabilisation import Criteria
 
 __all__ = ["Criteria", "Mode", "Modes", "Pole", "Undetermined", "identify_modes", "mac"]

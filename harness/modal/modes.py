@@ -1,219 +1,33 @@
-"""Modes of a structure from its records, and what the records do not determine."""
+"""Modes of a structure from its records: orders fitted, stable poles kept, each with what the records say of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from harness.display import table
 from harness.errors import FitError, InputError
 from harness.judgement import feedback_of
 from harness.modal.fits import fitted, jackknifed
 from harness.modal.notes import notes_of
 from harness.modal.poles import ComplexArray, Mode, Pole, mac, poles_of
+from harness.modal.result import LEVEL, STRONG, VAGUE, Modes, Undetermined
 from harness.modal.stabilisation import Criteria, Track, tracks_of
 from harness.modal.subspace import Ladder, ladder_of
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-__all__ = ["Modes", "Undetermined", "identify_modes"]
+__all__ = ["identify_modes"]
 
+System = tuple[FloatArray, FloatArray]
+"""A and C of a linear model."""
 SSI = "ssi"
 """Name of the subspace fit of this room."""
-LEVEL = 0.95
-"""Probability of every interval."""
-VAGUE = 0.05
-"""Half width of the interval over the frequency from which a mode counts as not determined: neighbours overlap."""
-STRONG = 0.01
-"""Share of the motion from which a mode is listed although its damping cannot be told from 0: it is no noise."""
 STEP = 2
 """Orders rise by a pair of poles."""
 MOST = 40
 """The largest order by default: twenty modes."""
-
-
-Reason = Literal["frequency", "damping", "growing", "double"]
-REASONS: Mapping[Reason, str] = {
-    "frequency": f"the frequency is known no better than within {100 * VAGUE:.0f} % (95 %)",
-    "damping": f"the damping cannot be told from 0, and less than {100 * STRONG:.0f} % of the motion is in it: noise "
-    "looks like it",
-    "growing": "the motion grows: an unstable system, or a trend in the records",
-    "double": "it cannot be told apart from a mode beside it that is known better",
-}
-"""Why something is not determined, in words."""
-
-
-@dataclass(frozen=True, eq=False)
-class Undetermined:
-    """Something that looks like a mode in some fits, and why the data do not determine it.
-
-    Parameters
-    ----------
-    band : (float, float)
-        Where it was found [Hz].
-    reason : {"frequency", "damping", "growing", "double"}
-        What is not known; :data:`REASONS` says it in words.
-    """
-
-    band: tuple[float, float]
-    reason: Reason
-
-
-@dataclass(frozen=True, eq=False)
-class Modes:
-    """What :func:`identify_modes` returns.
-
-    Parameters
-    ----------
-    name : str
-        Of the data set.
-    spec : PlantSpec
-    method : str
-        Id of the identifier, or ``ssi``.
-    modes : tuple of Mode
-        By frequency.
-    undetermined : tuple of Undetermined
-    notes : tuple of str
-        What the data cannot tell, in sentences.
-    criteria : Criteria
-    ladder : mapping
-        Poles by order, all of them.
-    tracks : tuple of Track
-        The poles sorted into modes.
-    time : array (K,)
-        [s], of the first record.
-    coordinates : array (K, M)
-        Complex coordinate of each mode: ``2 Re(shape q)`` is its part of the outputs.
-    scaled : bool
-        True where the outputs have several units: shapes are then over the standard deviation of each.
-    """
-
-    name: str
-    spec: PlantSpec
-    method: str
-    modes: tuple[Mode, ...]
-    undetermined: tuple[Undetermined, ...]
-    notes: tuple[str, ...]
-    criteria: Criteria
-    ladder: Mapping[int, Sequence[Pole]]
-    tracks: tuple[Track, ...]
-    time: FloatArray
-    coordinates: ComplexArray
-    scaled: bool
-
-    @property
-    def frequencies(self) -> FloatArray:
-        """Natural frequencies (M,) [Hz]."""
-        return np.array([mode.frequency for mode in self.modes])
-
-    @property
-    def damping(self) -> FloatArray:
-        """Damping ratios (M,); NaN where the data do not determine one."""
-        return np.array([mode.damping if mode.damping_determined else np.nan for mode in self.modes])
-
-    @property
-    def shapes(self) -> ComplexArray:
-        """Mode shapes (M, ny), each of length 1."""
-        return np.array([mode.shape for mode in self.modes]).reshape(len(self.modes), self.spec.ny)
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return one row for each mode, for a table; what is not determined is said in words."""
-        return [
-            {
-                "mode": number,
-                "frequency [Hz]": f"{mode.frequency:.6g}",
-                "95 % [Hz]": _interval(mode.frequency_interval, 1.0),
-                "damping [%]": f"{100 * mode.damping:.3g}" if mode.damping_determined else "not determined",
-                "95 % [%]": _interval(mode.damping_interval, 100.0)
-                if mode.damping_determined
-                else f"below {100 * mode.damping_interval[1]:.2g}",
-                "share": f"{100 * mode.share:.2g} %",
-                "orders": f"{mode.orders[0]}..{mode.orders[-1]} ({len(mode.orders)})",
-                "shape": self.shape_text(mode),
-            }
-            for number, mode in enumerate(self.modes, start=1)
-        ]
-
-    def shape_text(self, mode: Mode) -> str:
-        """Return a shape in words: size and phase of each output that sees the mode."""
-        said = []
-        for k, channel in enumerate(self.spec.outputs):
-            size, turn = abs(mode.shape[k]), float(np.degrees(np.angle(mode.shape[k])))
-            if not mode.seen[k]:
-                said.append(f"{channel.name} not seen (below {mode.bound[k]:.2g})")
-            elif abs(turn) < STANDING or abs(abs(turn) - 180.0) < STANDING:
-                said.append(f"{channel.name} {'-' if abs(turn) > 90 else '+'}{size:.3f}")
-            else:
-                said.append(f"{channel.name} {size:.3f} at {turn:.0f} deg")
-        return ", ".join(said)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description; numbers that the data do not determine are None."""
-        outputs = tuple(channel.name for channel in self.spec.outputs)
-        return {
-            "name": self.name,
-            "method": self.method,
-            "driven": bool(self.spec.nu),
-            "level": LEVEL,
-            "criteria": vars(self.criteria),
-            "orders": list(self.ladder),
-            "modes": [mode.to_dict(outputs) for mode in self.modes],
-            "undetermined": [{"band": list(one.band), "reason": REASONS[one.reason]} for one in self.undetermined],
-            "notes": list(self.notes),
-            "poles": [
-                {"order": pole.order, "frequency": pole.frequency, "damping": pole.damping, "stable": kept}
-                for track in self.tracks
-                for pole, kept in zip(track.poles, track.stable, strict=True)
-            ],
-        }
-
-    def __repr__(self) -> str:
-        told = ", ".join(f"{mode.frequency:.4g}" for mode in self.modes)
-        return f"<Modes of {self.name}: {f'{told} Hz' if told else 'none determined'}>"
-
-    def _repr_html_(self) -> str:
-        rows = self.rows()
-        shown = table(list(rows[0]), [tuple(row.values()) for row in rows]) if rows else "<p>no mode determined</p>"
-        return shown + "".join(f"<p>{text}</p>" for text in self.words())
-
-    def words(self) -> list[str]:
-        """Return what the data do not determine, in sentences."""
-        said = []
-        for reason, text in REASONS.items():
-            near = [f"{sum(one.band) / 2:.3g}" for one in self.undetermined if one.reason == reason]
-            if near:
-                said.append(f"not determined near {', '.join(near)} Hz: {text}")
-        return [*said, *self.notes]
-
-    def html(self) -> str:
-        """Return a page of the table and all pictures, which needs no other file."""
-        from harness.modal.pictures import page_of
-
-        return page_of(self)
-
-    def plot(self) -> Any:
-        """Draw the stabilisation diagram; returns the matplotlib figure."""
-        from harness.modal.pictures import stabilisation_diagram
-
-        return stabilisation_diagram(self)
-
-    def plot_shapes(self) -> Any:
-        """Draw the modes in space (shapes, with intervals) and in time (coordinates); returns the figure."""
-        from harness.modal.pictures import shapes_and_coordinates
-
-        return shapes_and_coordinates(self)
-
-    def plot_motion(self) -> Any:
-        """Draw what each mode does at every output over some of its periods; returns the figure."""
-        from harness.modal.pictures import space_and_time
-
-        return space_and_time(self)
-
-
-STANDING = 10.0
-"""Phase [deg] within which a part of a shape counts as in step or in opposition, for words only."""
 
 
 def identify_modes(
@@ -283,30 +97,14 @@ def identify_modes(
     shown = ladder_of(records, window)
     size = _sizes(records) if len({channel.unit for channel in spec.outputs}) > 1 else None
     wanted = sorted(set(orders)) if orders is not None else range(STEP, min(MOST, shown.most) + 1, STEP)
-    systems: dict[int, tuple[FloatArray, FloatArray]] = {}
+    systems: dict[int, System] = {}
     ladder: dict[int, Sequence[Pole]] = {}
-    refused: FitError | None = None
-    for done, order in enumerate(wanted):
-        if progress is not None:
-            progress(done, len(wanted))
-        if identifier is None:
-            if order > shown.most:
-                break
-            systems[order], ladder[order] = shown.matrices(order), shown.poles(order, size)
-            continue
-        try:
-            a, c = fitted(identifier, order, options or {}, records, seed)
-        except FitError as error:
-            refused = refused or error
-            continue
+    for a, c in _systems(shown, wanted, identifier, options or {}, records, seed, progress):
         systems[len(a)] = a, c
-        ladder[len(a)] = poles_of(a, c if size is None else c / size[:, None], spec.sample_time)
-    if not ladder:
-        raise refused or FitError(
-            "modes: orders",
-            expected=f"up to {shown.most}, the rank of the data",
-            got=f"from {min(wanted, default=0)}",
-            remedy="lower the orders, or give a larger window",
+        ladder[len(a)] = (
+            shown.poles(len(a), size)
+            if identifier is None
+            else poles_of(a, c if size is None else c / size[:, None], spec.sample_time)
         )
     tracks = tracks_of(ladder, criteria)
     taken, passing = _chosen(tracks, criteria, list(ladder))
@@ -341,6 +139,37 @@ def identify_modes(
         coordinates,
         size is not None,
     )
+
+
+def _systems(
+    shown: Ladder,
+    wanted: Sequence[int],
+    identifier: str | None,
+    options: Mapping[str, Any],
+    records: Sequence[Trajectory],
+    seed: int,
+    progress: Callable[[int, int], None] | None,
+) -> Iterator[System]:
+    """Yield A and C of every order that the data reach, or that the identifier does not refuse; at least one."""
+    refused: FitError | None = None
+    found = False
+    for done, order in enumerate(wanted):
+        if progress is not None:
+            progress(done, len(wanted))
+        if identifier is None and order > shown.most:
+            break
+        try:
+            yield shown.matrices(order) if identifier is None else fitted(identifier, order, options, records, seed)
+            found = True
+        except FitError as error:
+            refused = refused or error
+    if not found:
+        raise refused or FitError(
+            "modes: orders",
+            expected=f"up to {shown.most}, the rank of the data",
+            got=f"from {min(wanted, default=0)}",
+            remedy="lower the orders, or give a larger window",
+        )
 
 
 def _refuse(
@@ -499,12 +328,3 @@ def _mode(track: Track, pole: Pole, share: float) -> Mode | Undetermined:
         bound,
         share,
     )
-
-
-def _interval(ends: tuple[float, float], scale: float) -> str:
-    """Return an interval in words."""
-    if not np.isfinite(ends[0]):
-        return "none"
-    low, high = scale * ends[0], scale * ends[1]
-    digits = max(2, int(np.ceil(np.log10(max(abs(low), abs(high), 1e-300) / max(high - low, 1e-300)))) + 2)
-    return f"{low:.{digits}g} .. {high:.{digits}g}"

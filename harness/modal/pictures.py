@@ -1,19 +1,18 @@
-"""Pictures of modes: stabilisation diagram, shapes over the outputs, coordinates over time; and the page of them."""
+"""Pictures of modes: stabilisation diagram, shapes over the outputs, coordinates over time."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from harness.display import STYLE, page
-from harness.plots import inlined, plain_texts
+from harness.modal.poles import ComplexArray, Mode
+from harness.modal.stabilisation import Criteria, Track
+from harness.plots import plain_texts
+from harness.signals import FloatArray
 
-if TYPE_CHECKING:
-    from harness.modal.modes import Modes
-    from harness.modal.poles import Mode
-
-__all__ = ["page_of", "shapes_and_coordinates", "space_and_time", "stabilisation_diagram"]
+__all__ = ["shapes_and_coordinates", "space_and_time", "stabilisation_diagram"]
 
 PERIODS = 12.0
 """Periods of a mode that its space-time picture shows: enough to see it swing, few enough to see its shape."""
@@ -23,8 +22,20 @@ MOST = 8
 """Modes that are drawn; the table has all of them."""
 
 
-def stabilisation_diagram(modes: Modes) -> Any:
+def stabilisation_diagram(
+    modes: Sequence[Mode], tracks: Sequence[Track], criteria: Criteria, sample_time: float
+) -> Any:
     """Draw the poles of every order over frequency, and damping over frequency with intervals.
+
+    Parameters
+    ----------
+    modes : sequence of Mode
+    tracks : sequence of Track
+        The poles of all orders, sorted into modes.
+    criteria : Criteria
+        Of stabilisation, for the title.
+    sample_time : float
+        [s]; the axis ends at half of the sampling rate.
 
     Returns
     -------
@@ -34,11 +45,11 @@ def stabilisation_diagram(modes: Modes) -> Any:
 
     figure = Figure(figsize=(8, 6.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
-    values = {mode.pole.value for mode in modes.modes}
+    values = {mode.pole.value for mode in modes}
     loose: list[tuple[float, int]] = []
     stable: list[tuple[float, int]] = []
     taken: list[tuple[float, int]] = []
-    for track in modes.tracks:
+    for track in tracks:
         is_mode = any(pole.value in values for pole in track.poles)
         for pole, kept in zip(track.poles, track.stable, strict=True):
             point = (pole.frequency, pole.order)
@@ -51,12 +62,12 @@ def stabilisation_diagram(modes: Modes) -> Any:
         if points:
             x, y = zip(*points, strict=True)
             upper.scatter(x, y, **style)
-    for mode in modes.modes:
+    for mode in modes:
         upper.axvline(mode.frequency, color="#228833", linewidth=0.6, alpha=0.6)
     upper.set_ylabel("order (states)")
-    upper.set_title(f"stable: {modes.criteria.text}", fontsize=8)
+    upper.set_title(f"stable: {criteria.text}", fontsize=8)
     upper.legend(fontsize=8, loc="upper right")
-    for mode in modes.modes:
+    for mode in modes:
         low, high = (100 * end for end in mode.damping_interval)
         color = "#228833" if mode.damping_determined else "#cc3311"
         if np.isfinite(low):
@@ -66,14 +77,27 @@ def stabilisation_diagram(modes: Modes) -> Any:
     lower.set_ylim(bottom=0.0)
     lower.set_ylabel("damping [%], 95 %")
     lower.set_xlabel("frequency [Hz]")
-    lower.set_xlim(0.0, 0.5 / modes.spec.sample_time)
+    lower.set_xlim(0.0, 0.5 / sample_time)
     for axis in (upper, lower):
         axis.grid(alpha=0.3)
     return plain_texts(figure)
 
 
-def shapes_and_coordinates(modes: Modes) -> Any:
+def shapes_and_coordinates(
+    modes: Sequence[Mode], names: Sequence[str], time: FloatArray, coordinates: ComplexArray
+) -> Any:
     """Draw every mode in space (size with its interval, real and imaginary part) and in time (its coordinate).
+
+    Parameters
+    ----------
+    modes : sequence of Mode
+        M of them.
+    names : sequence of str
+        Of the outputs.
+    time : array (K,)
+        [s].
+    coordinates : array (K, M)
+        Complex coordinate of each mode.
 
     Returns
     -------
@@ -81,28 +105,29 @@ def shapes_and_coordinates(modes: Modes) -> Any:
     """
     from matplotlib.figure import Figure
 
-    drawn = modes.modes[:MOST]
+    drawn = modes[:MOST]
     figure = Figure(figsize=(9, max(1.7 * len(drawn), 2.0)), layout="constrained")
     if not drawn:
         figure.text(0.5, 0.5, "no mode determined", ha="center")
         return figure
     axes = figure.subplots(len(drawn), 2, squeeze=False, width_ratios=[1, 1.6], sharex="col")
-    names = [channel.name for channel in modes.spec.outputs]
     for row, mode in enumerate(drawn):
         _shape(axes[row, 0], mode, names)
         axis = axes[row, 1]
-        wave = modes.coordinates[:, row]
+        wave = coordinates[:, row]
         edges = np.linspace(0, len(wave), min(len(wave), DRAWN) + 1).astype(int)[:-1]
         size = np.maximum.reduceat(2 * np.abs(wave), edges)
-        axis.fill_between(modes.time[edges], -size, size, color="#4477aa", linewidth=0.3)
+        axis.fill_between(time[edges], -size, size, color="#4477aa", linewidth=0.3)
         axis.set_title(f"its part of the motion: {100 * mode.share:.2g} %", fontsize=8)
         axis.tick_params(labelsize=7)
     axes[-1, 1].set_xlabel("time [s] (size of the coordinate, to both sides)", fontsize=8)
     return plain_texts(figure)
 
 
-def space_and_time(modes: Modes) -> Any:
+def space_and_time(modes: Sequence[Mode], names: Sequence[str], time: FloatArray, coordinates: ComplexArray) -> Any:
     """Draw what each mode does at every output over some of its periods, where its coordinate is largest.
+
+    Parameters are those of :func:`shapes_and_coordinates`; times are evenly spaced.
 
     Returns
     -------
@@ -110,21 +135,20 @@ def space_and_time(modes: Modes) -> Any:
     """
     from matplotlib.figure import Figure
 
-    drawn = modes.modes[:MOST]
+    drawn = modes[:MOST]
     rows = max(-(-len(drawn) // 2), 1)
     figure = Figure(figsize=(9, 2.1 * rows), layout="constrained")
     axes = figure.subplots(rows, 2, squeeze=False).ravel()
-    names = [channel.name for channel in modes.spec.outputs]
     for number, (axis, mode) in enumerate(zip(axes, drawn, strict=False)):
-        wave = modes.coordinates[:, number]
-        length = int(np.clip(PERIODS / mode.frequency / modes.spec.sample_time, 4, len(wave)))
+        wave = coordinates[:, number]
+        length = int(np.clip(PERIODS / mode.frequency / (time[1] - time[0]), 4, len(wave)))
         power = np.convolve(np.abs(wave) ** 2, np.ones(length), mode="valid")
         start = int(np.argmax(power))
         picked = slice(start, start + length)
         shown = 2 * np.real(np.outer(np.where(mode.seen, mode.shape, 0.0), wave[picked]))
         most = float(np.abs(shown).max()) or 1.0
         axis.pcolormesh(
-            modes.time[picked], np.arange(len(names)), shown, cmap="RdBu_r", vmin=-most, vmax=most, shading="nearest"
+            time[picked], np.arange(len(names)), shown, cmap="RdBu_r", vmin=-most, vmax=most, shading="nearest"
         )
         axis.set_yticks(np.arange(len(names)), names, fontsize=7)
         axis.set_title(f"{number + 1}: {mode.frequency:.4g} Hz, up to {most:.2g}", fontsize=8)
@@ -135,20 +159,7 @@ def space_and_time(modes: Modes) -> Any:
     return plain_texts(figure)
 
 
-def page_of(modes: Modes) -> str:
-    """Return a page of the table, what is not determined, and all pictures."""
-    figures = [
-        (stabilisation_diagram(modes), "stabilisation diagram"),
-        (shapes_and_coordinates(modes), "modes in space and time"),
-    ]
-    if modes.modes:
-        figures.append((space_and_time(modes), "space-time pictures"))
-    shown = page(f"Modes of {modes.name}", modes._repr_html_(), *(inlined(*figure) for figure in figures))
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><style>{STYLE}</style>'
-    return f'<!DOCTYPE html><html lang="en"><head>{head}<title>Modes</title></head><body>{shown}</body></html>'
-
-
-def _shape(axis: Any, mode: Mode, names: list[str]) -> None:
+def _shape(axis: Any, mode: Mode, names: Sequence[str]) -> None:
     """Draw one shape over the outputs."""
     place = np.arange(len(names))
     spread = mode.pole.shape_deviation

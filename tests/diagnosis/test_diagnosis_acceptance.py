@@ -176,7 +176,7 @@ def test_a_line_that_wanders_is_no_periodic_force() -> None:
     def reasons(evidence: float) -> tuple[Refusal, ...]:
         one = placed("periodic_disturbance")
         values = {"a": 1.0, **dict.fromkeys(map(one.name, one.effect.parameter_names), 1.0)}
-        fit = a_fit((np.full(400, 1.0), GAIN), [one], values=values, wandering={str(one): evidence})
+        fit = a_fit((np.full(400, 1.0), GAIN), [one], values=values, incoherence={str(one): evidence})
         return judged([one], fit, a_fit(), a_fit()).refusals
 
     assert reasons(-0.1) == ()

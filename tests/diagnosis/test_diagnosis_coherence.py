@@ -12,7 +12,7 @@ from sysid_lab.plan import Task
 from sysid_lab.records import make_records
 
 from harness.diagnosis.algorithm import diagnose
-from harness.diagnosis.forms.coherence import in_parts, wandering, without
+from harness.diagnosis.forms.coherence import in_parts, incoherence, without
 from harness.diagnosis.forms.directions import Direction
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.fit import WAVE, Column, Linearised
@@ -46,7 +46,7 @@ def evidence(estimation: FloatArray, validation: FloatArray) -> float:
     nuisance = {use: np.ones((N, 1)) for use in ("estimation", "validation")}
     residual = {"estimation": estimation, "validation": validation}
     linear = Linearised(residual, nuisance, ("bias",), spread=np.ones((1, 1)))
-    return wandering(linear, line(1), [line(parts) for parts in PARTS])
+    return incoherence(linear, line(1), [line(parts) for parts in PARTS])
 
 
 @settings(max_examples=30, deadline=None)

@@ -12,7 +12,7 @@ from sysid_lab.records import make_records
 
 from harness.diagnosis import diagnose
 from harness.diagnosis.dictionary import placed
-from harness.diagnosis.forms.braking import braking
+from harness.diagnosis.forms.damping import braking
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit

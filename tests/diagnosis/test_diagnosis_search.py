@@ -134,7 +134,7 @@ class LinearForm:
             on_bound=(),
         )
 
-    def forgetful(self, fit: Fit) -> Fit | None:
+    def without_memory(self, fit: Fit) -> Fit | None:
         """Return nothing: there is no latent force."""
         return None
 
@@ -625,7 +625,7 @@ def test_what_was_refused_does_not_say_how_little_an_answer_may_gain() -> None:
     class Form(LinearForm):
         def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit:
             lines = {str(one): 1.0 for one in begun.effects if one.effect.name == "cubic_spring"}
-            return replace(super().finish(begun, base, rival, least), wandering=lines)
+            return replace(super().finish(begun, base, rival, least), incoherence=lines)
 
     form = Form(linear_records(4, {"cubic_spring": 1.0, "linear_spring": 0.3}))
     outcome = search(form, form.fit((), [], None), ALL)

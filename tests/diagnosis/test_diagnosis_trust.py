@@ -238,11 +238,11 @@ def test_a_force_that_remembers_is_also_asked_without_its_memory() -> None:
     form = Equations().form(model, dataset)
     fit = form.fit((), form.first_starts(), None)
     assert fit is not None
-    assert form.forgetful(fit) is None, "there is no force that remembers"
+    assert form.without_memory(fit) is None, "there is no force that remembers"
     for point in fit.detail.points.values():
         scale = form.noise_model.force_scale
         point.noise = replace(point.noise, s=0.02 * scale, tau=np.array([3.0]))
-    quick = form.forgetful(fit)
+    quick = form.without_memory(fit)
     assert quick is not None
     before, after = (one.detail.points["estimation"].noise for one in (fit, quick))
     assert after.tau[0] < 0.01 * 15.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.models.predictive import probability_score
+from harness.scoring.predictive import probability_score
 from harness.scoring import equation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.learned.attention import AttentionEnsemble, AttentionNetwork

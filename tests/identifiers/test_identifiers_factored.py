@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError
-from harness.models.predictive import probability_score
+from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run

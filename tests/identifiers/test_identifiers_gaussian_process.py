@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import approx_fprime
 
 from harness.errors import FitError
-from harness.models.predictive import probability_score
+from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run

@@ -12,7 +12,7 @@ import pytest
 
 from harness.conformance import check_identifier
 from harness.errors import InputError
-from harness.models.predictive import probability_score
+from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness.conformance import check_identifier
 from harness.errors import FitError, InputError
-from harness.models.predictive import probability_score
+from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory

@@ -9,7 +9,7 @@ import pytest
 
 from harness import registry
 from harness.data import load_dataset
-from harness.models.predictive import probability_score
+from harness.scoring.predictive import probability_score
 from harness.scoring import simulation_error
 from harness.signals import Trajectory
 

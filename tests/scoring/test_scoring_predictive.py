@@ -10,7 +10,7 @@ from scipy import stats
 
 from harness.errors import InputError
 from harness.models.distributions import Categories, NormalMixture, normal
-from harness.models.predictive import log_regret, probability_score, reliability
+from harness.scoring.predictive import log_regret, probability_score, reliability
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import FiniteProcess, simulate_finite
 from identifiers.finite.mdp import MdpCounting, MdpModel, OnlineCounting

@@ -15,7 +15,8 @@ import numpy as np
 from harness.errors import FitError, InputError
 from harness.models.distributions import Categories, normal
 from harness.protocols import Distribution, Model, OnlineIdentifier, OnlinePredictive, Predictive
-from harness.scoring import Regret, states_ahead
+from harness.scoring.prediction import states_ahead
+from harness.scoring.regret import Regret
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
 __all__ = ["ProbabilityScore", "Reliability", "forecast", "log_regret", "probability_score", "reliability"]
