@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from harness.learned import LearnedResidual
     from harness.modal import Criteria, Modes
     from harness.models.analysis import Findings, Takes
-    from harness.scoring.predictive import ProbabilityScore
     from harness.scoring import Score
+    from harness.scoring.predictive import ProbabilityScore
     from harness.vetting import Agreement, Vetting
 
 __all__ = [
@@ -633,8 +633,8 @@ def identify(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     from harness.data import load_dataset
-    from harness.scoring.predictive import probability_score
     from harness.scoring import equation_error, simulation_error
+    from harness.scoring.predictive import probability_score
 
     if y is not None:
         from harness.data.tables.memory import input_and_output

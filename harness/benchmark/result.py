@@ -9,10 +9,10 @@ from typing import Any
 
 import msgspec
 
-from harness.benchmark.page.summary import Summary, summarise
 from harness.benchmark.query import query
 from harness.benchmark.row import Row
 from harness.benchmark.store import Store
+from harness.benchmark.summary import Summary, summarise
 from harness.errors import InputError
 
 __all__ = ["BenchResult"]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from harness.data.recipe.description import parse_description, read_description
 from harness.data.recipe.load import DATA_FOLDER, load_dataset
 from harness.data.recipe.loaded import LoadedDataset, Nominal
-from harness.data.recipe.sections import NominalParameter, SourceSection
 from harness.data.recipe.si import si_unit
-from harness.data.trajectories import columns_of, read_trajectory, write_trajectory
+from harness.data.sections import NominalParameter, SourceSection
+from harness.data.tables.columns import columns_of
+from harness.data.trajectories import read_trajectory, write_trajectory
 from harness.data.views import from_control, from_fmpy, to_pandas, to_polars, to_xarray
 
 __all__ = [

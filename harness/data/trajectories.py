@@ -14,50 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.headers import split_header
-from harness.data.tables.table import REFERENCE, TRUTH, Table
+from harness.data.tables.columns import columns_of
+from harness.data.tables.headers import REFERENCE, TRUTH, split_header
+from harness.data.tables.table import Table
 from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = ["columns_of", "read_trajectory", "stored_spec", "write_trajectory"]
+__all__ = ["read_trajectory", "stored_spec", "write_trajectory"]
 
 _KEY = b"sysid-harness/trajectory/1"
-
-
-def columns_of(trajectory: Trajectory) -> dict[str, FloatArray]:
-    """Return the columns of a record by title: time, inputs, outputs, true states.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from harness.signals import Channel, PlantSpec, Trajectory
-    >>> spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.5)
-    >>> list(columns_of(Trajectory(np.arange(2) * 0.5, np.zeros((2, 1)), np.ones((2, 1)), spec)))
-    ['time [s]', 'u [N m]', 'theta [rad]']
-    """
-    spec = trajectory.spec
-    columns = {"time [s]": trajectory.t}
-    groups: list[tuple[str, Sequence[Channel], FloatArray | None]] = [
-        ("", spec.inputs, trajectory.u),
-        ("", spec.outputs, trajectory.y),
-        (TRUTH, spec.states, trajectory.x),
-    ]
-    for prefix, channels, values in groups:
-        if values is None:
-            continue
-        named = list(channels) or [Channel(f"x{i + 1}") for i in range(values.shape[1])]
-        for i, channel in enumerate(named):
-            title = f"{prefix}{channel}"
-            if title in columns or split_header(title)[0] != f"{prefix}{channel.name}":
-                raise InputError(
-                    "a record that cannot be written as a table",
-                    expected="channels with names of their own that a title can carry",
-                    got=repr(title),
-                    remedy="rename the channel",
-                )
-            columns[title] = values[:, i]
-    return columns
 
 
 def write_trajectory(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.trajectories import columns_of
+from harness.data.tables.columns import columns_of
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory

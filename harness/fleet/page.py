@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from harness.benchmark.page.plots import INK, LINES, STYLE, svg_text
 from harness.benchmark.page.report import filled
-from harness.benchmark.page.summary import figure
+from harness.benchmark.summary import figure
 from harness.fleet.changes import changes, odd_machines
 from harness.fleet.row import Found, Row
 from harness.fleet.trends import Series, new_effects, series_of, trends

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from harness.physics import models
     from harness.physics.compiled.simulator import Simulator
     from harness.physics.compiled.system import BodyTerm, Coordinate, Hidden, Port, SampledBlock, System
-    from harness.physics.definition.equation_text import equations
-    from harness.physics.definition.mechanism import Mechanism
-    from harness.physics.definition.ode import Ode
     from harness.physics.fitting.output_error import OutputErrorFit, fit_output_error, simulate_error
     from harness.physics.lumps.lumped_model import LumpedFit, LumpedModel, lumped
     from harness.physics.models import load_model
+    from harness.physics.symbolic.equation_text import equations
+    from harness.physics.symbolic.mechanism import Mechanism
+    from harness.physics.symbolic.ode import Ode
 
 __all__ = [
     "BodyTerm",
@@ -53,13 +53,13 @@ _WHERE = {
     "LumpedFit": "lumps.lumped_model",
     "LumpedModel": "lumps.lumped_model",
     "lumped": "lumps.lumped_model",
-    "Mechanism": "definition.mechanism",
-    "Ode": "definition.ode",
+    "Mechanism": "symbolic.mechanism",
+    "Ode": "symbolic.ode",
     "OutputErrorFit": "fitting.output_error",
     "fit_output_error": "fitting.output_error",
     "simulate_error": "fitting.output_error",
     "Simulator": "compiled.simulator",
-    "equations": "definition.equation_text",
+    "equations": "symbolic.equation_text",
     "load_model": "models",
 }
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from harness.benchmark import BenchResult
 from harness.benchmark.page.exports import render
-from harness.benchmark.page.statistics import no_worse, ranking
-from harness.benchmark.page.summary import rankings, summarise
 from harness.benchmark.row import Row
+from harness.benchmark.statistics import no_worse, ranking
+from harness.benchmark.summary import rankings, summarise
 from harness.errors import InputError
 
 SEEDS = range(12)

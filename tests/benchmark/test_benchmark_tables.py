@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 
 from harness.benchmark import BenchResult, rich_table
-from harness.benchmark.page.summary import Quartiles, figure
 from harness.benchmark.row import Row
+from harness.benchmark.summary import Quartiles, figure
 from harness.cli.terminal import print_bench
 
 PLACES = [("pendulum-fmu (state)", "multisine"), ("cart-pole-pymunk", "cart-pole-lqr")]

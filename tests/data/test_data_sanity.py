@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.data.conditioning.sanity import check_run, check_runs
 from harness.data.oddities import examined, lines
+from harness.data.recipe.sanity import check_run, check_runs
 from harness.errors import InputError
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory, Use
 

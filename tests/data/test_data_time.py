@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from harness.data import load_dataset
 from harness.data.conditioning.timebase import TimeRules, pieces_of, sample_time_of
-from harness.data.recipe.sections import ResampleSection
+from harness.data.sections import ResampleSection
 from harness.errors import InputError
 
 DT = 0.01

@@ -9,13 +9,13 @@ import pytest
 
 from harness.command import main
 from harness.diagnosis.records.horizon import choose_horizon
-from harness.physics.definition.ode import Ode
 from harness.physics.fitting.output_error import fit_output_error
+from harness.physics.symbolic.ode import Ode
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
 MODEL = '''"""A load cell."""
 
-from harness.physics.definition.ode import Ode
+from harness.physics.symbolic.ode import Ode
 
 
 def cell():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.scoring.predictive import probability_score
 from harness.scoring import equation_error
+from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.learned.attention import AttentionEnsemble, AttentionNetwork
 from identifiers.linear.least_squares import Arx

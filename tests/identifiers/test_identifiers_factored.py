@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError
-from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import predict
+from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.finite.factored import FactoredCounting
 from identifiers.finite.mdp import MdpCounting

@@ -9,11 +9,11 @@ import pytest
 from scipy.optimize import approx_fprime
 
 from harness.errors import FitError
-from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import equation_error, simulation_error
+from harness.scoring.predictive import probability_score
 from identifiers.learned.gaussian_process import GaussianProcess, Kernel, _evidence, _exact, _inducing, _sparse
 from identifiers.linear.least_squares import Arx
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.errors import FitError, InputError
-from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
+from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.finite import hmm_pass
 from identifiers.finite.beliefs import compress_beliefs

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from harness.errors import FitError, InputError
-from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import equation_error, predict, simulation_error
+from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.common.lag_state import regression_data
 from identifiers.learned.trees import RandomForest, grow_tree

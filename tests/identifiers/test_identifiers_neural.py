@@ -12,11 +12,11 @@ import pytest
 
 from harness.conformance import check_identifier
 from harness.errors import InputError
-from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import equation_error, simulation_error
+from harness.scoring.predictive import probability_score
 from identifiers.learned.neural import EnsembleModel, NeuralNetwork
 from identifiers.learned.neural_state import NeuralStateModel, NeuralStateSpace
 from identifiers.learned.training import need_torch

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
+from harness.scoring.predictive import probability_score
 from identifiers.common.reach import Reach
 from identifiers.learned.recurrent import NeuralOutputError
 

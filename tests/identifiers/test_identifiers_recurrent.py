@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from harness.conformance import check_identifier
 from harness.errors import FitError, InputError
-from harness.scoring.predictive import probability_score
 from harness.registry import create
 from harness.scoring import simulation_error
+from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.learned import recurrent
 from identifiers.learned.recurrent import NeuralOutputError, RecurrentEnsemble

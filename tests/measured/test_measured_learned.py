@@ -9,8 +9,8 @@ import pytest
 
 from harness import registry
 from harness.data import load_dataset
-from harness.scoring.predictive import probability_score
 from harness.scoring import simulation_error
+from harness.scoring.predictive import probability_score
 from harness.signals import Trajectory
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ from harness.errors import InputError
 from harness.models.estimate import estimate_of
 from harness.physics import Mechanism, load_model, lumped
 from harness.physics.arms.mechanism import arm_mechanism
-from harness.physics.definition.lumping import split
+from harness.physics.symbolic.lumping import split
 from harness.signals import PlantSpec, Trajectory
 from identifiers.mechanics.lumped import lumped_momentum
 

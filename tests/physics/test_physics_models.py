@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from harness.errors import InputError
 from harness.physics import Mechanism, Ode, Parameter, equations, load_model, models
-from harness.physics.definition.convert import to_casadi
+from harness.physics.symbolic.convert import to_casadi
 
 G = 9.81
 small = st.floats(-3, 3)

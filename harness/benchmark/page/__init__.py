@@ -1,4 +1,4 @@
-"""What a reader sees of a benchmark: summary, statistics, tables, plots, the page, exports.
+"""What a reader sees of a benchmark: tables, plots, the page, exports.
 
-May import the rows of ``harness.benchmark``; nothing there imports it but ``running`` and ``result``.
+May import the rows of ``harness.benchmark``; nothing there imports it but ``running``.
 """

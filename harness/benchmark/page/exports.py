@@ -6,8 +6,8 @@ import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
 
-from harness.benchmark.page.summary import CONTROL, OPTIONAL, Quartiles, Summary, figure, optional_scores
 from harness.benchmark.result import BenchResult
+from harness.benchmark.summary import CONTROL, OPTIONAL, Quartiles, Summary, figure, optional_scores
 from harness.errors import InputError
 
 __all__ = ["FORMATS", "render"]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from harness.benchmark.page.plots import ACCENT, GRID, INK, MUTED, STYLE, WARN
-from harness.benchmark.page.summary import figure
 from harness.benchmark.row import Row
+from harness.benchmark.summary import figure
 from harness.plots import plain_texts
 
 __all__ = ["draw_overlays"]

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.benchmark.page.statistics import Ranking
-from harness.benchmark.page.summary import Summary, best_possible, places_of
 from harness.benchmark.row import Row
+from harness.benchmark.statistics import Ranking
+from harness.benchmark.summary import Summary, best_possible, places_of
 from harness.plots import plain_texts
 
 __all__ = [

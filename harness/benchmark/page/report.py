@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from harness.benchmark.page.plots import axis_plot, error_plot, rank_plot, regret_plot
-from harness.benchmark.page.statistics import MINIMUM_SEEDS
-from harness.benchmark.page.summary import Summary, figure, optional_scores, places_of, rankings
 from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row
+from harness.benchmark.statistics import MINIMUM_SEEDS
+from harness.benchmark.summary import Summary, figure, optional_scores, places_of, rankings
 
 __all__ = ["filled", "render_html"]
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from harness.benchmark.page.summary import CONTROL, Quartiles, Summary, figure, optional_scores
 from harness.benchmark.result import BenchResult
+from harness.benchmark.summary import CONTROL, Quartiles, Summary, figure, optional_scores
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType

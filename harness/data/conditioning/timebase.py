@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.data.conditioning.decimation import EDGE, filtered, hold_means
-from harness.data.recipe.sections import Gaps, ResampleSection
+from harness.data.sections import Gaps, ResampleSection
 from harness.errors import InputError
 from harness.signals import FloatArray
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal
 
-from harness.data.recipe.sections import FilterSection
+from harness.data.sections import FilterSection
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Trajectory
 

@@ -9,10 +9,10 @@ import msgspec
 
 from harness.data.recipe.chosen import TIME, Chosen
 from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
-from harness.data.recipe.sections import Description, NominalSection, RunSection, SignalSection, TimeSection
+from harness.data.sections import Description, NominalSection, RunSection, SignalSection, TimeSection
 from harness.data.tables.bags import is_bag_folder
-from harness.data.tables.headers import clock_of
-from harness.data.tables.table import FORMATS, REFERENCE, Table, open_table, suffix_of
+from harness.data.tables.headers import REFERENCE, clock_of
+from harness.data.tables.table import FORMATS, Table, open_table, suffix_of
 from harness.data.trajectories import stored_spec
 from harness.errors import InputError
 from harness.signals import Channel

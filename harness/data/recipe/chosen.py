@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, TypedDict, get_args
 
 from harness.data.recipe.ports import Ports
-from harness.data.recipe.sections import SignalSection
-from harness.data.tables.table import REFERENCE, Table
+from harness.data.sections import SignalSection
+from harness.data.tables.headers import REFERENCE
+from harness.data.tables.table import Table
 from harness.errors import InputError
 from harness.signals import Use
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from harness.data.recipe.sections import (
+from harness.data.sections import (
     Description,
     FilterSection,
     NominalParameter,

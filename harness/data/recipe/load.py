@@ -12,7 +12,6 @@ from typing import Any, Unpack
 import msgspec
 import numpy as np
 
-from harness.data.conditioning.sanity import check_run, check_runs
 from harness.data.conditioning.timebase import Piece, TimeRules, pieces_of, refuse_unlikely_seconds
 from harness.data.conditioning.trends import conditioned
 from harness.data.oddities import examined, lines
@@ -22,7 +21,8 @@ from harness.data.recipe.description import read_description
 from harness.data.recipe.loaded import LoadedDataset, Nominal
 from harness.data.recipe.plan import Plan
 from harness.data.recipe.ports import ANY_PORTS, Ports, located_model, ports_of
-from harness.data.recipe.sections import Description, RunSection
+from harness.data.recipe.sanity import check_run, check_runs
+from harness.data.sections import Description, RunSection
 from harness.data.tables.bags import is_bag_folder
 from harness.data.tables.headers import clock_of
 from harness.data.tables.memory import in_memory

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.data.recipe.ports import ANY_PORTS, model_options
-from harness.data.recipe.sections import NominalParameter, SourceSection
+from harness.data.sections import NominalParameter, SourceSection
 from harness.errors import InputError
 from harness.signals import Dataset, FloatArray, Run
 

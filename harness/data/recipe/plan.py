@@ -10,8 +10,8 @@ import numpy as np
 
 from harness.data.recipe.loaded import Nominal
 from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
-from harness.data.recipe.sections import Description, NominalParameter, SignalSection
 from harness.data.recipe.si import si_unit
+from harness.data.sections import Description, NominalParameter, SignalSection
 from harness.errors import InputError
 from harness.signals import Channel
 from harness.trust import registered_only

@@ -8,7 +8,13 @@ from collections.abc import Collection, Iterator, Sequence
 from harness.errors import InputError
 from harness.units import fits, is_unit
 
-__all__ = ["clock_of", "clock_unit", "split_header", "stated_unit"]
+__all__ = ["REFERENCE", "TRUTH", "clock_of", "clock_unit", "split_header", "stated_unit"]
+
+REFERENCE = "reference:"
+"""Prefix of columns that hold what came from outside a control loop: the instruments of the test for its bias."""
+
+TRUTH = "truth:"
+"""Prefix of columns that hold true states: for scoring only, never read as measurements."""
 
 _HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 _ROUND = re.compile(r"^(?P<name>.*?)\s*[(<](?P<unit>[^()<>]*)[)>]\s*$")

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.columns import MemoryTable
+from harness.data.tables.columns import MemoryTable, columns_of
 from harness.data.tables.headers import split_header
-from harness.data.trajectories import columns_of
 from harness.errors import InputError
 from harness.signals import Trajectory
 

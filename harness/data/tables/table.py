@@ -8,21 +8,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
-from harness.data.tables.headers import clock_unit, split_header, stated_unit
+from harness.data.tables.headers import TRUTH, clock_unit, split_header, stated_unit
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
 
-__all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "nearest", "open_table", "suffix_of"]
+__all__ = ["BARE", "FORMATS", "Source", "Table", "nearest", "open_table", "suffix_of"]
 
 BARE = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".parquet", ".pq", ".feather", ".arrow", ".xlsx")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""
-
-REFERENCE = "reference:"
-"""Prefix of columns that hold what came from outside a control loop: the instruments of the test for its bias."""
-
-TRUTH = "truth:"
-"""Prefix of columns that hold true states: for scoring only, never read as measurements."""
 
 
 class Source(Protocol):

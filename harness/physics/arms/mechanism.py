@@ -14,8 +14,8 @@ from harness.physics.arms.arm import GRAVITY, REST, ArmModel, load_arm
 from harness.physics.arms.inertia import TEN, UNITS
 from harness.physics.arms.joints import MOVING, Joint
 from harness.physics.compiled.system import BodyTerm, Coordinate, System
-from harness.physics.definition.mechanism import Mechanism
 from harness.physics.definition.parameters import Parameter
+from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import Channel
 
 __all__ = ["ArmMechanism", "arm_mechanism"]

@@ -1,4 +1,4 @@
-"""What a model is, written once: mechanisms and ODEs in symbols, parameters, ports; everything else is derived.
+"""What a model consists of: parameters, ports, dimensions, and the equations that everything is derived from.
 
 Imports no other room of physics. Add a kind of port here.
 """

@@ -11,8 +11,8 @@ import sympy as sp
 from harness.physics.arms.arm import REST
 from harness.physics.arms.mechanism import ArmMechanism
 from harness.physics.arms.regressor import ArmRegressor, Form
-from harness.physics.definition.lumping import Split, known_symbols
 from harness.physics.lumps.identifiability import identifiability
+from harness.physics.symbolic.lumping import Split, known_symbols
 from harness.signals import FloatArray
 
 __all__ = ["ArmLumps"]

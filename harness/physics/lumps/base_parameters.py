@@ -9,8 +9,8 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.models.analysis import Findings, Takes
-from harness.physics.definition.mechanism import Mechanism
 from harness.physics.lumps.lumped_model import lumped
+from harness.physics.symbolic.mechanism import Mechanism
 
 __all__ = ["BaseParameters"]
 

@@ -10,9 +10,9 @@ import numpy as np
 import sympy as sp
 
 from harness.physics.arms.vectorised import Vectorised
-from harness.physics.definition.convert import to_casadi
-from harness.physics.definition.lumping import Split
-from harness.physics.definition.mechanism import Mechanism
+from harness.physics.symbolic.convert import to_casadi
+from harness.physics.symbolic.lumping import Split
+from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import FloatArray
 
 __all__ = ["jumping_mean", "motion_functions", "test_function_on"]

@@ -11,11 +11,11 @@ import sympy as sp
 
 from harness.errors import FitError, InputError
 from harness.physics.arms.mechanism import ArmMechanism
-from harness.physics.definition.lumping import Split, split
-from harness.physics.definition.mechanism import Mechanism
 from harness.physics.lumps.arm_lumps import ArmLumps
 from harness.physics.lumps.lumped_fit import LumpedFit, least_squares
 from harness.physics.lumps.lumped_functions import jumping_mean, motion_functions, test_function_on
+from harness.physics.symbolic.lumping import Split, split
+from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import FloatArray
 
 __all__ = ["ForceColumns", "LumpedFit", "LumpedModel", "lumped"]

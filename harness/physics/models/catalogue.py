@@ -16,13 +16,13 @@ from harness.errors import HarnessError, InputError
 from harness.physics.arms.arm import is_arm
 from harness.physics.arms.mechanism import arm_mechanism
 from harness.physics.compiled.system import System
-from harness.physics.definition.mechanism import Mechanism
-from harness.physics.definition.ode import Ode
 from harness.physics.definition.parameters import Parameter
 from harness.physics.models.chain import mass_chain
 from harness.physics.models.flight import perching_glider, planar_quadrotor
 from harness.physics.models.plug_ins import model_names, model_of
 from harness.physics.models.tanks import two_tanks
+from harness.physics.symbolic.mechanism import Mechanism
+from harness.physics.symbolic.ode import Ode
 
 __all__ = [
     "BUILT_IN",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError
-from harness.physics.definition.mechanism import Mechanism
+from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import FloatArray
 
 __all__ = ["chain_modes", "mass_chain"]

@@ -6,9 +6,9 @@ from typing import Any
 
 import sympy as sp
 
-from harness.physics.definition.mechanism import Mechanism
-from harness.physics.definition.ode import Ode
 from harness.physics.definition.parameters import Parameter
+from harness.physics.symbolic.mechanism import Mechanism
+from harness.physics.symbolic.ode import Ode
 
 __all__ = ["perching_glider", "planar_quadrotor"]
 

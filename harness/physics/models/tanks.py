@@ -7,7 +7,7 @@ from typing import Any
 import sympy as sp
 
 from harness.errors import InputError
-from harness.physics.definition.ode import Ode
+from harness.physics.symbolic.ode import Ode
 
 __all__ = ["two_tanks"]
 

@@ -12,8 +12,8 @@ import sympy as sp
 
 from harness.errors import InputError
 from harness.physics.compiled.system import BodyTerm, Coordinate, System
-from harness.physics.definition.convert import to_casadi
 from harness.physics.definition.parameters import Parameter, as_parameter
+from harness.physics.symbolic.convert import to_casadi
 from harness.signals import Channel
 
 __all__ = ["Body", "Mechanism"]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.benchmark.page.statistics import Ranking, no_worse, ranking
 from harness.benchmark.row import Row
+from harness.benchmark.statistics import Ranking, no_worse, ranking
 
 __all__ = [
     "CONTROL",

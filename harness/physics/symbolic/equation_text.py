@@ -6,9 +6,9 @@ from typing import Any, Literal
 
 import sympy as sp
 
-from harness.physics.definition.lumping import lagrangian
-from harness.physics.definition.mechanism import Mechanism
-from harness.physics.definition.ode import Ode
+from harness.physics.symbolic.lumping import lagrangian
+from harness.physics.symbolic.mechanism import Mechanism
+from harness.physics.symbolic.ode import Ode
 
 __all__ = ["equations"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import sympy as sp
 
 from harness.errors import InputError
-from harness.physics.definition.mechanism import Mechanism
+from harness.physics.symbolic.mechanism import Mechanism
 
 __all__ = ["Split", "known_symbols", "lagrangian", "split"]
 

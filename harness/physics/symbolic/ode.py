@@ -10,9 +10,9 @@ import sympy as sp
 
 from harness.errors import InputError
 from harness.physics.compiled.system import System
-from harness.physics.definition.convert import to_casadi
-from harness.physics.definition.mechanism import _check_names
 from harness.physics.definition.parameters import Parameter, as_parameter
+from harness.physics.symbolic.convert import to_casadi
+from harness.physics.symbolic.mechanism import _check_names
 from harness.signals import Channel
 
 __all__ = ["Ode"]
