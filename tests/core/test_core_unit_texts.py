@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.errors import InputError
-from harness.unit_grammar import factors
 from harness.units import base_units, convert, fits
+from harness.units.grammar import factors
 
 SOUND = (
     "N m",

@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray
-from harness.unit_grammar import LONGEST, factors
+from harness.units.grammar import LONGEST, factors
 
 if TYPE_CHECKING:
     import pint
