@@ -15,7 +15,7 @@ import msgspec
 import harness
 from harness import api
 from harness.benchmark import suite
-from harness.data.recipe import sections
+from harness.data import sections
 from harness.schemas import report_schema
 
 TARGET = Path(__file__).with_name("reference")

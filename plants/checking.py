@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_type_hints
 
 import numpy as np
 
@@ -13,7 +14,16 @@ from harness.errors import InputError
 from harness.options import instead, meant_options
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["checked_inputs", "checked_options", "finite", "initial_values", "per_item", "positive", "refuse_input"]
+__all__ = [
+    "checked_inputs",
+    "checked_options",
+    "finite",
+    "initial_values",
+    "per_item",
+    "positive",
+    "refuse_input",
+    "with_fields",
+]
 
 
 def refuse_input(u: Any, spec: PlantSpec) -> NoReturn:
@@ -174,3 +184,32 @@ def checked_options(
             remedy=instead(unknown, known),
         )
     return {**defaults, **meant_options(factory, maker, options)}
+
+
+def with_fields(options: type, *needed: str) -> inspect.Signature:
+    """Return the signature of a plant that takes its options by name: the fields of a dataclass, keyword only.
+
+    Parameters
+    ----------
+    options : type
+        A dataclass whose fields all have defaults.
+    needed : str
+        Names of arguments that come first and have no default.
+
+    Examples
+    --------
+    >>> @dataclasses.dataclass
+    ... class Options:
+    ...     mass: float = 1.0
+    >>> print(with_fields(Options, "file"))
+    (file, *, mass: float = 1.0)
+    """
+    hints = get_type_hints(options)
+    first = [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in needed]
+    named = [
+        inspect.Parameter(
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name]
+        )
+        for field in dataclasses.fields(options)
+    ]
+    return inspect.Signature([*first, *named])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import hypot, isfinite
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Self
 
 import numpy as np
 from numpy import ndarray
@@ -16,15 +16,14 @@ from numpy import ndarray
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
-from plants.bullet.engine import explicit_urdf, moving_joints, stated_dynamics, stated_limits, stiffest_rate
-from plants.bullet.outputs import BASE_STATES, Camera, Keypoints, channels, reader
-from plants.bullet.world import Control, Saved, Settings, World
-from plants.checking import checked_inputs, initial_values, per_item, positive, refuse_input
+from plants.bullet.engine import explicit_urdf, stiffest_rate
+from plants.bullet.options import ArmOptions, Joints, joints_of, settings_of
+from plants.bullet.outputs import BASE_STATES, Camera, channels, reader
+from plants.bullet.world import Saved, World
+from plants.checking import checked_inputs, initial_values, per_item, refuse_input, with_fields
 
 __all__ = ["ArmPlant"]
 
-MOTOR_FORCE = 300.0
-"""Greatest force [N m] of Bullet's motors at a joint whose file states no effort."""
 GREATEST_DAMPED_STEP = 0.9
 """Joint damping times step over inertia beyond which a plant is refused: Bullet's damping is explicit."""
 
@@ -40,58 +39,10 @@ class ArmPlant:
     ----------
     urdf : str or Path
         A file, or the text of one.
-    sample_time : float
-        Seconds between samples.
-    substeps : int
-        Engine steps for each sample.
-    control : {"torque", "velocity", "position"}
-        What the inputs are. Velocity and position inputs drive Bullet's motors with at most ``motor_force``.
-    outputs : sequence of str
-        Among ``q``, ``qd`` (joints), ``ee`` (end effector's position [m]), ``base`` (position of a floating base),
-        ``contact`` (force of the table on the arm [N], with feedthrough), ``keypoints`` (pixels).
-    joint_names, input_names : sequence of str, optional
-        Names of the joint coordinates (default ``q1``, ...; rates are called ``q1_rate``) and of the inputs
-        (``tau1``, ... for torques, ``rate1``, ``target1`` for the others).
-    input_joints : sequence of int, optional
-        Which joints are driven, counted from 0; default all.
-    input_limit : float or sequence, optional
-        Declared range of the inputs, which scenarios use; nothing is clipped. Default: the file's ``<limit>``, its
-        ``effort`` under torque control and its ``velocity`` under velocity control, where it states one for every
-        driven joint.
-    motor_force : float or sequence, optional
-        Greatest force of the motors of driven joints under velocity and position control [N m]; default the file's
-        ``effort``, and 300 where it states none.
-    home : float or sequence
-        Initial joint positions [rad].
-    joint_damping, joint_friction : float or sequence, optional
-        Viscous [N m s/rad] and dry [N m] friction of each joint; those that the file states (``<dynamics>``) if not
-        given.
-    linear_damping, angular_damping : float
-        Bullet's damping of the links.
-    velocity_clip : float
-        Joint rates are clipped at this value [rad/s] (Bullet's own default is 100).
-    joint_limits : bool
-        Keep the limits of the file.
-    locked : sequence of str
-        Names of joints that are made rigid.
-    gravity : float
-        Along -z [m/s^2].
-    inertia : {"file", "shape"}
-        Take the links' inertia from the file, or let Bullet compute it from the collision shapes.
-    fixed_base : bool
-        Fix the first link to the world.
-    base_position : sequence of float
-        Of the first link [m].
-    payload : float
-        Point mass [kg] on ``payload_link`` (default: the end effector) at ``payload_offset`` [m].
-    end_effector : str, optional
-        Name of a link; default the child of the last moving joint.
-    table : (x, y, z), optional
-        Centre of the top of a square table [m], ``table_size`` wide, with friction coefficient ``table_friction``.
-    keypoints : sequence of (link, (x, y, z)), optional
-        Points on links [m], seen by ``camera``.
-    camera : Camera or mapping, optional
-        A pinhole camera, or its ``position``, ``target``, ``up``, ``focal``.
+    options : ArmOptions, optional
+        All other options in one object; default those of :class:`plants.bullet.options.ArmOptions`.
+    **named
+        Fields of :class:`plants.bullet.options.ArmOptions` by name, which overwrite those of ``options``.
 
     Raises
     ------
@@ -109,110 +60,33 @@ class ArmPlant:
     u [N m] -> theta [rad] every 0.004 s [0.3]
     """
 
-    def __init__(
-        self,
-        urdf: str | Path,
-        *,
-        sample_time: float = 0.004,
-        substeps: int = 4,
-        control: Control = "torque",
-        outputs: Sequence[str] = ("q", "qd"),
-        joint_names: Sequence[str] | None = None,
-        input_names: Sequence[str] | None = None,
-        input_joints: Sequence[int] | None = None,
-        input_limit: float | Sequence[float] | None = None,
-        motor_force: float | Sequence[float] | None = None,
-        home: float | Sequence[float] = 0.0,
-        joint_damping: float | Sequence[float] | None = None,
-        joint_friction: float | Sequence[float] | None = None,
-        linear_damping: float = 0.0,
-        angular_damping: float = 0.0,
-        velocity_clip: float = 1e4,
-        joint_limits: bool = False,
-        locked: Sequence[str] = (),
-        gravity: float = 9.81,
-        inertia: Literal["file", "shape"] = "file",
-        fixed_base: bool = True,
-        base_position: Sequence[float] = (0.0, 0.0, 0.0),
-        payload: float = 0.0,
-        payload_link: str | None = None,
-        payload_offset: Sequence[float] = (0.0, 0.0, 0.0),
-        end_effector: str | None = None,
-        table: Sequence[float] | None = None,
-        table_size: float = 0.6,
-        table_friction: float = 0.5,
-        keypoints: Keypoints = (),
-        camera: Camera | Mapping[str, Any] | None = None,
-    ) -> None:
-        _refuse_choice("control", control, get_args(Control))
-        _refuse_choice("inertia", inertia, ("file", "shape"))
-        if int(substeps) != substeps or substeps < 1:
-            raise InputError("option substeps", expected="an integer >= 1", got=repr(substeps), remedy="correct it")
-        tensors = inertia == "file"
-        moving = moving_joints(explicit_urdf(urdf, locked=locked, tensors=tensors))
-        n = len(moving)
-        stated, (effort, velocity) = stated_dynamics(urdf, locked), stated_limits(urdf, locked)
-        tip = end_effector or next(str(child.get("link")) for child in moving[-1].iter("child"))
-        damping = per_item("joint_damping", stated[0] if joint_damping is None else joint_damping, n, "joints")
-        friction = per_item("joint_friction", stated[1] if joint_friction is None else joint_friction, n, "joints")
-        for name, values in (
-            ("joint_damping", damping),
-            ("joint_friction", friction),
-            ("linear_damping", [linear_damping]),
-            ("angular_damping", [angular_damping]),
-            ("payload", [payload]),
-        ):
-            for value in values:
-                positive(name, value, zero=True)
-        driven = _driven(input_joints, n)
-        if control != "torque":
-            _refuse_friction_beside_motors(control, [friction[joint] for joint in driven])
-        known = {"torque": effort, "velocity": velocity, "position": [math.inf] * n}[control]
-        ranges = [known[joint] for joint in driven] if input_limit is None else input_limit
-        usual = [effort[joint] if math.isfinite(effort[joint]) else MOTOR_FORCE for joint in driven]
-        motors = usual if motor_force is None else motor_force
-        settings = Settings(
-            step=positive("sample_time", sample_time) / substeps,
-            substeps=int(substeps),
-            control=control,
-            driven=tuple(driven),
-            motor_force=tuple(per_item("motor_force", motors, len(driven), "inputs")),
-            joint_damping=tuple(damping),
-            joint_friction=tuple(friction),
-            joint_limits=bool(joint_limits),
-            linear_damping=float(linear_damping),
-            angular_damping=float(angular_damping),
-            velocity_clip=positive("velocity_clip", velocity_clip),
-            gravity=float(gravity),
-            inertia=inertia,
-            fixed_base=bool(fixed_base),
-            base_position=(float(base_position[0]), float(base_position[1]), float(base_position[2])),
-            table=None if table is None else (float(table[0]), float(table[1]), float(table[2])),
-            table_size=positive("table_size", table_size),
-            table_friction=float(table_friction),
-        )
-        self._home = np.array(per_item("home", home, n, "joints"))
-        names, called = _names(joint_names, input_names, n, [f"{_PREFIX[control]}{joint + 1}" for joint in driven])
-        clip = settings.velocity_clip
-        joints = tuple(Channel(name, _unit(joint)) for name, joint in zip(names, moving, strict=True))
-        rates = tuple(Channel(f"{c.name}_rate", f"{c.unit}/s", -clip, clip) for c in joints)
-        unlimited = input_limit is None and not np.isfinite(ranges).all()
-        limits = None if unlimited else per_item("input_limit", ranges, len(driven), "inputs")
-        inputs = _input_channels(called, [_input_unit(control, joints[joint].unit) for joint in driven], limits)
-        measured = channels(outputs, joints, rates, keypoints, floating=not fixed_base, table=table is not None)
-        states = joints + rates + (() if fixed_base else BASE_STATES)
-        self._spec = PlantSpec(inputs, measured, float(sample_time), states, feedthrough="contact" in outputs)
+    Options = ArmOptions
+    __signature__ = with_fields(ArmOptions, "urdf")
+
+    def __init__(self, urdf: str | Path, options: ArmOptions | None = None, **named: Any) -> None:
+        given = replace(options or ArmOptions(), **named)
+        joints = joints_of(urdf, given)
+        settings = settings_of(given, joints)
+        self._home = np.array(per_item("home", given.home, len(joints.elements), "joints"))
+        self._spec = _spec_of(given, joints)
+        measured = self._spec.outputs
         self._forces = [i for i, channel in enumerate(measured) if channel.name.startswith("contact_")]
         self.true_parameters: dict[str, float] = {}
-        load_at = (payload_link or tip, payload, payload_offset) if payload > 0 else None
-        shapes = table is not None or inertia == "shape"
+        tip = given.end_effector or next(str(child.get("link")) for child in joints.elements[-1].iter("child"))
+        payload = (given.payload_link or tip, given.payload, given.payload_offset) if given.payload > 0 else None
         text = explicit_urdf(
-            urdf, damping=damping, limits=joint_limits, payload=load_at, shapes=shapes, locked=locked, tensors=tensors
+            urdf,
+            damping=joints.damping,
+            limits=given.joint_limits,
+            payload=payload,
+            shapes=given.table is not None or given.inertia == "shape",
+            locked=given.locked,
+            tensors=given.inertia == "file",
         )
         self._world = World(text, settings)
-        seen_by = camera if isinstance(camera, Camera) else Camera(**(camera or {}))
-        self._measured = (outputs, tip, keypoints, seen_by)
-        self._shape = (len(driven),)
+        camera = given.camera if isinstance(given.camera, Camera) else Camera(**(given.camera or {}))
+        self._measured = (given.outputs, tip, given.keypoints, camera)
+        self._shape = (len(joints.driven),)
         try:
             self._bind()
             self._refuse_stiff_damping()
@@ -371,31 +245,19 @@ class ArmPlant:
 _PREFIX = {"torque": "tau", "velocity": "rate", "position": "target"}
 
 
-def _refuse_choice(name: str, chosen: str, known: Sequence[str]) -> None:
-    """Refuse an option that is none of the known ones."""
-    if chosen not in known:
-        raise InputError(f"option {name}", expected=" or ".join(known), got=repr(chosen), remedy="correct it")
-
-
-def _driven(joints: Sequence[int] | None, n: int) -> list[int]:
-    """Return which of n joints are driven; by default all."""
-    driven = list(range(n)) if joints is None else [int(joint) for joint in joints]
-    if not driven or not set(driven) <= set(range(n)) or len(set(driven)) != len(driven):
-        raise InputError(
-            "option input_joints", expected=f"different numbers in 0..{n - 1}", got=str(driven), remedy="correct it"
-        )
-    return driven
-
-
-def _refuse_friction_beside_motors(control: Control, friction: Sequence[float]) -> None:
-    """Refuse dry friction of joints that Bullet's motors drive."""
-    if any(friction):
-        raise InputError(
-            "dry friction on a joint with a velocity or position motor",
-            expected="control = torque",
-            got=control,
-            remedy="use joint_friction = 0: Bullet's friction is that very motor",
-        )
+def _spec_of(options: ArmOptions, joints: Joints) -> PlantSpec:
+    """Return the channels of an arm: its joints and their rates are states, its outputs what the options ask for."""
+    usual = [f"{_PREFIX[options.control]}{joint + 1}" for joint in joints.driven]
+    names, called = _names(options.joint_names, options.input_names, len(joints.elements), usual)
+    clip = options.velocity_clip
+    positions = tuple(Channel(name, _unit(joint)) for name, joint in zip(names, joints.elements, strict=True))
+    rates = tuple(Channel(f"{c.name}_rate", f"{c.unit}/s", -clip, clip) for c in positions)
+    units = [_input_unit(options.control, positions[joint].unit) for joint in joints.driven]
+    inputs = _input_channels(called, units, joints.input_ranges)
+    floating, table = not options.fixed_base, options.table is not None
+    outputs = channels(options.outputs, positions, rates, options.keypoints, floating=floating, table=table)
+    states = positions + rates + (BASE_STATES if floating else ())
+    return PlantSpec(inputs, outputs, float(options.sample_time), states, feedthrough="contact" in options.outputs)
 
 
 def _names(

@@ -8,7 +8,7 @@ What Bullet 3.2 does behind the back, each measured and each handled here:
 * Velocity motors are on by default; every joint's motor is set to the declared friction (0 by default).
 * An inertia tensor that no body has becomes 0; joints that are floating or planar, ``<mimic>``, and the rotors of a
   ``<transmission>`` are left out: all are refused by name. ``<dynamics>`` and effort and velocity of ``<limit>`` are
-  read by :func:`stated_dynamics` and :func:`stated_limits`: Bullet forgets the friction, and enforces neither limit.
+  read by :func:`stated`: Bullet forgets the friction, and enforces neither limit.
 * Links have 0.04 linear and angular damping; rates are clipped at 100 rad/s.
 * Joint damping is an explicit torque computed once for each ``stepSimulation``, whatever ``numSubSteps`` says: with
   damping the substeps are separate calls. The motor's greatest impulse is computed from the whole time step: with
@@ -45,8 +45,7 @@ __all__ = [
     "load",
     "moving_joints",
     "quiet",
-    "stated_dynamics",
-    "stated_limits",
+    "stated",
     "stiffest_rate",
 ]
 
@@ -183,8 +182,8 @@ def explicit_urdf(
     return root
 
 
-def stated_dynamics(source: str | Path, locked: Sequence[str] = ()) -> tuple[list[float], list[float]]:
-    """Return damping and dry friction of the joints that move, as a URDF states them; 0 where it does not.
+def stated(source: str | Path, locked: Sequence[str] = ()) -> tuple[list[float], ...]:
+    """Return what a URDF states of the joints that move.
 
     Parameters
     ----------
@@ -192,31 +191,18 @@ def stated_dynamics(source: str | Path, locked: Sequence[str] = ()) -> tuple[lis
         A file, or the text of one.
     locked : sequence of str
         Joints that are made rigid.
+
+    Returns
+    -------
+    damping, friction, effort, velocity : list of float
+        0 and infinite where it states none.
     """
     root, folder = _parsed(source)
-    stated = dynamics_of(root, None if folder is None else Path(source))
-    both = [
-        stated.get(str(joint.get("name")), (0.0, 0.0))
-        for joint in moving_joints(root)
-        if joint.get("name") not in locked
-    ]
-    return [damping for damping, _ in both], [friction for _, friction in both]
-
-
-def stated_limits(source: str | Path, locked: Sequence[str] = ()) -> tuple[list[float], list[float]]:
-    """Return the limits of force [N m or N] and rate of the joints that move; infinite where a URDF states none.
-
-    Parameters
-    ----------
-    source : str or Path
-        A file, or the text of one.
-    locked : sequence of str
-        Joints that are made rigid.
-    """
-    root, folder = _parsed(source)
-    stated = limits_of(root, None if folder is None else Path(source))
-    both = [stated[str(joint.get("name"))] for joint in moving_joints(root) if joint.get("name") not in locked]
-    return [effort for effort, _ in both], [velocity for _, velocity in both]
+    file = None if folder is None else Path(source)
+    dynamics, limits = dynamics_of(root, file), limits_of(root, file)
+    names = [str(joint.get("name")) for joint in moving_joints(root) if joint.get("name") not in locked]
+    columns = zip(*((*dynamics.get(name, (0.0, 0.0)), *limits[name]) for name in names), strict=True)
+    return tuple(map(list, columns))
 
 
 def _refuse_left_out(root: ET.Element, file: Path | None, locked: Sequence[str], *, tensors: bool) -> None:

@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError, PlantError
+from harness.parts.listing import describe_part
 from harness.protocols import Experiment
 from harness.rollout import perform
 from harness.signals import FloatArray, Trajectory
 
 pybullet = pytest.importorskip("pybullet", reason="PyBullet is not installed: its wheels exist for CPython 3.11 only")
 
+from plants.bullet.options import ArmOptions  # noqa: E402
 from plants.bullet.robots import ArmPlant, acrobot, double_pendulum, iiwa, one_joint_arm, panda  # noqa: E402
 
 RNG = np.random.default_rng
@@ -425,3 +427,21 @@ def test_damping_and_friction_of_the_file_are_simulated_unless_options_say_other
 def test_what_bullet_leaves_out_without_a_word_is_refused_by_name(urdf: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         ArmPlant(urdf)
+
+
+def test_options_come_by_name_or_in_one_object_that_names_overwrite() -> None:
+    given = ArmOptions(sample_time=0.01, joint_damping=0.3, control="torque")
+    with ArmPlant(hinge(), given, substeps=7) as arm, ArmPlant(hinge(), **vars(given) | {"substeps": 7}) as named:
+        assert arm.declared == named.declared
+        assert (arm.declared["substeps"], arm.declared["joint_damping"], arm.spec.sample_time) == (7, (0.3,), 0.01)
+    for wrong in ({"control": "force"}, {"inertia": "guess"}, {"substeps": 0}, {"payload": -1.0}, {"table_size": 0.0}):
+        with pytest.raises(InputError, match=f"option {next(iter(wrong))}"):
+            ArmOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_every_option_of_an_arm_is_listed_with_its_meaning() -> None:
+    described = describe_part("urdf-bullet")
+    assert described is not None
+    assert [row["name"] for row in described["options"]] == ["urdf", *vars(ArmOptions())]
+    told = {row["name"]: row["meaning"] for row in described["options"]}
+    assert told["locked"].startswith("Names of joints") and told["velocity_clip"] and told["urdf"]
