@@ -94,9 +94,7 @@ def calibrate(
     given = start_values(contents, start or {})
     parameters = free_parameters(contents, free, bounds or {}, given)
     tell = progress or (lambda share, what: None)
-    records = {use: [one.measured() for one in data.using(use)] for use in ("estimation", "validation", "test")}
-    if not records["estimation"]:
-        raise InputError("records", expected="one for estimation at least", got="none", remedy='use = "estimation"')
+    records = _by_use(data)
     with _plant(contents, data, dict(options or {})) as plant:
         fixed = {contents.variables[n].key: v for n, v in given.items() if n not in free}
         runs, told, notes = _runs(contents, plant, data, parameters, fixed, initial, records["estimation"])
@@ -145,6 +143,14 @@ def ports_of_system(path: str | Path) -> tuple[tuple[Channel, ...], tuple[Channe
     """Return the inputs and outputs of a system, as data for it must be named."""
     with make_plant(str(path), {}) as plant:
         return plant.spec.inputs, plant.spec.outputs
+
+
+def _by_use(data: Dataset) -> dict[str, list[Trajectory]]:
+    """Return the measured records by their use, at least one for estimation."""
+    records = {use: [one.measured() for one in data.using(use)] for use in ("estimation", "validation", "test")}
+    if not records["estimation"]:
+        raise InputError("records", expected="one for estimation at least", got="none", remedy='use = "estimation"')
+    return records
 
 
 def _plant(contents: Contents, data: Dataset, options: dict[str, Any]) -> Plant:

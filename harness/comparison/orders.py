@@ -221,26 +221,18 @@ def order_selection(
     wanted = sorted(set(orders))
     if not wanted or wanted[0] < 1:
         raise InputError("orders", expected="whole numbers from 1 on", got=f"{list(orders)}", remedy="correct them")
-    able = [name for name in identifiers if "order" in registry.named_options("identifiers", name)]
     for name in identifiers:
-        if name not in able:
+        if "order" not in registry.named_options("identifiers", name):
             raise InputError(
                 f"identifier {name!r} has no order",
                 expected=f"an identifier with the option order, such as {', '.join(IDENTIFIERS)}",
                 got=f"options {', '.join(registry.named_options('identifiers', name)) or 'none'}",
                 remedy="name another (--identifier)",
             )
-    records = [record.measured() for record in dataset.estimation]
-    judged, text = [record.measured() for record in dataset.validation], "validation records"
-    if not judged:
-        judged, text = (
-            [record[2 * len(record) // 3 :] for record in records],
-            "the last third of the estimation records",
-        )
-        records = [record[: 2 * len(record) // 3] for record in records]
+    records, judged, text = _fitted_and_judged(dataset)
     tried: list[OrderError] = []
     singular: dict[str, FloatArray] = {}
-    for name in able:
+    for name in identifiers:
         fits = _fits(name, wanted, dict(options or {}), records, seed)
         skip = max((fit.burn_in for fit in fits.values() if not isinstance(fit, str)), default=0) + 1
         for order, model in fits.items():
@@ -262,6 +254,15 @@ def order_selection(
             remedy="record longer, excite more richly, or name other identifiers",
         )
     return OrderSelection(dataset.name, text, tuple(tried), singular)
+
+
+def _fitted_and_judged(dataset: Dataset) -> tuple[list[Trajectory], list[Trajectory], str]:
+    """Return the records that models are fitted to, those that they are judged on, and what these are called."""
+    records = [record.measured() for record in dataset.estimation]
+    if judged := [record.measured() for record in dataset.validation]:
+        return records, judged, "validation records"
+    judged = [record[2 * len(record) // 3 :] for record in records]
+    return [record[: 2 * len(record) // 3] for record in records], judged, "the last third of the estimation records"
 
 
 def _fits(

@@ -111,15 +111,13 @@ class Coupled:
         shown, seen = self._outputs_seen(outputs, external)
         self._sequence = self._in_sequence(list(parts) if sequence is None else sequence)
         self._self_fed, self._direct = self._direct_groups(refuse_loops=loops == "refuse")
-        abilities = self._rollback(iterations)
         knowing = [part for part in self._parts if "truth" in part.plant.abilities]
-        if knowing:
-            abilities.add("truth")
         states = [replace(c, name=f"{part.name}.{c.name}") for part in knowing for c in part.plant.spec.states]
         touched = reached_at_once(self._parts, self._wires)
-        through = any(
-            i >= self._ny or any(part.outputs.start <= i < part.outputs.stop for part in touched) for i in seen
-        )
+        through = self._feeds_through(seen, touched)
+        abilities = self._rollback(iterations)
+        if knowing:
+            abilities.add("truth")
         if through:
             abilities.add("feedthrough")
         self._show = shower([(i, one.transform) for i, one in zip(seen, shown, strict=True)])
@@ -161,6 +159,10 @@ class Coupled:
             slots[one.source] if one.source in slots else locate(self._parts, one.source, "outputs") for one in shown
         ]
         return shown, seen
+
+    def _feeds_through(self, seen: Sequence[int], touched: Sequence[Part]) -> bool:
+        """Return True if an output is an external input, or of a part that one reaches within the step."""
+        return any(i >= self._ny or any(part.outputs.start <= i < part.outputs.stop for part in touched) for i in seen)
 
     def _in_sequence(self, names: Sequence[str]) -> list[Part]:
         """Return the parts in their order within a step."""

@@ -86,36 +86,41 @@ def size_plot(series: Sequence[Series]) -> str:
         drawing = Figure(figsize=(10.4, 2.7 * rows), layout="constrained")
         grid = drawing.subplots(rows, 2, squeeze=False).ravel()
         for axis, own in zip(grid, shown, strict=False):
-            dated = all(row.date is not None for row, _ in own.rows)
-            for number, machine in enumerate(machines):
-                points = [
-                    (datetime.fromisoformat(row.date) if dated and row.date else k, effect)
-                    for k, (row, effect) in enumerate(own.rows)
-                    if row.machine == machine and effect.size is not None
-                ]
-                if not points:
-                    continue
-                colour = LINES[number % len(LINES)]
-                ends = [(when, one.low, one.high) for when, one in points if one.low is not None]
-                if ends:
-                    axis.vlines(*zip(*ends, strict=True), color=colour, linewidth=1.0, alpha=0.6)
-                axis.plot([when for when, _ in points], [effect.size for _, effect in points], "o", color=colour,
-                          markersize=3.5, label=machine or None)  # fmt: skip
-            axis.set_ylim(*size_limits([effect for _, effect in own.rows]))
-            axis.set_title(own.effect, loc="left", fontsize=9.5, fontweight="bold", color=INK)
-            axis.set_ylabel(f"{own.parameter} [{own.unit}]", fontsize=8)
-            if dated:
+            if _draw_sizes(axis, own, machines):
                 axis.set_xlim(min(dates_of) - margin, max(dates_of) + margin)  # the same for all, so that they compare
                 locator: Any = dates.AutoDateLocator()
                 axis.xaxis.set_major_locator(locator)
                 axis.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator))
             else:
                 axis.set_xlabel("records, in order", fontsize=8)
-            if any(machines):
-                axis.legend(frameon=False, fontsize=8)
         for axis in grid[len(shown) :]:
             axis.set_axis_off()
         return svg_text(drawing)
+
+
+def _draw_sizes(axis: Any, own: Series, machines: Sequence[str]) -> bool:
+    """Draw one effect's sizes with their intervals, a colour a machine; return whether they stand against dates."""
+    dated = all(row.date is not None for row, _ in own.rows)
+    for number, machine in enumerate(machines):
+        points = [
+            (datetime.fromisoformat(row.date) if dated and row.date else k, effect)
+            for k, (row, effect) in enumerate(own.rows)
+            if row.machine == machine and effect.size is not None
+        ]
+        if not points:
+            continue
+        colour = LINES[number % len(LINES)]
+        ends = [(when, one.low, one.high) for when, one in points if one.low is not None]
+        if ends:
+            axis.vlines(*zip(*ends, strict=True), color=colour, linewidth=1.0, alpha=0.6)
+        whens, sizes = [when for when, _ in points], [effect.size for _, effect in points]
+        axis.plot(whens, sizes, "o", color=colour, markersize=3.5, label=machine or None)
+    axis.set_ylim(*size_limits([effect for _, effect in own.rows]))
+    axis.set_title(own.effect, loc="left", fontsize=9.5, fontweight="bold", color=INK)
+    axis.set_ylabel(f"{own.parameter} [{own.unit}]", fontsize=8)
+    if any(machines):
+        axis.legend(frameon=False, fontsize=8)
+    return dated
 
 
 def size_limits(effects: Sequence[Found]) -> tuple[float, float]:

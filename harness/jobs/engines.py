@@ -178,12 +178,7 @@ class LocalEngine:
                 if error is not None and full_disk(error) is not None:
                     raise error
                 future.cancel()
-                if broken and (
-                    error is None or isinstance(error, _Left | BrokenProcessPool)
-                ):  # its end was not its own
-                    rest = _undone(batch, shards)
-                else:
-                    rest = _after_loss(batch, shards, error) if error is not None else None
+                rest = _rest(batch, shards, error, broken=broken)
                 left = set(rest.jobs) if rest is not None else set()
                 moved(batch.title, [job for job in batch.jobs if job not in left])
                 if rest is not None:
@@ -195,6 +190,13 @@ class LocalEngine:
 def _error(future: Any) -> BaseException | None:
     """Return what a finished future ended with; None of one that went well or is still waiting."""
     return future.exception() if future.done() and not future.cancelled() else None
+
+
+def _rest(batch: Batch, shards: Path, error: BaseException | None, *, broken: bool) -> Batch | None:
+    """Return the jobs of a batch that are still to do; in a broken pool the end of a worker may not be its own."""
+    if broken and (error is None or isinstance(error, _Left | BrokenProcessPool)):
+        return _undone(batch, shards)
+    return _after_loss(batch, shards, error) if error is not None else None
 
 
 def _undone(batch: Batch, shards: Path) -> Batch | None:

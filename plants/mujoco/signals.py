@@ -125,21 +125,9 @@ def inputs_of(
     """
     every = drives(model)
     chosen = every if actuators is None else [_by_name(every, name) for name in actuators]
-    names = joint_names(model)
-    simple = [names[k] for k in states.scalar]
-    pushed = list(forces) if forces is not None else [] if every else simple
-    wrong = [name for name in pushed if name not in simple]
-    if wrong:
-        raise InputError(
-            "option forces", expected=f"joints among {', '.join(simple)}", got=", ".join(wrong), remedy="correct it"
-        )
+    pushed = _pushed(model, states, every, forces)
     channels = [channel for drive in chosen for channel in _controls(model, drive, states)]
-    for name in pushed:
-        place = simple.index(name)
-        unit = "N m" if states.positions[_position(model, states, place)].unit == "rad" else "N"
-        joint = states.scalar[place]  # the range is a URDF's effort, or actuatorfrcrange
-        low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (-np.inf, np.inf)
-        channels.append(Channel(f"tau{place + 1}", unit, float(low), float(high)))
+    channels += [_force(model, states, place) for place in pushed]
     if called is not None and len(called) != len(channels):
         raise InputError(
             "option input_names",
@@ -152,8 +140,28 @@ def inputs_of(
     if limits is not None:
         each = [positive("input_limit", one) for one in per_item("input_limit", limits, len(channels), "inputs")]
         channels = [Channel(c.name, c.unit, -limit, limit) for c, limit in zip(channels, each, strict=True)]
-    dofs = [int(model.jnt_dofadr[states.scalar[simple.index(name)]]) for name in pushed]
+    dofs = [int(model.jnt_dofadr[states.scalar[place]]) for place in pushed]
     return Inputs(tuple(channels), tuple(k for drive in chosen for k in drive.controls), tuple(dofs))
+
+
+def _pushed(model: Any, states: States, every: Sequence[Drive], forces: Sequence[str] | None) -> list[int]:
+    """Return the places among the simple joints that a force acts on: those named, or all where nothing drives any."""
+    names = joint_names(model)
+    simple = [names[k] for k in states.scalar]
+    pushed = list(forces) if forces is not None else [] if every else simple
+    wrong = [name for name in pushed if name not in simple]
+    if wrong:
+        raise InputError(
+            "option forces", expected=f"joints among {', '.join(simple)}", got=", ".join(wrong), remedy="correct it"
+        )
+    return [simple.index(name) for name in pushed]
+
+
+def _force(model: Any, states: States, place: int) -> Channel:
+    """Return the channel of a force on a simple joint; its range is a URDF's effort, or ``actuatorfrcrange``."""
+    joint = states.scalar[place]
+    low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (-np.inf, np.inf)
+    return Channel(f"tau{place + 1}", "N m" if _turns(model, states, place) else "N", float(low), float(high))
 
 
 def outputs_of(model: Any, states: States, chosen: Sequence[str]) -> Outputs:
@@ -224,23 +232,36 @@ def _position(model: Any, states: States, place: int) -> int:
     return int(model.jnt_qposadr[states.scalar[place]])
 
 
+def _turns(model: Any, states: States, place: int) -> bool:
+    """Return True for a simple joint that turns, False for one that slides."""
+    return states.positions[_position(model, states, place)].unit == "rad"
+
+
+def _servo(model: Any, drive: Drive) -> str:
+    """Return what an actuator at a joint is: ``tau`` (a motor), ``target`` or ``rate`` (a servo), else nothing."""
+    engine, number = mujoco(), drive.number
+    plain = int(model.actuator_gaintype[number]) == engine.mjtGain.mjGAIN_FIXED
+    if int(model.actuator_dyntype[number]) != engine.mjtDyn.mjDYN_NONE or not plain:
+        return ""
+    gain, bias = np.array(model.actuator_gainprm[number]), np.array(model.actuator_biasprm[number])
+    if int(model.actuator_biastype[number]) != engine.mjtBias.mjBIAS_AFFINE:
+        return "tau" if gain[0] == 1.0 else ""
+    if not gain[0] or bias[0] or drive.gear != 1.0:
+        return ""
+    if bias[1] == -gain[0]:
+        return "target"
+    return "rate" if bias[2] == -gain[0] and not bias[1] else ""
+
+
+SERVOS = {"": ("1", "1"), "tau": ("N m", "N"), "target": ("rad", "m"), "rate": ("rad/s", "m/s")}
+"""Units of what an actuator follows, at a joint that turns and at one that slides."""
+
+
 def _controls(model: Any, drive: Drive, states: States) -> list[Channel]:
     """Return the channels of an actuator's controls."""
-    engine = mujoco()
-    unit, prefix = "1", ""
     place = states.scalar.index(drive.joint) if drive.joint in states.scalar else None
-    turns = place is not None and states.positions[_position(model, states, place)].unit == "rad"
-    gain, bias = np.array(model.actuator_gainprm[drive.number]), np.array(model.actuator_biasprm[drive.number])
-    if place is not None and int(model.actuator_dyntype[drive.number]) == engine.mjtDyn.mjDYN_NONE:
-        plain = int(model.actuator_gaintype[drive.number]) == engine.mjtGain.mjGAIN_FIXED
-        affine = int(model.actuator_biastype[drive.number]) == engine.mjtBias.mjBIAS_AFFINE
-        if plain and not affine and gain[0] == 1.0:
-            unit, prefix = ("N m" if turns else "N"), "tau"
-        elif plain and affine and gain[0] and not bias[0] and drive.gear == 1.0:
-            if bias[1] == -gain[0]:
-                unit, prefix = ("rad" if turns else "m"), "target"
-            elif bias[2] == -gain[0] and not bias[1]:
-                unit, prefix = ("rad/s" if turns else "m/s"), "rate"
+    prefix = _servo(model, drive) if place is not None else ""
+    unit = SERVOS[prefix][0 if place is not None and _turns(model, states, place) else 1]
     own = drive.name or f"u{drive.number + 1}"
     name = f"{prefix}{place + 1}" if prefix and place is not None and drive.gear == 1.0 else own
     endings = AXES.get(len(drive.controls), tuple(f"_{k + 1}" for k in range(len(drive.controls))))

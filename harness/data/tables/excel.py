@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from harness.data.tables.binary_files import broken
 from harness.data.tables.cells import units_below
@@ -18,24 +19,7 @@ class ExcelFile(MemoryTable):
     """A sheet of an Excel workbook, by default the first: a header, perhaps a row of units, and rows of numbers."""
 
     def __init__(self, path: Path, sheet: str | None = None) -> None:
-        openpyxl = optional("openpyxl", "Excel")
-        refuse_bomb(path)
-        try:
-            book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-            sheets = list(book.sheetnames)
-            chosen = sheets[0] if sheet is None else sheet
-            rows = [list(row) for row in book[chosen].iter_rows(values_only=True)] if chosen in sheets else []
-            book.close()
-        except Exception as error:
-            raise broken(path, "Excel", error) from error
-        if chosen not in sheets:
-            raise InputError(
-                f"no sheet {chosen!r}",
-                expected=f"one of {', '.join(map(repr, sheets[:12]))}",
-                got=repr(chosen),
-                remedy="correct sheet = ...",
-                file=path,
-            )
+        sheets, rows = _read(path, sheet)
         skipped = 0
         while rows and not any(cell is not None for cell in rows[0]):
             rows, skipped = rows[1:], skipped + 1
@@ -63,3 +47,26 @@ class ExcelFile(MemoryTable):
                 f"the workbook has {len(sheets)} sheets: {sheets[0]!r}, the first, is read; sheet = ... names another "
                 f"({others})"
             )
+
+
+def _read(path: Path, sheet: str | None) -> tuple[list[str], list[list[Any]]]:
+    """Return the names of the sheets, and the rows of one of them (the first unless named)."""
+    openpyxl = optional("openpyxl", "Excel")
+    refuse_bomb(path)
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        sheets = list(book.sheetnames)
+        chosen = sheets[0] if sheet is None else sheet
+        rows = [list(row) for row in book[chosen].iter_rows(values_only=True)] if chosen in sheets else []
+        book.close()
+    except Exception as error:
+        raise broken(path, "Excel", error) from error
+    if chosen not in sheets:
+        raise InputError(
+            f"no sheet {chosen!r}",
+            expected=f"one of {', '.join(map(repr, sheets[:12]))}",
+            got=repr(chosen),
+            remedy="correct sheet = ...",
+            file=path,
+        )
+    return sheets, rows

@@ -308,22 +308,7 @@ def _joints_of(model: Any, tendon: int, names: Sequence[str]) -> list[str]:
 
 def _notes(model: Any, names: Sequence[str], locked: Collection[str], shaped: Collection[str]) -> Iterator[str]:
     """Yield what an arm does not hold of the MJCF, by name, and what is assumed."""
-    free = [(names[k], k, int(model.jnt_dofadr[k])) for k in range(model.njnt) if names[k] not in locked]
-    springs = [name for name, k, _ in free if model.jnt_stiffness[k] or np.any(model.jnt_stiffnesspoly[k])]
-    curved = [name for name, _, dof in free if np.any(model.dof_dampingpoly[dof])]
-    acts = np.array([model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature])
-    tendons = [
-        model.tendon(k).name or str(k) for k in range(model.ntendon) if acts[:, k].any() or model.tendon_limited[k]
-    ]
-    lifted = [model.body(k).name for k in range(1, model.nbody) if model.body_gravcomp[k]]
-    medium = ["density or viscosity"] if model.opt.density or model.opt.viscosity else []
-    for what, where in (
-        ("springs at joints", springs),
-        ("damping that is not linear at joints", curved),
-        ("tendons that pull at joints", tendons),
-        ("compensated gravity of bodies", lifted),
-        ("a medium", medium),
-    ):
+    for what, where in _left_out(model, names, locked):
         if where:
             yield f"the MJCF states {what}, which the model of an arm leaves out: {', '.join(where)}"
     heavy = [model.body(k).name or str(k) for k in range(1, model.nbody) if model.body_mass[k] > 0]
@@ -335,6 +320,24 @@ def _notes(model: Any, names: Sequence[str], locked: Collection[str], shaped: Co
         yield f"the MJCF states gears, torques are taken on the side of the joint: {', '.join(gears)}"
     if others:
         yield f"actuators of the MJCF that do not drive one joint, torques are those on the joints: {', '.join(others)}"
+
+
+def _left_out(model: Any, names: Sequence[str], locked: Collection[str]) -> Iterator[tuple[str, list[str]]]:
+    """Yield each kind of force that the model of an arm does not have, and where the MJCF states it."""
+    free = [(names[k], k, int(model.jnt_dofadr[k])) for k in range(model.njnt) if names[k] not in locked]
+    springs = [name for name, k, _ in free if model.jnt_stiffness[k] or np.any(model.jnt_stiffnesspoly[k])]
+    curved = [name for name, _, dof in free if np.any(model.dof_dampingpoly[dof])]
+    acts = np.array([model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature])
+    tendons = [
+        model.tendon(k).name or str(k) for k in range(model.ntendon) if acts[:, k].any() or model.tendon_limited[k]
+    ]
+    lifted = [model.body(k).name for k in range(1, model.nbody) if model.body_gravcomp[k]]
+    medium = ["density or viscosity"] if model.opt.density or model.opt.viscosity else []
+    yield "springs at joints", springs
+    yield "damping that is not linear at joints", curved
+    yield "tendons that pull at joints", tendons
+    yield "compensated gravity of bodies", lifted
+    yield "a medium", medium
 
 
 def rotation_of(quaternion: FloatArray) -> FloatArray:

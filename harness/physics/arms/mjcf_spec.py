@@ -139,30 +139,32 @@ def compiled(spec: Any, file: Path | None = None) -> Any:
 
 def without_shapes(spec: Any) -> Any:
     """Return a spec without the shapes of bodies whose inertia is stated, and without what only they need."""
-    engine = mujoco()
-    always = spec.compiler.inertiafromgeom == engine.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    for geom in list(_weightless(spec)):
+        spec.delete(geom)
+    meshes = {geom.meshname for geom in spec.geoms}
+    heights = {geom.hfieldname for geom in spec.geoms}
+    read = {texture.name: texture for texture in spec.textures if texture.file or any(texture.cubefiles)}
+    for material in spec.materials:
+        material.textures = ["" if name in read else name for name in material.textures]
+    for unused in (
+        *spec.skins,  # they are seen and weigh nothing, as textures are
+        *(mesh for mesh in spec.meshes if mesh.name not in meshes),
+        *(height for height in spec.hfields if height.name not in heights),
+        *read.values(),
+    ):
+        spec.delete(unused)
+    return spec
+
+
+def _weightless(spec: Any) -> Iterator[Any]:
+    """Yield the shapes of bodies whose inertia is stated, but for those that contacts, sensors or tendons name."""
+    always = spec.compiler.inertiafromgeom == mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     needed = {pair.geomname1 for pair in spec.pairs} | {pair.geomname2 for pair in spec.pairs}
     needed |= {sensor.objname for sensor in spec.sensors} | {sensor.refname for sensor in spec.sensors}
     needed |= {part for tendon in spec.tendons for part in wrapped(tendon)}
     for body in spec.bodies:
-        stated = body.parent is None or body.name == "world" or (body.explicitinertial and not always)
-        for geom in list(body.geoms) if stated else []:
-            if not geom.name or geom.name not in needed:
-                spec.delete(geom)
-    for skin in list(spec.skins):  # they are seen and weigh nothing, as textures are
-        spec.delete(skin)
-    meshes = {geom.meshname for geom in spec.geoms}
-    heights = {geom.hfieldname for geom in spec.geoms}
-    for mesh in [mesh for mesh in spec.meshes if mesh.name not in meshes]:
-        spec.delete(mesh)
-    for height in [height for height in spec.hfields if height.name not in heights]:
-        spec.delete(height)
-    read = {texture.name: texture for texture in spec.textures if texture.file or any(texture.cubefiles)}
-    for material in spec.materials:
-        material.textures = ["" if name in read else name for name in material.textures]
-    for texture in read.values():
-        spec.delete(texture)
-    return spec
+        if body.parent is None or body.name == "world" or (body.explicitinertial and not always):
+            yield from (geom for geom in body.geoms if not geom.name or geom.name not in needed)
 
 
 def wrapped(tendon: Any) -> Iterator[str]:
