@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from harness.data.whole_files import whole_file
 
 __all__ = ["confusion_picture"]
 
@@ -30,29 +33,32 @@ def confusion_picture(rows: Sequence[dict[str, str]], path: Path) -> bool:
     figure = Figure(figsize=(4.5 + 0.28 * sum(sizes.values()), 3.5 + 0.22 * max(sizes.values())), layout="constrained")
     FigureCanvasAgg(figure)
     for place, plant in enumerate(plants):
-        here = [row for row in chosen if row["plant"] == plant]
-        truths = sorted({row["truth"] or NOTHING for row in here})
-        answers = [*truths, *sorted({_answer(row) for row in here} - set(truths) - {SEVERAL}), SEVERAL]
-        table = np.zeros((len(truths), len(answers)))
-        for row in here:
-            table[truths.index(row["truth"] or NOTHING), answers.index(_answer(row))] += 1
         axes = figure.add_subplot(1, len(plants), place + 1)
-        share = table / np.maximum(table.sum(axis=1, keepdims=True), 1)
-        axes.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
-        for (i, j), count in np.ndenumerate(table):
-            if count:
-                shade = "white" if share[i, j] > 0.5 else "black"
-                axes.text(j, i, f"{count:.0f}", ha="center", va="center", color=shade, fontsize=7)
-        axes.set_xticks(range(len(answers)), [_words(answer) for answer in answers], rotation=90, fontsize=7)
-        axes.set_yticks(range(len(truths)), [_words(truth) for truth in truths], fontsize=7)
-        axes.set_title(f"{plant}: {len(here)} records", fontsize=10)
-        axes.set_xlabel("answer (tied counts as the truth)", fontsize=9)
+        _draw_panel(axes, plant, [row for row in chosen if row["plant"] == plant])
         if place == 0:
             axes.set_ylabel("truth", fontsize=9)
-    scratch = path.with_name(path.name + ".part")
-    figure.savefig(scratch, dpi=130, format="png")
-    scratch.replace(path)
+    with whole_file(path) as scratch:
+        figure.savefig(scratch, dpi=130, format="png")
     return True
+
+
+def _draw_panel(axes: Any, plant: str, rows: Sequence[dict[str, str]]) -> None:
+    """Draw truth against answer of one plant, coloured by the share of each truth."""
+    truths = sorted({row["truth"] or NOTHING for row in rows})
+    answers = [*truths, *sorted({_answer(row) for row in rows} - set(truths) - {SEVERAL}), SEVERAL]
+    table = np.zeros((len(truths), len(answers)))
+    for row in rows:
+        table[truths.index(row["truth"] or NOTHING), answers.index(_answer(row))] += 1
+    share = table / np.maximum(table.sum(axis=1, keepdims=True), 1)
+    axes.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    for (i, j), count in np.ndenumerate(table):
+        if count:
+            shade = "white" if share[i, j] > 0.5 else "black"
+            axes.text(j, i, f"{count:.0f}", ha="center", va="center", color=shade, fontsize=7)
+    axes.set_xticks(range(len(answers)), [_words(answer) for answer in answers], rotation=90, fontsize=7)
+    axes.set_yticks(range(len(truths)), [_words(truth) for truth in truths], fontsize=7)
+    axes.set_title(f"{plant}: {len(rows)} records", fontsize=10)
+    axes.set_xlabel("answer (tied counts as the truth)", fontsize=9)
 
 
 def _answer(row: dict[str, str]) -> str:

@@ -111,33 +111,21 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     cpu, wall = _cpu_of_tree(), time.monotonic()
     found = diagnose(records.dataset, _model(task, records))
     cpu, wall = _cpu_of_tree() - cpu, time.monotonic() - wall
-    names = [effect for effect in found.outcome.accepted if not effect.part_of]  # a part of something unknown is none
-    accepted = tuple(str(effect.placed) for effect in names)
-    ties = tuple(tuple(frozenset(map(str, member)) for member in effect.tie) for effect in names)
-    # what the report says this experiment cannot show matters only where nothing of what is hidden was found
-    beside = named(task.structure, task.plant)
-    silent = task.effects and not set(accepted) - {beside}
-    hidden = frozenset(str(lead.placed) for lead in found.not_visible) if silent else frozenset()
-    imitates = [*found.stand_in, *found.misfit]
-    answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates))
+    answer = _answer(task, found)
+    accepted, beside = answer.accepted, named(task.structure, task.plant)
     rivals = (answer.by_plain_law() if task.engine == "hardware" else answer).ties
     outcome = judge_answer(task.effects, answer, task.plant, task.engine, task.structure)
     before, after = _error(found.runs.before), _error(found.runs.after)
-    oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
-    known: Fit | None = None
-    if records.known:
-        known = None if task.study == "outside" else _oracle(found, records)
-        oracle = None if known is None else _free_run(found, known)
     row: dict[str, Any] = {
         "outcome": outcome.word,
         "how": outcome.how,
         "verdict": found.verdict,
         "adequacy": found.grade,
-        "stand_in": "; ".join(imitates),
+        "stand_in": "; ".join([*found.stand_in, *found.misfit]),
         "accepted": " + ".join(accepted),
         "parts": " + ".join(str(effect.placed) for effect in found.outcome.accepted if effect.part_of),
         "ties": "; ".join(
-            " / ".join(sorted(" & ".join(sorted(member)) for member in tie)) for tie in ties if len(tie) > 1
+            " / ".join(sorted(" & ".join(sorted(member)) for member in tie)) for tie in answer.ties if len(tie) > 1
         ),
         "tie_size": max((len(tie) for name, tie in zip(accepted, rivals, strict=True) if name != beside), default=0),
         "validation_before": _short(before),
@@ -147,10 +135,8 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         "cpu_s": f"{cpu:.2f}",
         "wall_s": f"{wall:.2f}",
     }
-    if oracle is not None:
-        row.update(
-            validation_oracle=_short(oracle), ratio=_short(after / oracle), oracle_improvement=_short(before / oracle)
-        )
+    known = _oracle(found, records) if records.known and task.study != "outside" else None
+    row.update(_beside_oracle(found, known, before, after, hidden=bool(records.known)))
     if task.study == "confusion" and known is not None:
         power = _power(task, found, found.final if outcome.word == "right" else known)
         row.update(shown=f"{power.shown:.3f}", told=f"{min(power.shown, power.told):.3f}", nearest=power.nearest)
@@ -158,6 +144,29 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     row.update(_coverage(found.final, records, strangers))
     row["holds_truth"] = "yes" if _holds(task, [effect.placed for effect in found.outcome.accepted], records) else "no"
     return row
+
+
+def _answer(task: Task, found: Any) -> Answer:
+    """Return what a report says is there; a part of something unknown is none."""
+    names = [effect for effect in found.outcome.accepted if not effect.part_of]
+    accepted = tuple(str(effect.placed) for effect in names)
+    ties = tuple(tuple(frozenset(map(str, member)) for member in effect.tie) for effect in names)
+    # what the report says this experiment cannot show matters only where nothing of what is hidden was found
+    silent = task.effects and not set(accepted) - {named(task.structure, task.plant)}
+    hidden = frozenset(str(lead.placed) for lead in found.not_visible) if silent else frozenset()
+    return Answer(found.verdict, accepted, ties, hidden, bool(found.stand_in or found.misfit))
+
+
+def _beside_oracle(found: Any, known: Fit | None, before: float, after: float, *, hidden: bool) -> dict[str, str]:
+    """Return the errors of a fit that knows what is hidden; where nothing is, the nominal fit knows all."""
+    oracle = before if not hidden else None if known is None else _free_run(found, known)
+    if oracle is None:
+        return {}
+    return {
+        "validation_oracle": _short(oracle),
+        "ratio": _short(after / oracle),
+        "oracle_improvement": _short(before / oracle),
+    }
 
 
 def _holds(task: Task, accepted: Sequence[Placed], records: Records) -> bool:

@@ -65,37 +65,39 @@ def summary(rows: Iterable[Row], *, seeds: str, planned: int, keys: Collection[s
         f"{'' if len(known) == planned else PART}.",
         LEGEND.format(structures="; ".join(STRUCTURES.values())),
     ]
-    single = [row for row in good if row["study"] == "confusion"]
+    single = _where(good, study="confusion")
     hidden = [row for row in single if row["truth"]]
-    if hidden:
-        parts += ["## One effect", *_one_effect(hidden)]
-    two = [row for row in good if row["study"] == "two"]
-    if two:
-        parts += [
-            "## Two effects at once",
-            figures(two),
-            _table("disturbance", two, _level),
-            _table("effects", two, lambda row: row["truth"]),
-        ]
-    outside = [row for row in good if row["study"] == "outside"]
-    if outside:
-        parts += ["## Laws that the dictionary does not have", _outside(outside)]
+    two = _where(good, study="two")
     nothing = [row for row in good if not row["truth"] and row["study"] in ("none", "confusion")]
-    if nothing:
-        parts += ["## Nothing missing: false alarms", _alarms(nothing)]
-    covered = [row for row in good if row["intervals"] not in ("", "0")]
-    if covered:
-        parts += ["## Coverage of the 95 % intervals", _coverage(covered)]
-    timed = [row for row in good if row["cpu_s"]]
-    if timed:
-        parts += ["## Cost", _cost(timed)]
-    if single or two:
-        parts += ["## Every answer that was not right or tied", _misses([*hidden, *two, *nothing])]
-    failed = [row for row in known if row["status"] != "ok"]
-    if failed:
-        lines = [f"- `{row['key']}`: {row['status']}: {row['reason']}" for row in failed]
-        parts += ["## Records without an answer", "\n".join(lines)]
+    sections: tuple[tuple[str, Sequence[Row], Callable[[Sequence[Row]], Sequence[str]]], ...] = (
+        ("One effect", hidden, _one_effect),
+        ("Two effects at once", two, _two_effects),
+        ("Laws that the dictionary does not have", _where(good, study="outside"), _outside),
+        ("Nothing missing: false alarms", nothing, _alarms),
+        ("Coverage of the 95 % intervals", [row for row in good if row["intervals"] not in ("", "0")], _coverage),
+        ("Cost", [row for row in good if row["cpu_s"]], _cost),
+        ("Every answer that was not right or tied", [*hidden, *two, *nothing] if single or two else [], _misses),
+        ("Records without an answer", [row for row in known if row["status"] != "ok"], _failed),
+    )
+    for title, chosen, written in sections:
+        if chosen:
+            parts += [f"## {title}", *written(chosen)]
     return "\n\n".join(parts) + "\n"
+
+
+def _where(rows: Iterable[Row], **values: str) -> list[Row]:
+    """Return the rows that have these values."""
+    return [row for row in rows if all(row[column] == value for column, value in values.items())]
+
+
+def _failed(rows: Sequence[Row]) -> list[str]:
+    """Return the records without an answer, with the reason."""
+    return ["\n".join(f"- `{row['key']}`: {row['status']}: {row['reason']}" for row in rows)]
+
+
+def _two_effects(rows: Sequence[Row]) -> list[str]:
+    """Return the figures of records with two hidden effects, and their tables."""
+    return [figures(rows), _table("disturbance", rows, _level), _table("effects", rows, lambda row: row["truth"])]
 
 
 def _one_effect(hidden: Sequence[Row]) -> list[str]:
@@ -164,7 +166,7 @@ def _numbers(rows: Iterable[Row], column: str) -> np.ndarray:
     return np.array([float(row[column]) for row in rows if row[column]])
 
 
-def _outside(rows: Sequence[Row]) -> str:
+def _outside(rows: Sequence[Row]) -> list[str]:
     """Return how laws outside the dictionary were answered: a confident name is the only fault."""
     words = {
         "unexplained": "flagged: unexplained",
@@ -182,7 +184,7 @@ def _outside(rows: Sequence[Row]) -> str:
         "",
         *(f"- `{row['key']}`: named {row['accepted']}, {row['residual_over_floor']} x floor" for row in named),
     ]
-    return "\n".join(lines).rstrip()
+    return ["\n".join(lines).rstrip()]
 
 
 def _said(row: Row) -> str:
@@ -192,7 +194,7 @@ def _said(row: Row) -> str:
     return "stand-in" if row["stand_in"] else "confident"
 
 
-def _alarms(rows: Sequence[Row]) -> str:
+def _alarms(rows: Sequence[Row]) -> list[str]:
     """Return the count of false alarms by class with the exact upper bound."""
     lines = [
         "A false alarm is any accepted effect; where the nominal structure is a little wrong, something is missing, "
@@ -202,35 +204,42 @@ def _alarms(rows: Sequence[Row]) -> str:
         "| class | records | false alarms | rate below | no effect, but said something is left |",
         "|---|---|---|---|---|",
     ]
-    sound = [row for row in rows if not row["structure"]]
-    white = [row for row in sound if float(row["disturbance"]) == 0]
-    shaken = [row for row in sound if float(row["disturbance"]) > 0]
-    classes = {
-        "white sensor noise alone": white,
-        "of them, input recorded with noise": [row for row in white if _noisy(row)],
-        "with 2 % unknown torque": shaken,
-        "of them, input recorded with noise ": [row for row in shaken if _noisy(row)],
-    }
-    for shape in sorted({_value(row, "shape") for row in shaken}):
-        classes[f"of them, {shape}"] = [row for row in shaken if _value(row, "shape") == shape]
-    for name in sorted({f"{row['plant']}, truth by {row['engine']}" for row in sound}):
-        classes[name] = [row for row in sound if f"{row['plant']}, truth by {row['engine']}" == name]
-    for name in sorted({row["structure"] for row in rows} - {""}):
-        classes[f"nominal structure a little wrong: {name}"] = [row for row in rows if row["structure"] == name]
-    for name, here in classes.items():
+    for name, here in _classes_of_alarms(rows).items():
         if here:
             alarms = sum(row["outcome"] == "wrong" for row in here)
             left = sum(row["verdict"] == "unexplained" for row in here)
             bound = 100 * upper_bound(alarms, len(here))
             lines.append(f"| {name} | {len(here)} | {alarms} | {bound:.2f} % | {left} |")
-    return "\n".join(lines)
+    return ["\n".join(lines)]
+
+
+def _classes_of_alarms(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the records in which nothing is hidden by noise, by disturbance, by engine and by nominal structure."""
+    sound = _where(rows, structure="")
+    white = [row for row in sound if float(row["disturbance"]) == 0]
+    shaken = [row for row in sound if float(row["disturbance"]) > 0]
+    bent = [row for row in rows if row["structure"]]
+    return {
+        "white sensor noise alone": white,
+        "of them, input recorded with noise": [row for row in white if _noisy(row)],
+        "with 2 % unknown torque": shaken,
+        "of them, input recorded with noise ": [row for row in shaken if _noisy(row)],
+        **_grouped(shaken, lambda row: f"of them, {_value(row, 'shape')}"),
+        **_grouped(sound, lambda row: f"{row['plant']}, truth by {row['engine']}"),
+        **_grouped(bent, lambda row: f"nominal structure a little wrong: {row['structure']}"),
+    }
+
+
+def _grouped(rows: Sequence[Row], name: Callable[[Row], str]) -> dict[str, list[Row]]:
+    """Return rows by name, in the order of the names."""
+    return {group: [row for row in rows if name(row) == group] for group in sorted({name(row) for row in rows})}
 
 
 def _noisy(row: Row) -> bool:
     return bool(row["input_noise"]) and float(row["input_noise"]) > 0
 
 
-def _coverage(rows: Sequence[Row]) -> str:
+def _coverage(rows: Sequence[Row]) -> list[str]:
     """Return how many intervals hold the truth: in every record that was answered, right or wrong."""
     lines = [
         "Intervals of nominal and effect parameters in every answer, right or not; an accepted effect that is not "
@@ -262,14 +271,14 @@ def _coverage(rows: Sequence[Row]) -> str:
         if here:
             total = sum(int(row["intervals"]) for row in here)
             lines.append(f"| {name} | {len(here)} | {total} | {share(sum(int(r['covered']) for r in here), total)} |")
-    return "\n".join(lines)
+    return ["\n".join(lines)]
 
 
 def _holds(row: Row) -> bool:
     return row.get("holds_truth") == "yes"
 
 
-def _cost(rows: Sequence[Row]) -> str:
+def _cost(rows: Sequence[Row]) -> list[str]:
     """Return seconds for a record of 20 s."""
     lines = [
         "Seconds for a 20 s record. Rows of the studies: the diagnosis alone, in a process that is warm. Rows "
@@ -279,25 +288,7 @@ def _cost(rows: Sequence[Row]) -> str:
         "| what | records | CPU median | CPU 90 % | CPU largest | wall median | wall largest |",
         "|---|---|---|---|---|---|---|",
     ]
-    groups = {
-        "nothing missing": [row for row in rows if row["study"] != "cost" and not row["truth"]],
-        "one effect": [row for row in rows if row["study"] == "confusion" and row["truth"]],
-        "two effects": [row for row in rows if row["study"] == "two"],
-        "outside the dictionary": [row for row in rows if row["study"] == "outside"],
-    }
-    for plant in sorted({row["plant"] for row in rows}):
-        groups[f"all, {plant}"] = [row for row in rows if row["plant"] == plant and row["study"] != "cost"]
-    cost = [row for row in rows if row["study"] == "cost"]
-    for plant in sorted({row["plant"] for row in cost}):
-        own = [row for row in cost if row["plant"] == plant]
-        groups[f"command, {plant}"] = [row for row in own if row["model"] != "fmu"]
-        groups[f"command, {plant}, cold"] = [
-            {**row, "cpu_s": row["cpu_cold_s"], "wall_s": ""}
-            for row in own
-            if row["cpu_cold_s"] and row["model"] != "fmu"
-        ]
-        groups[f"around an FMU, {plant}"] = [row for row in own if row["model"] == "fmu"]
-    for name, here in groups.items():
+    for name, here in _groups_of_cost(rows).items():
         if here:
             cpu, wall = _numbers(here, "cpu_s"), _numbers(here, "wall_s")
             figures = [
@@ -308,10 +299,30 @@ def _cost(rows: Sequence[Row]) -> str:
             ]
             cells = [f"{value:.1f}" for value in figures] + [""] * (5 - len(figures))
             lines.append(f"| {name} | {len(here)} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return ["\n".join(lines)]
 
 
-def _misses(rows: Sequence[Row]) -> str:
+def _groups_of_cost(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the timed rows by what was hidden, by plant, and those of the command by plant, cold or around an FMU."""
+    studied, cost = [row for row in rows if row["study"] != "cost"], _where(rows, study="cost")
+    groups = {
+        "nothing missing": _where(studied, truth=""),
+        "one effect": [row for row in studied if row["study"] == "confusion" and row["truth"]],
+        "two effects": _where(studied, study="two"),
+        "outside the dictionary": _where(studied, study="outside"),
+    }
+    groups |= {f"all, {plant}": _where(studied, plant=plant) for plant in sorted({row["plant"] for row in rows})}
+    for plant in sorted({row["plant"] for row in cost}):
+        own = [row for row in cost if row["plant"] == plant and row["model"] != "fmu"]
+        groups[f"command, {plant}"] = own
+        groups[f"command, {plant}, cold"] = [
+            {**row, "cpu_s": row["cpu_cold_s"], "wall_s": ""} for row in own if row["cpu_cold_s"]
+        ]
+        groups[f"around an FMU, {plant}"] = _where(cost, plant=plant, model="fmu")
+    return groups
+
+
+def _misses(rows: Sequence[Row]) -> list[str]:
     """Return every record that was not answered right or tied."""
     lines = ["| truth | record | answer | | error over oracle's |", "|---|---|---|---|---|"]
     for row in sorted(rows, key=lambda record: (record["plant"], record["truth"], record["key"])):
@@ -323,4 +334,4 @@ def _misses(rows: Sequence[Row]) -> str:
             answer = row["accepted"] or row["verdict"]
             how = f"{row['outcome']}{': ' if row['how'] else ''}{row['how']}"
             lines.append(f"| {row['truth'] or 'nothing'} | {where} | {answer} | {how} | {row['ratio']} |")
-    return "\n".join(lines) if len(lines) > 2 else "None."
+    return ["\n".join(lines) if len(lines) > 2 else "None."]
