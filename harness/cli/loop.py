@@ -10,27 +10,21 @@ import typer
 from harness import api
 from harness.cli.options import (
     AsJson,
-    Columns,
     FailOn,
     Force,
-    Inputs,
     Junit,
     MaxError,
     MaxShare,
     ModelName,
-    Outputs,
     Resume,
-    Runs,
-    SampleTime,
     ScenarioPairs,
     Seed,
     Trust,
     Undriven,
-    Units,
     Validation,
     demands_of,
     judged,
-    signals_of,
+    of_table,
 )
 from harness.cli.terminal import (
     completed,
@@ -46,11 +40,13 @@ from harness.cli.terminal import (
 from harness.errors import InputError, printable
 
 if TYPE_CHECKING:
+    from harness.data.recipe.chosen import Signals
     from harness.scoring.acceptance import Demands
 
 __all__ = ["close_loop", "isolability", "learn_residual"]
 
 
+@of_table
 def close_loop(
     dataset: Annotated[
         str,
@@ -63,12 +59,8 @@ def close_loop(
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
-    input: Inputs = None,
-    output: Outputs = None,
-    column: Columns = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    run: Runs = None,
+    *,
+    signals: Signals,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Resume = False,
     force: Force = False,
@@ -85,7 +77,6 @@ def close_loop(
     from harness.fleet import is_fleet
 
     demands = demands_of(fail_on, max_error, max_share)
-    signals = signals_of(input, output, column, unit, sample_time, run)
     if is_fleet(dataset):
         if any(signals.values()):
             raise InputError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,25 +11,19 @@ from harness import api
 from harness.cli.calibration import Bounds, Copies, Free, Initial, Ssv, Start, Starts, calibrated
 from harness.cli.options import (
     AsJson,
-    Columns,
     DatasetName,
     Force,
-    Inputs,
     Junit,
     MaxError,
     ModelName,
     OptionPairs,
-    Outputs,
-    Runs,
-    SampleTime,
     Seed,
     Trust,
     Undriven,
-    Units,
     Validation,
     demands_of,
     judged,
-    signals_of,
+    of_table,
 )
 from harness.cli.terminal import (
     completed,
@@ -45,20 +39,20 @@ from harness.cli.terminal import (
 from harness.errors import InputError
 from harness.frequency import is_response
 
+if TYPE_CHECKING:
+    from harness.data.recipe.chosen import Signals
+
 __all__ = ["check_data", "compare", "export", "identify", "order", "spectrum"]
 
 
+@of_table
 def check_data(
     dataset: DatasetName,
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
-    input: Inputs = None,
-    output: Outputs = None,
-    column: Columns = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    run: Runs = None,
+    *,
+    signals: Signals,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
     as_json: AsJson = False,
     force: Force = False,
@@ -71,7 +65,7 @@ def check_data(
         undriven=undriven or (),
         out=out,
         force=force,
-        **signals_of(input, output, column, unit, sample_time, run),
+        **signals,
     )
     if as_json:
         print_json(found.to_dict())
@@ -81,6 +75,7 @@ def check_data(
         say(f"wrote {out}")
 
 
+@of_table
 def identify(
     dataset: DatasetName,
     identifier: Annotated[
@@ -94,12 +89,8 @@ def identify(
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
-    input: Inputs = None,
-    output: Outputs = None,
-    column: Columns = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    run: Runs = None,
+    *,
+    signals: Signals,
     free: Free = None,
     bound: Bounds = None,
     start: Start = None,
@@ -119,7 +110,7 @@ def identify(
     demands = demands_of(None, max_error, None)
     if is_response(dataset):
         _identify_response(
-            dataset, identifier, option, unit, sample_time, {"file of records": validation, "a physical model": model},
+            dataset, identifier, option, signals, {"file of records": validation, "a physical model": model},
             out, as_json=as_json, force=force,
         )  # fmt: skip
         return
@@ -148,7 +139,7 @@ def identify(
             undriven=undriven or (),
             seed=seed,
             force=force,
-            **signals_of(input, output, column, unit, sample_time, run),
+            **signals,
         )
         judged("identify", demands.of_errors(Path(model).name, found.errors()), junit)
         return
@@ -166,7 +157,7 @@ def identify(
         out=out,
         seed=seed,
         force=force,
-        **signals_of(input, output, column, unit, sample_time, run),
+        **signals,
     )
     name = identifier or api.DEFAULT_IDENTIFIER
     if as_json:
@@ -182,8 +173,7 @@ def _identify_response(
     file: str,
     identifier: str | None,
     option: list[str] | None,
-    unit: list[str] | None,
-    sample_time: float | None,
+    signals: Signals,
     no_use: dict[str, Any],
     out: Path | None,
     *,
@@ -200,8 +190,8 @@ def _identify_response(
         file,
         identifier=identifier or "transfer-function",
         options=option_pairs(option, "--option"),
-        units=option_pairs(unit, "--unit"),
-        sample_time=sample_time,
+        units=signals["unit"] or {},
+        sample_time=signals["sample_time"],
         out=out,
         force=force,
     )
@@ -214,6 +204,7 @@ def _identify_response(
         say(f"wrote {out}")
 
 
+@of_table
 def compare(
     files: Annotated[
         list[str],
@@ -222,12 +213,8 @@ def compare(
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
-    input: Inputs = None,
-    output: Outputs = None,
-    column: Columns = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    run: Runs = None,
+    *,
+    signals: Signals,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
     trust: Trust = None,
     max_error: MaxError = None,
@@ -263,7 +250,7 @@ def compare(
         out=out,
         force=force,
         note=noted,
-        **signals_of(input, output, column, unit, sample_time, run),
+        **signals,
     )
     if as_json:
         print_json(found.rows())
@@ -275,16 +262,13 @@ def compare(
     judged("compare", checks, junit)
 
 
+@of_table
 def spectrum(
     dataset: DatasetName,
     model: ModelName = None,
     undriven: Undriven = None,
-    input: Inputs = None,
-    output: Outputs = None,
-    column: Columns = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    run: Runs = None,
+    *,
+    signals: Signals,
     segment: Annotated[
         int | None, typer.Option(min=16, help="use Welch's method with segments of so many samples")
     ] = None,
@@ -302,7 +286,7 @@ def spectrum(
         out=out,
         force=force,
         note=noted,
-        **signals_of(input, output, column, unit, sample_time, run),
+        **signals,
     )
     if as_json:
         print_json(found.rows(64))
@@ -326,6 +310,7 @@ def export(
     print_written(api.export(source, out=out, fmi=fmi, force=force), as_json=as_json)
 
 
+@of_table
 def order(
     dataset: DatasetName,
     identifier: Annotated[
@@ -340,12 +325,8 @@ def order(
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
-    input: Inputs = None,
-    output: Outputs = None,
-    column: Columns = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    run: Runs = None,
+    *,
+    signals: Signals,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -366,7 +347,7 @@ def order(
         seed=seed,
         force=force,
         note=noted,
-        **signals_of(input, output, column, unit, sample_time, run),
+        **signals,
     )
     if as_json:
         print_json(

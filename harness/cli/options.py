@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import inspect
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -12,36 +14,29 @@ from harness.cli.terminal import completed, fail, text_pairs
 from harness.trust import trusting
 
 if TYPE_CHECKING:
-    from harness.data.recipe.chosen import Signals
     from harness.scoring.acceptance import Check, Demands
 
 __all__ = [
     "AsJson",
-    "Columns",
     "DatasetName",
     "Engine",
     "FailOn",
     "Force",
-    "Inputs",
     "Junit",
     "MaxError",
     "MaxShare",
     "ModelName",
     "OptionPairs",
-    "Outputs",
     "Resume",
-    "Runs",
-    "SampleTime",
     "ScenarioPairs",
     "Seed",
     "Trust",
     "Undriven",
-    "Units",
     "Validation",
     "Workers",
     "demands_of",
     "judged",
-    "signals_of",
+    "of_table",
 ]
 
 
@@ -144,20 +139,30 @@ def judged(suite: str, checks: Sequence[Check], junit: Path | None) -> None:
         raise typer.Exit(1)
 
 
-def signals_of(
-    input: list[str] | None,
-    output: list[str] | None,
-    column: list[str] | None,
-    unit: list[str] | None,
-    sample_time: float | None,
-    run: list[str] | None,
-) -> Signals:
-    """Return what the options say of the columns of a table."""
-    return {
-        "input": input or None,
-        "output": output or None,
-        "column": text_pairs(column, "--column"),
-        "unit": text_pairs(unit, "--unit"),
-        "sample_time": sample_time,
-        "run": run or None,
-    }
+TABLE = {"input": Inputs, "output": Outputs, "column": Columns, "unit": Units, "sample_time": SampleTime, "run": Runs}
+"""Options that say which columns of a table are which signals, by name."""
+
+
+def of_table(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of :data:`TABLE`; it receives what they say as its argument ``signals``."""
+    hints = get_type_hints(command, localns={"Signals": dict}, include_extras=True)
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command).parameters.values():
+        if parameter.name != "signals":
+            parameters.append(parameter.replace(annotation=hints[parameter.name]))
+            continue
+        parameters += [
+            inspect.Parameter(name, parameter.kind, default=None, annotation=hint) for name, hint in TABLE.items()
+        ]
+
+    @functools.wraps(command)
+    def called(**given: Any) -> None:
+        said = {name: given.pop(name) for name in TABLE}
+        pairs = {name: text_pairs(said.pop(name), f"--{name}") for name in ("column", "unit")}
+        seconds = said.pop("sample_time")
+        signals = {name: names or None for name, names in said.items()} | pairs | {"sample_time": seconds}
+        command(**given, signals=signals)
+
+    called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    vars(called)["__signature__"] = inspect.Signature(parameters)
+    return called

@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from harness import api
 from harness.cli.options import (
     AsJson,
-    Columns,
     DatasetName,
     Force,
-    Inputs,
     ModelName,
     OptionPairs,
-    Outputs,
-    Runs,
-    SampleTime,
     Seed,
     Trust,
     Undriven,
-    Units,
-    signals_of,
+    of_table,
 )
 from harness.cli.terminal import completed, noted, option_pairs, print_json, print_rows, progress_bar, say, whole_range
+
+if TYPE_CHECKING:
+    from harness.data.recipe.chosen import Signals
 
 __all__ = ["analyse", "modes"]
 
 
+@of_table
 def modes(
     dataset: DatasetName,
     identifier: Annotated[
@@ -54,12 +52,8 @@ def modes(
     option: OptionPairs = None,
     model: ModelName = None,
     undriven: Undriven = None,
-    input: Inputs = None,
-    output: Outputs = None,
-    column: Columns = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    run: Runs = None,
+    *,
+    signals: Signals,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the page and the pictures")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -87,7 +81,7 @@ def modes(
             force=force,
             note=noted,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
-            **signals_of(input, output, column, unit, sample_time, run),
+            **signals,
         )
     if as_json:
         print_json(found.to_dict())
@@ -101,6 +95,7 @@ def modes(
         say(f"wrote {out}")
 
 
+@of_table
 def analyse(
     name: Annotated[
         str,
@@ -115,12 +110,8 @@ def analyse(
         list[str] | None,
         typer.Option("--subject-option", "-P", metavar="k=v", help="option of the plant or model, repeatable"),
     ] = None,
-    input: Inputs = None,
-    output: Outputs = None,
-    column: Columns = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    run: Runs = None,
+    *,
+    signals: Signals,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -136,7 +127,7 @@ def analyse(
         out=out,
         seed=seed,
         force=force,
-        **signals_of(input, output, column, unit, sample_time, run),
+        **signals,
     )
     if as_json:
         print_json(found.to_dict())
