@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.common.ensemble import Ensemble
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.lag_training import lag_task
+from identifiers.learned.training import Trained
 
 __all__ = ["AttentionEnsemble", "AttentionModel", "AttentionNetwork"]
 
@@ -70,7 +71,7 @@ class AttentionEnsemble(Ensemble):
 
 
 @dataclass(frozen=True)
-class AttentionNetwork:
+class AttentionNetwork(Trained):
     """Ensemble of networks that look back over many samples by attention, for plants whose past matters late.
 
     As ``neural-network`` an affine fit comes first and the network learns what it leaves; the last fifth of every
@@ -89,16 +90,6 @@ class AttentionNetwork:
         Units of the tanh layer.
     members : int
         Networks.
-    steps : int
-        Of Adam.
-    rate : float
-        Learning rate at the start; it falls as a cosine.
-    batch : int
-        Rows of a batch.
-    checkpoint : path, optional
-        File from which an interrupted fit goes on.
-    progress : bool
-        Show a bar on the error stream.
     least_excitation : float
         0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
         the inputs do.
@@ -109,23 +100,20 @@ class AttentionNetwork:
     heads: int = 4
     hidden: int = 32
     members: int = 3
-    steps: int = 1500
-    rate: float = 5e-3
-    batch: int = 128
-    checkpoint: str | None = None
-    progress: bool = False
     least_excitation: float = 2.0
+    _: KW_ONLY
+    steps: int = 1500
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> AttentionEnsemble:
         """Return the ensemble; held-out losses stand in its notes."""
         what = "attention-network"
-        numbers = (self.order, self.width, self.heads, self.hidden, self.members, self.steps, self.batch)
-        if min(numbers) < 1 or not self.rate > 0 or self.width % self.heads:
+        self.refuse_small(what, self.order, self.width, self.heads, self.hidden, self.members)
+        if self.width % self.heads:
             raise InputError(
-                f"options of {what}",
-                expected="numbers of at least 1, a rate > 0, a width that is a multiple of heads",
-                got=f"{numbers}, rate {self.rate}",
-                remedy="correct them",
+                f"width of {what}",
+                expected="a multiple of heads",
+                got=f"{self.width}, heads {self.heads}",
+                remedy="correct one of them",
             )
         task = lag_task(trajectories, self.order, what, self.least_excitation)
         spec, d = task.spec, self.width
@@ -145,7 +133,7 @@ class AttentionNetwork:
         found, history = task.train(
             tables,
             lambda torch, tensors, rows: _attend(torch, tensors, rows, self.heads),
-            (self.steps, self.rate, self.batch),
+            self.schedule,
             rng=rng,
             what=what,
             checkpoint=self.checkpoint,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
@@ -16,7 +16,7 @@ from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains, run_in_steps
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import centred
-from identifiers.learned.training import need_torch, train_tables
+from identifiers.learned.training import Trained, need_torch, train_tables
 
 __all__ = ["EmbedToControl", "LatentModel"]
 
@@ -174,7 +174,7 @@ class LatentModel:
 
 
 @dataclass(frozen=True)
-class EmbedToControl:
+class EmbedToControl(Trained):
     """A latent state of few numbers for many outputs, whose dynamics are linear about every point.
 
     After Watter, Springenberg, Boedecker and Riedmiller 2015 (*NeurIPS*, sec. 2): an encoder, locally linear dynamics
@@ -195,16 +195,6 @@ class EmbedToControl:
         Units of each network.
     window : int
         Samples of a training window.
-    steps : int
-        Of Adam.
-    rate : float
-        Learning rate at the start; it falls as a cosine.
-    batch : int
-        Windows of a batch.
-    checkpoint : path, optional
-        File from which an interrupted fit goes on.
-    progress : bool
-        Show a bar on the error stream.
     least_excitation : float
         0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
         the inputs do.
@@ -214,21 +204,16 @@ class EmbedToControl:
     lags: int = 4
     hidden: int = 16
     window: int = 15
+    least_excitation: float = 2.0
+    _: KW_ONLY
     steps: int = 1000
     rate: float = 3e-3
     batch: int = 96
-    checkpoint: str | None = None
-    progress: bool = False
-    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LatentModel:
         """Return the model; held-out losses stand in its notes."""
         what = "embed-to-control"
-        numbers = (self.latent, self.lags, self.hidden, self.window, self.steps, self.batch)
-        if min(numbers) < 1 or not self.rate > 0:
-            raise InputError(
-                f"options of {what}", expected="numbers of at least 1 and a rate > 0", got=str(numbers), remedy="raise"
-            )
+        self.refuse_small(what, self.latent, self.lags, self.hidden, self.window)
         records, spec = usable(trajectories, samples=self.lags + 3 * self.window, what=what)
         real_signals(spec, what)
         moving(records, what)
@@ -268,7 +253,7 @@ class EmbedToControl:
             miss,
             parts,
             held_parts,
-            (self.steps, self.rate, self.batch),
+            self.schedule,
             rng=rng,
             checkpoint=self.checkpoint,
             progress=self.progress,

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.physics.fitting.smoothing import smooth
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.observers import alpha_beta_gains, best_gain, fitted_start, run_in_steps
 from identifiers.common.records import moving, real_signals, usable
-from identifiers.learned.training import need_torch, train_tables
+from identifiers.learned.training import Trained, need_torch, train_tables
 
 __all__ = ["LagrangianModel", "LagrangianNetwork"]
 
@@ -231,7 +231,7 @@ class LagrangianModel:
 
 
 @dataclass(frozen=True)
-class LagrangianNetwork:
+class LagrangianNetwork(Trained):
     """Learns the energies of a mechanism: a mass matrix and a potential as networks, and viscous damping.
 
     The accelerations follow from Lagrange's equations (Lutter, Ritter and Peters 2019, *ICLR*, eq. 3 to 6: deep
@@ -248,37 +248,19 @@ class LagrangianNetwork:
         Units of each of the two networks.
     window : int
         Samples of a training window.
-    steps : int
-        Of Adam.
-    rate : float
-        Learning rate at the start; it falls as a cosine.
-    batch : int
-        Windows of a batch.
-    checkpoint : path, optional
-        File from which an interrupted fit goes on.
-    progress : bool
-        Show a bar on the error stream.
     """
 
     actuated: tuple[str, ...] | None = None
     hidden: int = 16
     window: int = 8
+    _: KW_ONLY
     steps: int = 800
     rate: float = 1e-2
-    batch: int = 128
-    checkpoint: str | None = None
-    progress: bool = False
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LagrangianModel:
         """Return the model; held-out losses stand in its notes."""
         what = "lagrangian-network"
-        if min(self.hidden, self.window, self.steps, self.batch) < 1 or not self.rate > 0:
-            raise InputError(
-                f"options of {what}",
-                expected="numbers of at least 1 and a rate > 0",
-                got=f"{self.hidden}, {self.window}, {self.steps}, {self.batch}, {self.rate}",
-                remedy="raise them",
-            )
+        self.refuse_small(what, self.hidden, self.window)
         records, spec = usable(trajectories, samples=_HELD_OUT * (self.window + 2), what=what)
         real_signals(spec, what)
         moving(records, what)
@@ -327,7 +309,7 @@ class LagrangianNetwork:
             miss,
             learn,
             held,
-            (self.steps, self.rate, self.batch),
+            self.schedule,
             rng=rng,
             checkpoint=self.checkpoint,
             progress=self.progress,

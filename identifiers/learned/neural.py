@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.ensemble import Ensemble
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.lag_training import lag_task
-from identifiers.learned.training import draw_layers
+from identifiers.learned.training import Trained, draw_layers
 
 __all__ = ["EnsembleModel", "NetworkModel", "NeuralNetwork"]
 
@@ -59,7 +58,7 @@ class EnsembleModel(Ensemble):
 
 
 @dataclass(frozen=True)
-class NeuralNetwork:
+class NeuralNetwork(Trained):
     """Ensemble of networks that predict the next output from past outputs and inputs.
 
     An affine fit comes first, the network learns what it leaves; so a network that learns nothing is an ARX model. The
@@ -76,16 +75,6 @@ class NeuralNetwork:
         Units of the hidden layers.
     members : int
         Networks; 1 gives a single model.
-    steps : int
-        Of Adam.
-    rate : float
-        Learning rate at the start; it falls as a cosine.
-    batch : int
-        Rows of a batch.
-    checkpoint : path, optional
-        File from which an interrupted fit goes on.
-    progress : bool
-        Show a bar on the error stream.
     least_excitation : float
         0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
         the inputs do.
@@ -94,21 +83,14 @@ class NeuralNetwork:
     order: int = 1
     hidden: tuple[int, ...] = (32, 32)
     members: int = 5
-    steps: int = 2000
-    rate: float = 5e-3
-    batch: int = 256
-    checkpoint: str | None = None
-    progress: bool = False
     least_excitation: float = 2.0
+    _: KW_ONLY
+    batch: int = 256
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> EnsembleModel:
         """Return the ensemble; held-out losses stand in its notes."""
         what = "neural-network"
-        numbers = (self.order, self.members, self.steps, self.batch, *self.hidden)
-        if min(numbers) < 1 or not self.rate > 0:
-            raise InputError(
-                f"options of {what}", expected="numbers of at least 1 and a rate > 0", got=str(numbers), remedy="raise"
-            )
+        self.refuse_small(what, self.order, self.members, *self.hidden)
         task = lag_task(trajectories, self.order, what, self.least_excitation)
         spec, scaling, size = task.spec, task.scaling, task.size
         layers = draw_layers((task.x.shape[1], *self.hidden, spec.ny), rng, self.members)
@@ -116,7 +98,7 @@ class NeuralNetwork:
         found, history = task.train(
             [part for layer in layers for part in layer],
             _network,
-            (self.steps, self.rate, self.batch),
+            self.schedule,
             rng=rng,
             what=what,
             checkpoint=self.checkpoint,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
 from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
@@ -16,7 +15,7 @@ from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains, run_in_steps
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import centred
-from identifiers.learned.training import draw_layers, need_torch, train_tables
+from identifiers.learned.training import Trained, draw_layers, need_torch, train_tables
 from identifiers.linear.least_squares import Arx
 
 __all__ = ["NeuralStateModel", "NeuralStateSpace"]
@@ -128,7 +127,7 @@ class NeuralStateModel:
 
 
 @dataclass(frozen=True)
-class NeuralStateSpace:
+class NeuralStateSpace(Trained):
     """Neural state-space model, trained by the simulation error of many short windows.
 
     The state of every window comes from past outputs and inputs through an encoder that is trained too (Beintema, Toth
@@ -144,18 +143,8 @@ class NeuralStateSpace:
         Units of the network.
     window : int
         Samples of a training window.
-    steps : int
-        Of Adam.
-    rate : float
-        Learning rate at the start; it falls as a cosine.
-    batch : int
-        Windows of a batch.
     direct : bool
         Let y[k] depend on u[k]; always so for a plant with feedthrough.
-    checkpoint : path, optional
-        File from which an interrupted fit goes on.
-    progress : bool
-        Show a bar on the error stream.
     least_excitation : float
         0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
         the inputs do.
@@ -164,22 +153,15 @@ class NeuralStateSpace:
     order: int = 3
     hidden: int = 24
     window: int = 60
-    steps: int = 2000
-    rate: float = 3e-3
-    batch: int = 128
     direct: bool = False
-    checkpoint: str | None = None
-    progress: bool = False
     least_excitation: float = 2.0
+    _: KW_ONLY
+    rate: float = 3e-3
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> NeuralStateModel:
         """Return the model; held-out losses stand in its notes."""
         what = "neural-state-space"
-        numbers = (self.order, self.hidden, self.window, self.steps, self.batch)
-        if min(numbers) < 1 or not self.rate > 0:
-            raise InputError(
-                f"options of {what}", expected="numbers of at least 1 and a rate > 0", got=str(numbers), remedy="raise"
-            )
+        self.refuse_small(what, self.order, self.hidden, self.window)
         lags = self.order
         records, spec = usable(trajectories, samples=2 * lags + 20, what=what)
         real_signals(spec, what)
@@ -223,7 +205,7 @@ class NeuralStateSpace:
             miss,
             parts,
             long,
-            (self.steps, self.rate, self.batch),
+            self.schedule,
             rng=rng,
             checkpoint=self.checkpoint,
             progress=self.progress,

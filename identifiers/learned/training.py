@@ -6,6 +6,7 @@ import hashlib
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,70 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Schedule", "bar", "draw_layers", "need_torch", "one_thread", "train", "train_tables"]
+__all__ = ["Schedule", "Trained", "bar", "draw_layers", "need_torch", "one_thread", "train", "train_tables"]
 
 _LOOK = 50
 """Steps between two looks at the held-out loss."""
 
 Schedule = tuple[int, float, int]
 """Steps, learning rate at the start, and rows or windows of a batch."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained:
+    """Options of an identifier that trains networks by Adam.
+
+    Parameters
+    ----------
+    steps : int
+        Of Adam.
+    rate : float
+        Learning rate at the start; it falls as a cosine.
+    batch : int
+        Rows or windows of a batch.
+    checkpoint : path, optional
+        File from which an interrupted fit goes on.
+    progress : bool
+        Show a bar on the error stream.
+
+    Examples
+    --------
+    >>> Trained(steps=10).schedule
+    (10, 0.005, 128)
+    >>> try:
+    ...     Trained(rate=0.0).refuse_small("a network", 3)
+    ... except InputError as error:
+    ...     print(error)
+    options of a network: expected numbers of at least 1 and a rate > 0, got 3, 2000, 128, rate 0.0; remedy: raise them
+    """
+
+    steps: int = 2000
+    rate: float = 5e-3
+    batch: int = 128
+    checkpoint: str | None = None
+    progress: bool = False
+
+    @property
+    def schedule(self) -> Schedule:
+        """Steps, rate at the start and batch."""
+        return self.steps, self.rate, self.batch
+
+    def refuse_small(self, what: str, *numbers: int) -> None:
+        """Refuse numbers below 1 (those given, and those of the training), and a rate that is not above 0.
+
+        Raises
+        ------
+        InputError
+            With the numbers.
+        """
+        every = (*numbers, self.steps, self.batch)
+        if min(every) < 1 or not self.rate > 0:
+            raise InputError(
+                f"options of {what}",
+                expected="numbers of at least 1 and a rate > 0",
+                got=f"{', '.join(map(str, every))}, rate {self.rate}",
+                remedy="raise them",
+            )
 
 
 def need_torch(what: str) -> Any:
