@@ -39,16 +39,8 @@ class PymunkBallBeam(PymunkPlant):
         Dry friction of the pin [N m].
     length : float
         Of the beam [m]; beyond its ends the ball falls.
-    sample_time : float
-        Seconds between samples.
-    substeps : int
-        Engine steps for each sample.
-    gravity : float
-        In m/s^2.
-    u_limit : float
-        Declared range of the torque [N m], which scenarios use; nothing is clipped.
-    outputs : sequence of str, optional
-        States that are measured; default: positions and angles, and no rates.
+    **engine
+        The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
     Raises
     ------

@@ -33,12 +33,6 @@ class PymunkCartPole(PymunkPlant):
     bx, btheta : float
         Viscous friction of the cart [N s/m] (a damped spring without stiffness) and of the pole [N m s/rad] (a
         damped rotary spring).
-    sample_time : float
-        Seconds between samples.
-    substeps : int
-        Engine steps for each sample.
-    gravity : float
-        In m/s^2.
     spring_x, spring_theta : float
         Stiffness of a spring between rail and cart [N/m] and between rail and pole [N m/rad], at rest at 0.
     friction_x, friction_theta : float
@@ -48,10 +42,8 @@ class PymunkCartPole(PymunkPlant):
     slack : float
         Play of the pin along the rail [m]: the pole hangs on a short groove of this length in the cart. The mass
         lent to the pole (half the cart's, at most the pole's) then rides on the pin instead of the cart.
-    u_limit : float
-        Declared range of the force [N], which scenarios use; nothing is clipped.
-    outputs : sequence of str, optional
-        States that are measured; default: positions and angles, and no rates.
+    **engine
+        The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
     Raises
     ------

@@ -30,16 +30,8 @@ class PymunkDoubleCartPole(PymunkPlant):
         Viscous friction of the cart [N s/m], of the first and of the second joint [N m s/rad].
     friction_1, friction_2 : float
         Dry friction of the joints [N m].
-    sample_time : float
-        Seconds between samples.
-    substeps : int
-        Engine steps for each sample.
-    gravity : float
-        In m/s^2.
-    u_limit : float
-        Declared range of the force [N], which scenarios use; nothing is clipped.
-    outputs : sequence of str, optional
-        States that are measured; default: positions and angles, and no rates.
+    **engine
+        The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
     Raises
     ------

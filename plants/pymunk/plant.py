@@ -29,14 +29,16 @@ class PymunkPlant(ABC):
 
     Parameters
     ----------
-    spec : PlantSpec
-        Channels and sample time.
+    sample_time : float
+        Seconds between samples.
     substeps : int
         Engine steps for each sample.
-    start : sequence of float
-        Initial states where ``x0`` does not name them.
+    gravity : float
+        In m/s^2.
+    u_limit : float
+        Declared range of the input in its unit, which scenarios use; nothing is clipped.
     outputs : sequence of str, optional
-        Names of the states that are measured, instead of the outputs of ``spec``.
+        States that are measured; default: positions and angles, and no rates.
 
     Raises
     ------
@@ -47,6 +49,7 @@ class PymunkPlant(ABC):
     snapshot_tolerance = 1e-9
     """How far a continuation may be from an uninterrupted run; two continuations of one state are bit-identical."""
 
+    # a subclass makes the spec of its options, and says where its states start unless x0 names them
     def __init__(
         self, spec: PlantSpec, substeps: int, start: Sequence[float], outputs: Sequence[str] | None = None
     ) -> None:

@@ -40,12 +40,8 @@ class PymunkPushedBlock(PymunkPlant):
         Viscous friction of the pusher's rail [N s/m].
     gap : float
         Between pusher and block at the start [m].
-    sample_time : float
-        Seconds between samples.
-    substeps : int
-        Engine steps for each sample.
-    u_limit : float
-        Declared range of the force on the pusher [N], which scenarios use; nothing is clipped.
+    **engine
+        The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
     Raises
     ------

@@ -37,14 +37,10 @@ class PymunkCartWall(PymunkPlant):
         Where the wall begins [m].
     wall_stiffness : float
         K [N/m].
-    sample_time : float
-        Seconds between samples.
-    substeps : int
-        Engine steps for each sample.
-    u_limit : float
-        Declared range of the force [N], which scenarios use; nothing is clipped.
     outputs : sequence of str, optional
         States that are measured; default: x alone.
+    **engine
+        The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
     Raises
     ------
