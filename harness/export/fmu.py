@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import functools
 import json
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from harness.errors import InputError
 from harness.export.c_model import description, model_source
-from harness.export.describe import RIGHTS
 from harness.export.linear import Linear, linear_description, linear_source
+from harness.export.packed import packed
 from harness.trust import registered_only
 
 if TYPE_CHECKING:
@@ -129,7 +128,7 @@ def write_fmu(
             got=repr(simulator.intersample),
             remedy="fit the model with intersample 'zoh': FMI co-simulation holds its inputs over a step",
         )
-    return _packed(model_source(simulator, x0 or ()), description(simulator, parameters, x0), Path(target), version)
+    return packed(model_source(simulator, x0 or ()), description(simulator, parameters, x0), Path(target), version)
 
 
 def write_linear_fmu(
@@ -156,28 +155,7 @@ def write_linear_fmu(
     InputError
         If there is no C compiler, or a state is unknown.
     """
-    return _packed(linear_source(model), linear_description(model, x0), Path(target), version)
-
-
-def _packed(source: str, text: str, target: Path, version: int) -> Path:
-    """Build the FMU beside its target, then move it there."""
-    from harness.fmi import build
-
-    with tempfile.TemporaryDirectory(prefix="sysid-export-") as scratch:
-        folder = Path(scratch)
-        (folder / "model.c").write_text(source, encoding="utf-8")
-        (folder / "modelDescription.xml").write_text(text, encoding="utf-8")
-        part = target.with_name(target.name + ".part")
-        try:
-            build.build_fmu(folder, version, part, others=True, note=RIGHTS)
-            part.replace(target)
-        except build.BuildError as error:
-            raise InputError(
-                "the FMU cannot be built", expected="a C compiler", got=str(error), remedy="install gcc, or set CC"
-            ) from error
-        finally:
-            part.unlink(missing_ok=True)
-    return target
+    return packed(linear_source(model), linear_description(model, x0), Path(target), version)
 
 
 def _load(source: str | Path) -> Callable[..., Path]:

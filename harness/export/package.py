@@ -16,9 +16,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.export.c_model import DELAY
-from harness.export.describe import RIGHTS, Variable, describe, xml_text
+from harness.export.describe import Variable, describe, xml_text
+from harness.export.packed import packed
 from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitions
 
 if TYPE_CHECKING:
@@ -54,33 +56,17 @@ def write_package(content: Mapping[str, Any], folder: Path, target: Path, *, ver
         If the FMU is missing or another one, or there is no C compiler.
     """
     system, sample_time = _stored(content, folder)
-    part = target.with_name(target.name + ".part")
-    try:
-        with tempfile.TemporaryDirectory(prefix="sysid-package-") as scratch:
-            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-                if system.effects:
-                    from harness.fmi import build
-
-                    made = Path(scratch)
-                    (made / "model.c").write_text(effects_source(system, sample_time), encoding="utf-8")
-                    (made / "modelDescription.xml").write_text(
-                        effects_description(system, sample_time), encoding="utf-8"
-                    )
-                    try:
-                        build.build_fmu(made, version, made / "effects.fmu", others=True, note=RIGHTS)
-                    except build.BuildError as error:
-                        raise InputError(
-                            "the effects' FMU cannot be built",
-                            expected="a C compiler",
-                            got=str(error),
-                            remedy="install gcc, or set CC",
-                        ) from error
-                    archive.write(made / "effects.fmu", f"resources/{EFFECTS}.fmu")
-                archive.write(system.path, f"resources/{NOMINAL}.fmu")
-                archive.writestr("SystemStructure.ssd", _structure(system, sample_time))
-        part.replace(target)
-    finally:
-        part.unlink(missing_ok=True)
+    with (
+        tempfile.TemporaryDirectory(prefix="sysid-package-") as scratch,
+        whole_file(target) as part,
+        zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        if system.effects:
+            made = Path(scratch) / "effects.fmu"
+            packed(effects_source(system, sample_time), effects_description(system, sample_time), made, version)
+            archive.write(made, f"resources/{EFFECTS}.fmu")
+        archive.write(system.path, f"resources/{NOMINAL}.fmu")
+        archive.writestr("SystemStructure.ssd", _structure(system, sample_time))
     return target
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.extras import optional
 
@@ -76,29 +77,23 @@ class Answer:
                 remedy="choose another or give --force",
                 file=target,
             )
-        scratch = target.with_name(target.name + ".part")
-        if target.suffix == ".parquet":
-            from pyarrow import parquet
-
-            parquet.write_table(self.table, scratch)
-        elif target.suffix == ".csv":
-            import pyarrow as pa
-            from pyarrow import csv
-
-            nested = [field.name for field in self.table.schema if pa.types.is_nested(field.type)]
-            if nested:
-                raise InputError(
-                    "columns of a CSV",
-                    expected="one value in each cell",
-                    got=f"lists in {', '.join(nested)}",
-                    remedy="select other columns, unnest them, or write .parquet",
-                )
-            csv.write_csv(self.table, scratch)
-        else:
+        if target.suffix not in (".csv", ".parquet"):
             raise InputError(
                 "file for an answer", expected=".csv or .parquet", got=target.name, remedy="rename it", file=target
             )
-        scratch.replace(target)
+        import pyarrow as pa
+        from pyarrow import csv, parquet
+
+        nested = [field.name for field in self.table.schema if pa.types.is_nested(field.type)]
+        if nested and target.suffix == ".csv":
+            raise InputError(
+                "columns of a CSV",
+                expected="one value in each cell",
+                got=f"lists in {', '.join(nested)}",
+                remedy="select other columns, unnest them, or write .parquet",
+            )
+        with whole_file(target) as scratch:
+            (csv.write_csv if target.suffix == ".csv" else parquet.write_table)(self.table, scratch)
 
 
 def filtered(tables: Mapping[str, Any], filters: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.data.whole_files import whole_file
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.models.distributions import NormalMixture, normal
@@ -386,12 +387,11 @@ def _keep(path: Path | None, key: str, done: Sequence[Fitted]) -> None:
     """Write the finished starts, whole or not at all."""
     if path is None:
         return
-    scratch = path.with_suffix(".part.npz")
-    np.savez(
-        scratch,
-        key=np.array(key),
-        theta=np.array([fitted.theta for fitted in done]),
-        starts=np.array([fitted.starts for fitted in done]),
-        errors=np.array([[fitted.held_out, fitted.error] for fitted in done]),
-    )
-    scratch.replace(path)
+    with whole_file(path) as scratch, scratch.open("wb") as file:
+        np.savez(
+            file,
+            key=np.array(key),
+            theta=np.array([fitted.theta for fitted in done]),
+            starts=np.array([fitted.starts for fitted in done]),
+            errors=np.array([[fitted.held_out, fitted.error] for fitted in done]),
+        )

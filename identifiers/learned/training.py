@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -220,9 +221,8 @@ def train(
                         "history": history,
                         "step": step + 1,
                     }
-                    scratch = path.with_suffix(".part")
-                    torch.save(content, scratch)
-                    scratch.replace(path)
+                    with whole_file(path) as scratch:
+                        torch.save(content, scratch)
     with torch.no_grad():
         for parameter, kept in zip(parameters, best, strict=True):
             parameter.copy_(kept)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.jobs import Desk, make_engine, run_jobs
 from harness.jobs.alone import alone_in
@@ -135,9 +136,8 @@ def study(
 
         def save() -> str:
             text = summary(store.rows.values(), seeds=seeds, planned=len(tasks), keys={task.key for task in tasks})
-            scratch = folder / (SUMMARY + ".part")
-            scratch.write_text(text, encoding="utf-8")
-            scratch.replace(folder / SUMMARY)
+            with whole_file(folder / SUMMARY) as scratch:
+                scratch.write_text(text, encoding="utf-8")
             return text
 
         def moved(title: str, jobs: Sequence[str]) -> None:

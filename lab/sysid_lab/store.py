@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.jobs import shard_file
 from sysid_lab.row import COLUMNS
@@ -59,11 +60,9 @@ class RowStore:
             shutil.rmtree(self.shards, ignore_errors=True)
         self.shards.mkdir(exist_ok=True)
         # Written anew: the line at which a run was killed may be half there.
-        scratch = self.path.with_name(ROWS + ".part")
-        scratch.write_text(
-            "".join(map(_line, [dict(zip(COLUMNS, COLUMNS, strict=True)), *self.rows.values()])), "utf-8"
-        )
-        scratch.replace(self.path)
+        with whole_file(self.path) as scratch:
+            lines = map(_line, [dict(zip(COLUMNS, COLUMNS, strict=True)), *self.rows.values()])
+            scratch.write_text("".join(lines), "utf-8")
         for path in sorted(self.shards.glob("*.json")):  # of a run that ended before it had taken them
             if json.loads(path.read_bytes()).get("status") in AGAIN:
                 path.unlink()

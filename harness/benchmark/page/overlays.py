@@ -11,6 +11,7 @@ import numpy as np
 from harness.benchmark.page.plots import ACCENT, GRID, INK, MUTED, STYLE, WARN
 from harness.benchmark.row import Row
 from harness.benchmark.summary import figure
+from harness.data.whole_files import whole_file
 from harness.plots import plain_texts
 
 __all__ = ["draw_overlays"]
@@ -49,9 +50,8 @@ def _draw(rows: Sequence[Row], folder: Path) -> None:
             for row in rows:
                 if min(len(row.trace_measured), OUTPUTS) == count:
                     _fill(drawing, axes, row)
-                    scratch = folder / f"{row.job}.part"
-                    plain_texts(drawing).savefig(scratch, format="svg", metadata={"Date": None, "Creator": None})
-                    scratch.replace(folder / f"{row.job}.svg")
+                    with whole_file(folder / f"{row.job}.svg") as scratch:
+                        plain_texts(drawing).savefig(scratch, format="svg", metadata={"Date": None, "Creator": None})
 
 
 def _fill(drawing: Any, axes: Sequence[Any], row: Row) -> None:

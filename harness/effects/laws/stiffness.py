@@ -23,6 +23,22 @@ __all__ = [
 ]
 
 
+CHANGE = (
+    par(
+        "t0",
+        "s",
+        scale="0.5 T",
+        minimum=0.0,
+        per_record=True,
+        role="instant",
+        grid=(1.0, 0.2, 0.4, 0.6, 0.8, 1.2, 1.4, 1.6, 1.8),
+        meaning="instant of the change",
+    ),
+    par("w", "s", scale="0.5 dt", minimum=1e-6, nuisance=True, fixed=True, meaning="duration of the change"),
+)
+"""Parameters of a step between two values: its instant, one for each record, and how long it takes."""
+
+
 @effect(
     "coordinate",
     [par("k", "F/q", scale="0.05 F/q", sign="+", neutral=0.0, main=True, linear=True, meaning="stiffness")],
@@ -133,17 +149,7 @@ def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     [
         par("dJ", "F/a", scale="0.1 F/a", sign="+", neutral=0.0, main=True, linear=True, meaning="added inertia"),
         par("dG", "F", scale="0.05 F", neutral=0.0, linear=True, angle_only=True, meaning="added gravity amplitude"),
-        par(
-            "t0",
-            "s",
-            scale="0.5 T",
-            minimum=0.0,
-            per_record=True,
-            role="instant",
-            grid=(1.0, 0.2, 0.4, 0.6, 0.8, 1.2, 1.4, 1.6, 1.8),
-            meaning="instant of the change",
-        ),
-        par("w", "s", scale="0.5 dt", minimum=1e-6, nuisance=True, fixed=True, meaning="duration of the change"),
+        *CHANGE,
     ],
     formula="F = -(dJ q'' + dG sin q) step((t - t0)/w)",
     family=("eccentric_load", "force_bias", "input_gain"),
@@ -160,17 +166,7 @@ def payload_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any, a: Any) -> Any:
     "mass",
     [
         par("dm", "M", scale="0.2 M", neutral=0.0, main=True, linear=True, meaning="mass that comes; negative: goes"),
-        par(
-            "t0",
-            "s",
-            scale="0.5 T",
-            minimum=0.0,
-            per_record=True,
-            role="instant",
-            grid=(1.0, 0.2, 0.4, 0.6, 0.8, 1.2, 1.4, 1.6, 1.8),
-            meaning="instant of the change",
-        ),
-        par("w", "s", scale="0.5 dt", minimum=1e-6, nuisance=True, fixed=True, meaning="duration of the change"),
+        *CHANGE,
     ],
     formula="m' = m + dm step((t - t0)/w), m a mass that moves with several coordinates",
     family=("payload_step", "drifting_damping"),

@@ -18,13 +18,12 @@ if TYPE_CHECKING:
         drive,
         linear,
         load_model,
-        mass_chain,
         oscillator,
         pendulum,
-        perching_glider,
-        planar_quadrotor,
-        two_tanks,
     )
+    from harness.physics.models.chain import mass_chain
+    from harness.physics.models.flight import perching_glider, planar_quadrotor
+    from harness.physics.models.tanks import two_tanks
 
 __all__ = [
     "BUILT_IN",

@@ -32,12 +32,8 @@ __all__ = [
     "drive",
     "linear",
     "load_model",
-    "mass_chain",
     "oscillator",
     "pendulum",
-    "perching_glider",
-    "planar_quadrotor",
-    "two_tanks",
 ]
 
 
