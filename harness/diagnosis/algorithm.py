@@ -17,8 +17,8 @@ from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
 from harness.diagnosis.records.prepare import checked
-from harness.diagnosis.search.rounding import add_rounding
-from harness.diagnosis.search.rounds import search
+from harness.diagnosis.search.rounding import with_rounding
+from harness.diagnosis.search.search import search
 from harness.diagnosis.steps import (
     Progress,
     beaten,
@@ -97,12 +97,12 @@ def diagnose(
         rival = ""
         if not wrong:
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
-        add_rounding(remembered, outcome, dataset, candidates, policy, share=np.array(thinned.noise))
+        outcome = with_rounding(remembered, outcome, dataset, candidates, policy, share=np.array(thinned.noise))
         # grade what is left
-        runs, leftover, moved = what_free_runs_say(
+        outcome, runs, leftover, moved = what_free_runs_say(
             kind, form, outcome, dataset, policy, say, simple, share=np.array(thinned.noise)
         )
-        widened(form, outcome)
+        outcome = widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)
         apart = form.apart(outcome.model)
         alarms = [doubt.words for doubt in doubts if not doubt.certain]

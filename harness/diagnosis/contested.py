@@ -16,8 +16,9 @@ from harness.diagnosis.runs.simple_fits import SimpleFit, SimpleFits
 from harness.diagnosis.search.compare import Judged, judged
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.rounds import search
-from harness.diagnosis.search.ties import Accepted, tie_set, total
+from harness.diagnosis.search.search import search
+from harness.diagnosis.search.table import Accepted
+from harness.diagnosis.search.ties import tie_set, total
 from harness.effects.effect import Placed
 from harness.physics.fitting.likelihood_fit import sensor_noise
 
@@ -115,11 +116,9 @@ def uncontested(
     if replaced is None:  # of many simple fits to a disturbed record some run a little nearer by chance
         clear = simple.further(simple.seen(outcome.model), best.fitted, policy, policy.proxy)
         return outcome, best.name if clear else ""
-    alone, accepted, rounds = replaced.model, list(replaced.accepted), list(replaced.rounds)
     further = search(remembered, replaced.nominal, candidates, policy=policy, say=say, sizes=sizes, begun=replaced)
-    if simple.further(simple.seen(further.model), simple.seen(alone), policy):
-        further.model, further.accepted, further.rounds = alone, accepted, rounds
-    return further, ""
+    lost = simple.further(simple.seen(further.model), simple.seen(replaced.model), policy)
+    return (replaced if lost else further), ""
 
 
 def _rival(simple: SimpleFits, model: Fit, policy: Policy) -> SimpleFit | None:
@@ -142,7 +141,7 @@ def _with_rival(remembered: Remembered, outcome: Outcome, simple: SimpleFits, po
         if not simple.further(mine, near.fitted, policy):
             break
         fit = remembered.fit(near.effects, [near.values], outcome.nominal)
-        row = judged(near.effects, fit, outcome.nominal, outcome.nominal, policy)
+        row = judged(remembered, near.effects, fit, outcome.nominal, outcome.nominal, policy)
         if row.passed and fit is not None and simple.further(mine, simple.seen(fit), policy):
             passed.append(row)
     if not passed:
@@ -151,6 +150,5 @@ def _with_rival(remembered: Remembered, outcome: Outcome, simple: SimpleFits, po
     assert best.fit is not None
     assert best.comparison is not None
     gains = best.comparison.evidence, best.comparison.validation
-    found = Outcome(outcome.nominal, best.fit, rounds=list(outcome.rounds[:1]), laws=remembered.laws)
-    found.accepted = [Accepted(best.added[0], tie_set(best, passed, remembered.laws, policy), *gains)]
-    return found
+    accepted = Accepted(best.added[0], tie_set(remembered, best, passed, policy), *gains)
+    return Outcome(remembered, outcome.nominal, best.fit, (accepted,), outcome.rounds[:1])

@@ -15,7 +15,7 @@ from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.score_test import Lead, ScoreTest
+from harness.diagnosis.search.scores import Lead, ScoreTest
 from harness.diagnosis.stand_in import stand_in_reasons
 from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset, FloatArray

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
-from harness.diagnosis.search.score_test import ScoreTest
+from harness.diagnosis.search.scores import ScoreTest
 
 __all__ = ["unseen"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from harness.diagnosis.isolability import unseen
 from harness.diagnosis.policy import PLAN_POLICY, POLICY, PlanPolicy, Policy
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.score_test import projected, score_test
+from harness.diagnosis.search.scores import projected, score_test
 from harness.effects.compose import compose
 from harness.effects.effect import Effect, Placed
 from harness.errors import FitError, InputError

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -121,8 +122,8 @@ def what_free_runs_say(
     simple: SimpleFits | None = None,
     *,
     share: FloatArray,
-) -> tuple[FreeRuns, Leftover, list[str]]:
-    """Return free runs before and after, what is left of the final model, and warnings.
+) -> tuple[Outcome, FreeRuns, Leftover, list[str]]:
+    """Return the outcome that stands, free runs before and after, what is left of the final model, and warnings.
 
     They are compared along all readings; the noise of those that the form judges is this ``share`` (ny,) of theirs.
     Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back,
@@ -130,28 +131,28 @@ def what_free_runs_say(
     """
     horizon = kind.horizon(form.nominal, outcome.nominal.values, dataset)
 
-    def run_freely() -> FreeRuns:
+    def run_freely(outcome: Outcome) -> FreeRuns:
         noise = outcome.model.detail.points["estimation"].noise.r / share
         output = kind.runs(form, dataset, noise, horizon)
         nearest = simple.nominal.values if simple is not None and form.latent and simple.nominal is not None else None
         return free_runs(output, horizon, outcome.nominal, outcome.model, nearest)
 
-    runs = run_freely()
+    runs = run_freely(outcome)
     say("what is left", 0.8)
     leftover = left_over(form, outcome.model, policy)
     if not runs.worse(policy):
-        return runs, leftover, []
+        return outcome, runs, leftover, []
     if leftover.best is None and simple is not None and simple.nearer(outcome.model, policy):
-        return runs, leftover, [STANDS]
-    outcome.withdraw()
-    return run_freely(), left_over(form, outcome.model, policy), []
+        return outcome, runs, leftover, [STANDS]
+    outcome = outcome.taken_back()
+    return outcome, run_freely(outcome), left_over(form, outcome.model, policy), []
 
 
-def widened(form: WholeForm, outcome: Outcome) -> None:
-    """Give the fits of an outcome deviations that count how their errors are coloured."""
-    same = outcome.model is outcome.nominal
-    outcome.nominal = form.with_deviations(outcome.nominal)
-    outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
+def widened(form: WholeForm, outcome: Outcome) -> Outcome:
+    """Return an outcome whose fits have deviations that count how their errors are coloured."""
+    nominal = form.with_deviations(outcome.nominal)
+    model = nominal if outcome.model is outcome.nominal else form.with_deviations(outcome.model)
+    return replace(outcome, nominal=nominal, model=model)
 
 
 def sizes_off(system: AnySystem, fit: Fit, factor: float = FAR) -> list[str]:

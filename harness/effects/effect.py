@@ -278,6 +278,10 @@ class Placed:
         """Return the full name of the main parameter."""
         return None if self.effect.main is None else self.name(self.effect.main.name)
 
+    def generalises(self, simple: Placed) -> bool:
+        """Return True for a law at the same place that this one says is a special case of it."""
+        return self.at == simple.at and simple.effect.name in self.effect.nests
+
     def with_values(self, values: Mapping[str, float]) -> Placed:
         """Return the same effect at the same port with these values."""
         return replace(self, values={**self.values, **values})

@@ -11,7 +11,8 @@ from scipy.special import ndtr
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import difference, expected_difference, judged
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.ties import may_tie, own_values, refines, total
+from harness.diagnosis.search.ties import may_tie, refines, total
+from harness.diagnosis.search.warm import own_values
 from harness.effects.effect import Placed
 
 __all__ = ["RIVALS", "Power", "power", "power_of"]
@@ -87,16 +88,18 @@ def power(
         The name by which an effect counts, see :func:`sysid_lab.outcome.judge_answer`.
     policy : Policy
     """
-    form, laws, hidden = found.form, found.outcome.laws, {str(placed) for placed in truth}
+    form, laws, hidden = found.form, found.form.laws, {str(placed) for placed in truth}
     others = [placed for placed in oracle.effects if str(placed) not in hidden]
     without = (form.fit(others, [oracle.values], found.nominal) if others else None) or found.nominal
     least = Power(power_of(oracle, without, 2 * policy.evidence, policy))
     for row in _rivals(found, {plain(name) for name in hidden}, {str(placed) for placed in others}, plain):
         starts = [{**oracle.values, **own_values(placed, row.fit)} for placed in row.added]
         fit = form.fit([*others, *row.added], [*starts, {**oracle.values, **row.fit.values}], without)
-        if fit is None or not may_tie(judged(row.added, fit, found.nominal, found.nominal, policy), truth[-1], laws):
+        if fit is None or not may_tie(
+            judged(form, row.added, fit, found.nominal, found.nominal, policy), truth[-1], laws
+        ):
             continue
-        if any(refines(row.added, law, laws) for law in truth) and fit.distance(oracle) < policy.least:
+        if any(refines(row.added, law, laws) for law in truth) and form.distance(fit, oracle) < policy.least:
             continue  # it is the truth, with a parameter that does nothing
         told = power_of(oracle, fit, policy.tie, policy)
         if told < least.told:

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.coloured import Before
 from harness.diagnosis.search.leftover import Axis, Leftover, _axis
-from harness.diagnosis.search.rounding import add_rounding
-from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
+from harness.diagnosis.search.outcome import Outcome
+from harness.diagnosis.search.rounding import with_rounding
+from harness.diagnosis.search.scores import Lead, ScoreTest, score_test
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import FitError
@@ -297,9 +298,9 @@ def test_rounding_is_named_from_its_share_of_the_noise_on(share: float, named: b
     points = {"estimation": SimpleNamespace(noise=SimpleNamespace(r=np.array([noise])))}
     terms = {use: [readings[:, 0]] for use in ("estimation", "validation")}
     model = SimpleNamespace(detail=SimpleNamespace(points=points), effects=[], values={}, terms=terms)
-    outcome: Any = SimpleNamespace(model=model, accepted=[])
     form: Any = SimpleNamespace(fit=lambda effects, starts, base: base)
-    add_rounding(form, outcome, dataset, [placed])
+    nothing: Any = model
+    outcome = with_rounding(form, Outcome(form, nothing, nothing), dataset, [placed])
     assert [one.placed for one in outcome.accepted] == [placed] * named
     for one in outcome.accepted:
         assert one.evidence == one.validation == pytest.approx(-400 * np.log(POLICY.chance))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,20 @@ from harness.signals import FloatArray
 def placed(name: str) -> Placed:
     """Return an effect of the dictionary at ``theta``."""
     return Placed(builtin()[name], "theta")
+
+
+class NoForm:
+    """What a form tells of fits beyond their densities: how much changes, and how far two are apart."""
+
+    laws = Dictionary.builtin()
+
+    def __init__(self, change: float = np.inf, distance: float = np.inf) -> None:
+        self.change = lambda fit, placed: change
+        self.distance = lambda fit, other: distance
+        self.damping = lambda fit, at: None
+
+
+FORM: Any = NoForm()
 
 
 def a_fit(
@@ -130,22 +145,22 @@ def test_a_general_law_is_a_rival_where_it_is_another_model_or_pays_for_its_para
 ) -> None:
     simple, general = placed("coulomb_friction"), placed("stribeck_friction")
     answer = a_fit(effects=[simple])
-    other = a_fit(effects=[general], distance=lambda fit: distance)
-    assert undecided(answer, simple, other, [general], gap, Dictionary.builtin()) is rival
+    form: Any = NoForm(distance=distance)
+    assert undecided(form, answer, simple, a_fit(effects=[general]), [general], gap) is rival
 
 
 # ---- what is accepted ------------------------------------------------------------------------------------------------
 
 
 def verdict(
-    estimation: float, validation: FloatArray, *, name: str = "quadratic_drag", **more: object
+    estimation: float, validation: FloatArray, *, name: str = "quadratic_drag", form: Any = FORM, **more: object
 ) -> dict[Kind, tuple[float, ...]]:
     """Return the refusals of a candidate with one parameter more, with their numbers."""
     one = placed(name)
     evidence = estimation + 0.5 * np.log(400)
     fit = a_fit((np.full(400, evidence / 400), validation), [one], count=4, **more)
     base = a_fit()
-    return {refusal.kind: refusal.numbers for refusal in judged([one], fit, base, base).refusals}
+    return {refusal.kind: refusal.numbers for refusal in judged(form, [one], fit, base, base).refusals}
 
 
 GAIN = np.full(400, 0.05)
@@ -167,9 +182,9 @@ def test_both_uses_together_are_the_evidence() -> None:
 
 
 def test_an_effect_that_nobody_would_miss_is_not_named_however_sure_it_is() -> None:
-    faint = verdict(500.0, GAIN, change=lambda placed: 0.9 * POLICY.least)
+    faint = verdict(500.0, GAIN, form=NoForm(change=0.9 * POLICY.least))
     assert faint == {Kind.SIZE: pytest.approx((0.9 * POLICY.least, POLICY.least))}
-    assert verdict(500.0, GAIN, change=lambda placed: 1.1 * POLICY.least) == {}
+    assert verdict(500.0, GAIN, form=NoForm(change=1.1 * POLICY.least)) == {}
 
 
 def test_a_line_that_wanders_is_no_periodic_force() -> None:
@@ -177,7 +192,7 @@ def test_a_line_that_wanders_is_no_periodic_force() -> None:
         one = placed("periodic_disturbance")
         values = {"a": 1.0, **dict.fromkeys(map(one.name, one.effect.parameter_names), 1.0)}
         fit = a_fit((np.full(400, 1.0), GAIN), [one], values=values, incoherence={str(one): evidence})
-        return judged([one], fit, a_fit(), a_fit()).refusals
+        return judged(FORM, [one], fit, a_fit(), a_fit()).refusals
 
     assert reasons(-0.1) == ()
     assert reasons(0.1) == (Refusal(Kind.INCOHERENT, "periodic_disturbance@theta", (0.1,)),)
@@ -209,7 +224,7 @@ def test_a_gain_of_both_uses_within_its_errors_is_chance() -> None:
         found = compared(fit, a_fit())
         assert found.validation > POLICY.alone_z * found.error
         assert found.total > 2 * POLICY.evidence
-        assert judged([one], fit, a_fit(), a_fit()).passed is passes
+        assert judged(FORM, [one], fit, a_fit(), a_fit()).passed is passes
 
 
 def test_what_did_not_converge_or_cannot_be_is_rejected() -> None:
@@ -217,16 +232,16 @@ def test_what_did_not_converge_or_cannot_be_is_rejected() -> None:
     one = placed("quadratic_drag")
     values = {"a": 1.0, one.main(): -0.5}
     assert Kind.SIGN in verdict(50.0, GAIN, values=values)
-    assert not judged([one], None, a_fit(), a_fit()).passed
+    assert not judged(FORM, [one], None, a_fit(), a_fit()).passed
 
 
 def test_a_value_on_its_bound_is_no_estimate() -> None:
     drag = builtin()["quadratic_drag"]
     parameter = replace(drag.parameters[0], maximum=0.5)
     bounded = Placed(replace(drag, parameters=(parameter,)), "theta")
-    assert impossible(bounded, a_fit(effects=[bounded]))[0].kind is Kind.BOUND
+    assert impossible(FORM, bounded, a_fit(effects=[bounded]))[0].kind is Kind.BOUND
     free = Placed(replace(drag, parameters=(replace(parameter, maximum=0.6),)), "theta")
-    assert impossible(free, a_fit(effects=[free])) == []
+    assert impossible(FORM, free, a_fit(effects=[free])) == []
 
 
 def test_stribeck_friction_that_rises_with_speed_is_against_its_own_law() -> None:
@@ -234,18 +249,18 @@ def test_stribeck_friction_that_rises_with_speed_is_against_its_own_law() -> Non
     values = {"a": 1.0, **{one.name(name): 0.5 for name in one.effect.parameter_names}}
     values[one.name("w")] = 0.01
     low, high = {one.name("Fs"): 0.1}, {one.name("Fs"): 0.9}  # Fc is 0.5
-    assert impossible(one, a_fit(effects=[one], values=values | low))
-    assert impossible(one, a_fit(effects=[one], values=values | high)) == []
+    assert impossible(FORM, one, a_fit(effects=[one], values=values | low))
+    assert impossible(FORM, one, a_fit(effects=[one], values=values | high)) == []
 
 
 def test_what_the_data_could_just_show_is_no_estimate() -> None:
     """Bristles that slip within a sample are dry friction; a damping on its ceiling is a rigid joint."""
     one = placed("lugre_coulomb_friction")
     shortest = one.name("xs")
-    assert impossible(one, a_fit(effects=[one])) == []
-    (reason,) = impossible(one, a_fit(effects=[one], on_bound=(shortest,)))
+    assert impossible(FORM, one, a_fit(effects=[one])) == []
+    (reason,) = impossible(FORM, one, a_fit(effects=[one], on_bound=(shortest,)))
     assert (reason.kind, reason.subject, *reason.numbers) == (Kind.BOUND, "xs", 0.5)
-    assert impossible(one, a_fit(effects=[one], on_bound=(one.name("tau"),))) == [], "a nuisance"
+    assert impossible(FORM, one, a_fit(effects=[one], on_bound=(one.name("tau"),))) == [], "a nuisance"
 
 
 def test_a_second_effect_that_changes_next_to_nothing_is_left_out() -> None:
@@ -254,7 +269,7 @@ def test_a_second_effect_that_changes_next_to_nothing_is_left_out() -> None:
     first = a_fit((np.full(400, 1.0), np.full(400, 1.0)), count=4)
     for more, passes in ((0.015, False), (0.06, True)):
         gain = np.full(400, 1.0 + more)
-        second = judged([one], a_fit((gain + 0.02, gain), [one], count=5), first, nominal)
+        second = judged(FORM, [one], a_fit((gain + 0.02, gain), [one], count=5), first, nominal)
         assert (Kind.SHARE not in {refusal.kind for refusal in second.refusals}) is passes
 
 
@@ -262,7 +277,7 @@ def test_what_brings_less_than_nothing_is_told_no_share() -> None:
     """A negative part of a negative whole was "119 % of what all effects bring: it changes nothing"."""
     one, gain = placed("quadratic_drag"), np.full(400, 0.5)
     for first in (a_fit((gain, gain), count=4), a_fit((-gain, -gain), count=4)):
-        second = judged([one], a_fit((first.terms["estimation"][0] - 0.1, gain), [one], count=5), first, a_fit())
+        second = judged(FORM, [one], a_fit((first.terms["estimation"][0] - 0.1, gain), [one], count=5), first, a_fit())
         assert not second.passed
         assert Kind.SHARE not in {refusal.kind for refusal in second.refusals}
 
@@ -271,5 +286,5 @@ def test_what_the_first_effect_brings_where_none_was_fitted_makes_no_second_one_
     """A delay brought 360 where it was fitted and 7200 on a record of another load; friction beside it brought 93."""
     one, gain = placed("quadratic_drag"), np.full(400, 0.5)
     first = a_fit((gain, 20 * gain), count=4)
-    second = judged([one], a_fit((gain + 0.1, 20 * gain + 0.1), [one], count=5), first, a_fit())
+    second = judged(FORM, [one], a_fit((gain + 0.1, 20 * gain + 0.1), [one], count=5), first, a_fit())
     assert second.passed

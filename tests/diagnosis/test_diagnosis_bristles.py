@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,10 @@ from harness.diagnosis.runs.compare import seen
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.fit import Begun, Fit
-from harness.diagnosis.search.grown import grow, refined, starts_of
+from harness.diagnosis.search.generalised import generalise, generalised, starts_of
 from harness.diagnosis.search.refusal import Kind, Refusal
+from harness.diagnosis.search.scores import ScoreTest
+from harness.diagnosis.search.table import Round, Table
 from harness.diagnosis.search.ties import held, tie_set
 from harness.diagnosis.stand_in import stand_in_reasons
 from harness.effects import Dictionary, builtin, compose
@@ -56,7 +59,9 @@ def a_fit(effects: Sequence[Placed], log_likelihood: float, values: Mapping[str,
 
 
 class Told:
-    """A form whose fits end where they are told to; only what ``grow`` asks of a form."""
+    """A form whose fits end where they are told to; only what generalising asks of a form."""
+
+    laws = Dictionary.builtin()
 
     def __init__(self, ends: Mapping[str, float], pace: float = 0.0) -> None:
         self.ends = ends
@@ -76,9 +81,22 @@ class Told:
     def fit(self, effects: Sequence[Placed], starts: Sequence[dict[str, float]], base: Fit, rival: Fit) -> Fit:
         return self.finish(self.begin(effects, starts, base), base, rival)
 
+    def change(self, fit: Fit, placed: Placed) -> float:
+        return np.inf
+
+    def distance(self, fit: Fit, other: Fit) -> float:
+        return np.inf
+
+    def damping(self, fit: Fit, at: str) -> None:
+        return None
+
     def finish(self, begun: Begun, base: Fit, rival: Fit | None = None, least: float = -np.inf) -> Fit:
         self.least[begun.effects[-1].effect.name] = least
         return a_fit(begun.effects, begun.log_likelihood + 100.0 * self.pace)
+
+
+def table_of(form: Any, root: Fit, untried: Sequence[Placed]) -> Table:
+    return Table(form, root, untried)
 
 
 def grown(ends: Mapping[str, float], **simple: float) -> tuple[Told, dict[Placed, Fit | None]]:
@@ -86,7 +104,7 @@ def grown(ends: Mapping[str, float], **simple: float) -> tuple[Told, dict[Placed
     form = Told(ends)
     fits: dict[Placed, Fit | None] = {law(name): a_fit([law(name)], value) for name, value in simple.items()}
     untried = [law(name) for name in builtin() if builtin()[name].kinds == ("coordinate",)]
-    grow(form, fits, a_fit([], 0.0), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+    generalise(table_of(form, a_fit([], 0.0), untried), a_fit([], 0.0), fits, untried)
     return form, fits
 
 
@@ -112,7 +130,7 @@ def test_a_likelier_law_that_its_physics_forbids_is_refined_too(alone: float) ->
         law("coulomb_friction"): a_fit([law("coulomb_friction")], 60.0),
     }
     untried = [law("lugre_friction"), law("lugre_coulomb_friction")]
-    grow(form, fits, a_fit([], 0.0), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+    generalise(table_of(form, a_fit([], 0.0), untried), a_fit([], 0.0), fits, untried)
     again = ["lugre_friction"] if alone > ENDS["lugre_friction"] else []  # its special case ended above it
     assert form.begun == ["lugre_coulomb_friction", "lugre_friction", *again]
     assert fits[law("lugre_friction")] is not None
@@ -134,7 +152,7 @@ def test_what_gains_so_much_with_every_step_that_it_may_come_to_it_is_finished()
         form = Told({"lugre_coulomb_friction": begins}, pace)
         fits: dict[Placed, Fit | None] = {law("coulomb_friction"): a_fit([law("coulomb_friction")], 60.0)}
         untried = [law("lugre_coulomb_friction")]
-        grow(form, fits, a_fit([], 0.0), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+        generalise(table_of(form, a_fit([], 0.0), untried), a_fit([], 0.0), fits, untried)
         assert (law("lugre_coulomb_friction") in fits) is (begins + EFFORT.onward * EFFORT.first_steps * pace > 60.0)
 
 
@@ -154,7 +172,7 @@ def test_what_refines_an_earlier_law_takes_its_place_beside_what_came_later() ->
     for later, expected in (("linear_spring", ["lugre_coulomb_friction@theta"]), ("lugre_friction", [])):
         form = Told(ENDS)
         model = a_fit([law("coulomb_friction"), law(later)], 60.0, {"coulomb_friction@theta.Fc": 0.3})
-        found = refined(form, model, law("coulomb_friction"), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+        found = generalised(table_of(form, a_fit([], 0.0), untried), model, law("coulomb_friction"))
         assert [str(rich) for rich, _ in found] == expected, "a joint has its bristles once"
         for rich, fit in found:
             assert fit.effects == (law(later), rich), "not beside the law that it refines"
@@ -177,7 +195,7 @@ def test_a_joint_has_its_bristles_once() -> None:
         law(name): a_fit([*base.effects, law(name)], 60.0) for name in ("coulomb_friction", "hysteresis")
     }
     untried = [law("lugre_coulomb_friction"), law("parallel_hysteresis")]
-    grow(form, fits, base, untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+    generalise(table_of(form, a_fit([], 0.0), untried), base, fits, untried)
     assert form.begun == ["parallel_hysteresis"]
 
 
@@ -225,24 +243,25 @@ class Typical(Told):
 def test_a_law_that_is_as_likely_on_a_bound_only_is_compared_where_it_is_typical(usual: float, tie: bool) -> None:
     """On its bound a friction with an exponent is dry friction itself, and tells nothing of the law."""
     base = a_fit([], 0.0)
-    best = judged([law("coulomb_friction")], a_fit([law("coulomb_friction")], 100.0), base, base)
+    form: Any = Typical(usual)
+    best = judged(form, [law("coulomb_friction")], a_fit([law("coulomb_friction")], 100.0), base, base)
     power = a_fit([law("sublinear_friction")], 100.0, {"sublinear_friction@theta.a": 0.05})
     rival = judged(
-        [law("sublinear_friction")],
+        form, [law("sublinear_friction")],
         replace(power, free=tuple(power.values), on_bound=("sublinear_friction@theta.a",)), base, base,
     )  # fmt: skip
     assert Refusal(Kind.BOUND, "a", (0.05,)) in rival.refusals
-    form = Typical(usual)
-    (typical,) = held(form, best, [best, rival], base, base)  # type: ignore[arg-type]
+    table, past = table_of(form, base, []), Round(base, ScoreTest([], []), (best, rival))
+    (typical,) = held(table, best, past)
     ((asked, start),) = form.asked
     assert asked.effect.parameter("a").fixed
     assert start["sublinear_friction@theta.a"] == 0.5
     assert typical.fit is not None
     assert typical.fit.count == power.count - 1
-    names = {str(placed) for (placed,) in tie_set(best, [best, rival, typical], Dictionary.builtin())}
+    names = {str(placed) for (placed,) in tie_set(form, best, [best, rival, typical])}
     assert names == ({"coulomb_friction@theta", "sublinear_friction@theta"} if tie else {"coulomb_friction@theta"})
     away = replace(rival, refusals=(*rival.refusals, Refusal(Kind.SIGN, "Fr", (-1.0,))))
-    assert held(Typical(usual), best, [away], base, base) == []  # type: ignore[arg-type]
+    assert held(table, best, replace(past, candidates=(away,))) == []
 
 
 def test_a_sum_of_two_dry_laws_is_neither_though_one_is_of_bristles() -> None:

@@ -9,7 +9,7 @@ from sysid_lab.records import Records, make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
-from harness.diagnosis.search.revised import in_its_place
+from harness.diagnosis.search.warm import in_its_place
 from harness.effects import builtin
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed

@@ -13,7 +13,7 @@ from harness.diagnosis.report.estimates import effect_data
 from harness.diagnosis.report.html import environment
 from harness.diagnosis.search.compare import Comparison, Judged
 from harness.diagnosis.search.refusal import Kind, Refusal
-from harness.diagnosis.search.ties import Accepted
+from harness.diagnosis.search.table import Accepted
 from harness.effects import builtin
 from harness.effects.effect import Placed
 

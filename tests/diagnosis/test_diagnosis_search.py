@@ -10,24 +10,19 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.search import moves
 from harness.diagnosis.search.compare import Comparison, Judged, compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
-from harness.diagnosis.search.grown import as_good, refined_twice
+from harness.diagnosis.search.generalised import refined_twice
 from harness.diagnosis.search.leftover import Axis, Leftover, left_over
-from harness.diagnosis.search.outcome import Outcome, Round
+from harness.diagnosis.search.moves import add_two, drop, exchange, exchange_contradicted, specialise
+from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.refusal import Kind, Refusal
-from harness.diagnosis.search.revised import (
-    contradictions,
-    displace,
-    exchange,
-    mark_parts,
-    prune,
-    simplify,
-    tried_pairs,
-)
-from harness.diagnosis.search.rounds import _ended, search
-from harness.diagnosis.search.score_test import score_test
-from harness.diagnosis.search.ties import Accepted, tied, total, value
+from harness.diagnosis.search.scores import score_test
+from harness.diagnosis.search.search import _step, search
+from harness.diagnosis.search.table import Accepted, Answer, Round, Table, value
+from harness.diagnosis.search.ties import tied, total, unknown_parts
+from harness.diagnosis.search.warm import as_good
 from harness.effects import Dictionary, builtin
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -170,6 +165,15 @@ class LinearForm:
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
         return []
 
+    def change(self, fit: Fit, placed: Placed) -> float:
+        return float("inf")
+
+    def distance(self, fit: Fit, other: Fit) -> float:
+        return float("inf")
+
+    def damping(self, fit: Fit, at: str) -> None:
+        return None
+
     def test_functions(self, fit: Fit) -> list[Column]:
         own = self.records.x
         return [
@@ -182,12 +186,22 @@ class LinearForm:
 ALL = [placed(name) for name in NAMES]
 
 
+def answer_of(model: Fit, *chosen: Placed) -> Answer:
+    """Return an answer with some effects, each told from everything else."""
+    return Answer(model, tuple(Accepted(one, ((one,),), 1, 1) for one in chosen))
+
+
+def table_of(form: LinearForm, nominal: Fit, *rounds: Round) -> Table:
+    """Return a table in which some rounds were made."""
+    return Table(form, nominal, ALL, rounds=list(rounds))
+
+
 def found_in(hidden: Mapping[str, float], seed: int = 0, **more: object) -> Outcome:
     form = LinearForm(linear_records(seed, hidden, **more))  # type: ignore[arg-type]
     return search(form, form.fit((), [], None), ALL)
 
 
-def accepted(outcome: Outcome) -> set[str]:
+def accepted(outcome: Outcome | Answer) -> set[str]:
     return {one.placed.effect.name for one in outcome.accepted}
 
 
@@ -404,13 +418,11 @@ def test_a_general_law_is_a_rival_only_if_its_model_is_another_one(
     mixed(records, "cubic_spring", linear_spring=1.0, cubic_spring=own)
 
     class Told(LinearForm):
-        def fit(self, *args: Any, **more: Any) -> Fit:
-            made = super().fit(*args, **more)
-
-            def moved(fit: Fit) -> FloatArray:
-                return self._matrix(fit.effects, "estimation") @ np.array(list(fit.values.values()))
-
-            return replace(made, distance=lambda other: float((moved(made) - moved(other)).std() / moved(made).std()))
+        def distance(self, fit: Fit, other: Fit) -> float:
+            mine, theirs = (
+                self._matrix(one.effects, "estimation") @ np.array(list(one.values.values())) for one in (fit, other)
+            )
+            return float((mine - theirs).std() / mine.std())
 
     form = Told(records)
     general = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")
@@ -427,7 +439,7 @@ def test_a_rival_that_a_later_effect_tells_apart_is_no_longer_tied() -> None:
     mixed(records, "cubic_spring", linear_spring=1.0, quadratic_drag=0.3, cubic_spring=0.64)
     form = LinearForm(records)
     nominal = form.fit((), [], None)
-    rivals = [judged([placed(name)], form.fit([placed(name)], [], None), nominal, nominal) for name in NAMES]
+    rivals = [judged(form, [placed(name)], form.fit([placed(name)], [], None), nominal, nominal) for name in NAMES]
     alone = {row.name for row in rivals if tied(rivals[0], row)}
     assert alone == {"linear_spring@theta", "cubic_spring@theta"}, "tied at first"
     outcome = search(form, nominal, ALL)
@@ -440,7 +452,7 @@ def test_a_rival_that_is_part_of_the_answer_is_not_tied_with_the_rest_of_it() ->
     form = LinearForm(records)
     nominal = form.fit((), [], None)
     first, second = (
-        judged([placed(name)], form.fit([placed(name)], [], None), nominal, nominal)
+        judged(form, [placed(name)], form.fit([placed(name)], [], None), nominal, nominal)
         for name in ("linear_spring", "quadratic_drag")
     )
     assert tied(first, second), "each alone is as likely"
@@ -474,11 +486,11 @@ def test_the_last_law_gives_way_to_its_special_case_where_an_earlier_one_was_exc
     drag, spring = placed("quadratic_drag"), placed("linear_spring")
     general = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")
     beside = frozenset({str(placed("force_bias") if exchanged else drag)})
-    made = [Accepted(drag, ((drag,),), 1, 1), Accepted(general, ((general,),), 1, 1, beside)]
-    outcome = Outcome(nominal, form.fit([drag, general], [], nominal), made)
-    rows = [judged([spring], form.fit([spring], [], nominal), nominal, nominal)]
-    simplify(form, outcome, rows, POLICY)
-    assert accepted(outcome) == {"quadratic_drag", "linear_spring" if exchanged else "cubic_spring"}
+    made = Accepted(drag, ((drag,),), 1, 1), Accepted(general, ((general,),), 1, 1, beside)
+    rows = (judged(form, [spring], form.fit([spring], [], nominal), nominal, nominal),)
+    table = table_of(form, nominal, Round(nominal, score_test(form, nominal, ALL), rows))
+    found = specialise(table, Answer(form.fit([drag, general], [], nominal), made))
+    assert accepted(found) == {"quadratic_drag", "linear_spring" if exchanged else "cubic_spring"}
 
 
 def test_what_stays_tied_beside_a_later_effect_is_told() -> None:
@@ -512,10 +524,9 @@ def test_a_pair_in_the_place_of_one_law_brings_what_is_asked_of_an_effect(ahead:
     alone, both = form.fit([spring], [], nominal), form.fit([spring, drag], [], nominal)
     terms = {use: [values - ahead / len(values) for values in both.terms[use]] for use in USES}
     answer = replace(form.fit([one], [], nominal), terms=terms, count=both.count)
-    past = Round(nominal, score_test(form, nominal, ALL), (judged([spring], alone, nominal, nominal),))
-    outcome = Outcome(nominal, answer, [Accepted(one, ((one,),), 1, 1)], [past])
-    tried_pairs(form, outcome, nominal, ALL, POLICY, lambda text: None)
-    assert (accepted(outcome) == {"linear_spring", "quadratic_drag"}) == taken
+    past = Round(nominal, score_test(form, nominal, ALL), (judged(form, [spring], alone, nominal, nominal),))
+    found = add_two(table_of(form, nominal, past), answer_of(answer, one))
+    assert (found is not None and accepted(found) == {"linear_spring", "quadratic_drag"}) == taken
 
 
 def test_a_pair_has_no_member_that_would_not_pass_beside_the_other() -> None:
@@ -527,11 +538,9 @@ def test_a_pair_has_no_member_that_would_not_pass_beside_the_other() -> None:
     nominal = form.fit((), [], None)
     spring, drag = placed("linear_spring"), placed("quadratic_drag")
     alone, both = form.fit([spring], [], nominal), form.fit([spring, drag], [], nominal)
-    assert judged([drag], both, alone, nominal).passed, "the drag counts beside the spring"
-    first = Round(nominal, score_test(form, nominal, ALL), (judged([spring], alone, nominal, nominal),))
-    outcome = Outcome(nominal, nominal, rounds=[first])
-    tried_pairs(form, outcome, nominal, ALL, POLICY, lambda text: None)
-    assert not outcome.accepted
+    assert judged(form, [drag], both, alone, nominal).passed, "the drag counts beside the spring"
+    first = Round(nominal, score_test(form, nominal, ALL), (judged(form, [spring], alone, nominal, nominal),))
+    assert add_two(table_of(form, nominal, first), Answer(nominal)) is None
 
 
 @pytest.mark.parametrize("beyond", [False, True])
@@ -543,22 +552,19 @@ def test_a_second_effect_beside_a_rival_may_bring_some_times_what_its_column_pro
     nominal = form.fit((), [], None)
     spring, drag, general = placed("cubic_spring"), placed("quadratic_drag"), placed("quadratic_spring")
     alone, both = form.fit([spring], [], nominal), form.fit([spring, drag], [], nominal)
-    first = judged([spring], alone, nominal, nominal)
+    first = judged(form, [spring], alone, nominal, nominal)
     (lead,) = [lead for lead in score_test(form, alone, [drag]).leads if lead.placed == drag]
     most = 2 * lead.penalised / POLICY.reach
     ahead = (most - 2 * POLICY.evidence) / 2 + (1.0 if beyond else -1.0)  # of the answer so far over the rival
     terms = {use: [values + ahead / len(values) for values in alone.terms[use]] for use in USES}
     answer = replace(form.fit([general], [], nominal), terms=terms)
-    gained = total(judged([spring, drag], both, nominal, nominal)) - total(judged([general], answer, nominal, nominal))
-    assert gained > 2 * POLICY.evidence, "the pair is likelier than the answer so far"
-    outcome = Outcome(
-        nominal,
-        answer,
-        [Accepted(general, ((general,),), 1, 1)],
-        [Round(nominal, score_test(form, nominal, ALL), (first,))],
+    gained = total(judged(form, [spring, drag], both, nominal, nominal)) - total(
+        judged(form, [general], answer, nominal, nominal)
     )
-    tried_pairs(form, outcome, nominal, ALL, POLICY, lambda text: None)
-    assert accepted(outcome) == ({"quadratic_spring"} if beyond else {"cubic_spring", "quadratic_drag"})
+    assert gained > 2 * POLICY.evidence, "the pair is likelier than the answer so far"
+    past = Round(nominal, score_test(form, nominal, ALL), (first,))
+    found = add_two(table_of(form, nominal, past), answer_of(answer, general))
+    assert found is None if beyond else found is not None and accepted(found) == {"cubic_spring", "quadratic_drag"}
 
 
 def test_a_joint_has_its_bristles_once() -> None:
@@ -581,8 +587,7 @@ def test_a_joint_has_its_bristles_once() -> None:
     past = Round(nominal, score_test(form, nominal, ALL), (rival,))
     for later, begun in ((bristles, 0), (placed("quadratic_drag"), 1)):
         chosen = [placed("cubic_spring"), later]
-        made = [Accepted(one, ((one,),), 1, 1) for one in chosen]
-        exchange(form, Outcome(nominal, form.fit(chosen, [], nominal), made, [past, past]), nominal, POLICY)
+        exchange(table_of(form, nominal, past, past), answer_of(form.fit(chosen, [], nominal), *chosen))
         assert len(tried) == begun
 
 
@@ -591,10 +596,9 @@ def test_an_effect_that_later_ones_make_needless_is_dropped_and_one_that_counts_
     nominal = form.fit((), [], None)
     for earlier, stays in (("cubic_spring", False), ("linear_spring", True)):
         chosen = [placed(earlier), placed("quadratic_drag")]
-        outcome = Outcome(nominal, form.fit(chosen, [], nominal), [Accepted(one, ((one,),), 1, 1) for one in chosen])
-        prune(form, outcome, POLICY)
-        assert accepted(outcome) == ({earlier, "quadratic_drag"} if stays else {"quadratic_drag"})
-        assert len(outcome.model.effects) == len(outcome.accepted)
+        found = drop(table_of(form, nominal), answer_of(form.fit(chosen, [], nominal), *chosen))
+        assert accepted(found) == ({earlier, "quadratic_drag"} if stays else {"quadratic_drag"})
+        assert len(found.model.effects) == len(found.accepted)
 
 
 @pytest.mark.parametrize("faint", [0.15, 0.6])
@@ -603,13 +607,12 @@ def test_what_explains_less_than_what_is_left_may_be_a_part_of_it(faint: float) 
     form = LinearForm(linear_records(3, {"quadratic_drag": 1.0, "linear_spring": faint, "cubic_spring": 0.3}))
     nominal = form.fit((), [], None)
     chosen = [placed("quadratic_drag"), placed("linear_spring")]
-    outcome = Outcome(nominal, form.fit(chosen, [], nominal), [Accepted(one, ((one,),), 1, 1) for one in chosen])
-    mark_parts(form, outcome, POLICY)
+    table = table_of(form, nominal)
+    found = unknown_parts(table, answer_of(form.fit(chosen, [], nominal), *chosen))
     left = "theta over cubic_spring"
-    assert [one.part_of for one in outcome.accepted] == (["", left] if faint < 0.3 else ["", ""])
-    assert [str(one) for one in outcome.model.effects] == [str(one) for one in chosen]
-    alone = Outcome(nominal, form.fit(chosen[1:], [], nominal), [Accepted(chosen[1], ((chosen[1],),), 1, 1)])
-    mark_parts(form, alone, POLICY)
+    assert [one.part_of for one in found.accepted] == (["", left] if faint < 0.3 else ["", ""])
+    assert [str(one) for one in found.model.effects] == [str(one) for one in chosen]
+    alone = unknown_parts(table, answer_of(form.fit(chosen[1:], [], nominal), chosen[1]))
     assert alone.accepted[0].part_of == ""
 
 
@@ -668,12 +671,12 @@ def test_a_forbidden_further_law_counts_before_its_fit_has_come_to_its_end() -> 
     form = LinearForm(linear_records(5, {"quadratic_drag": 0.6, "viscous_friction": -0.4}))
     found = search(form, form.fit((), [], None), ALL)
     for kind, counts in ((Kind.UNCONVERGED, True), (Kind.STOPPED, False)):
-        rounds = [
+        rounds = tuple(
             replace(past, candidates=tuple(
                 replace(row, refusals=(*row.refusals, Refusal(kind))) if row.name == "viscous_friction@theta" else row
                 for row in past.candidates
             )) for past in found.rounds
-        ]  # fmt: skip
+        )  # fmt: skip
         better = replace(found, rounds=rounds).unlawful()
         assert (better is not None and better.name == "viscous_friction@theta") is counts
 
@@ -691,15 +694,17 @@ def test_what_was_begun_and_left_is_told_from_what_was_never_begun() -> None:
 @pytest.mark.parametrize(("distance", "counts"), [(0.002, False), (0.004, True)])
 def test_a_forbidden_further_law_must_do_more_than_round_the_corners(distance: float, counts: bool) -> None:
     """Exact sensors are sure of the step of an engine: what changes 2 % of what the answer changes is none."""
-    form = LinearForm(linear_records(5, {"quadratic_drag": 0.6, "viscous_friction": -0.4}))
+
+    class Form(LinearForm):
+        def change(self, fit: Fit, placed: Placed) -> float:
+            return 0.1
+
+        def distance(self, fit: Fit, other: Fit) -> float:
+            return distance
+
+    form = Form(linear_records(5, {"quadratic_drag": 0.6, "viscous_friction": -0.4}))
     found = search(form, form.fit((), [], None), ALL)
-    rounds = [
-        replace(past, base=replace(past.base, change=lambda law: 0.1), candidates=tuple(
-            replace(row, fit=replace(row.fit, distance=lambda base: distance)) for row in past.candidates
-            if row.fit is not None
-        )) for past in found.rounds
-    ]  # fmt: skip
-    assert (replace(found, rounds=rounds).unlawful() is not None) is counts
+    assert (found.unlawful() is not None) is counts
 
 
 def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() -> None:
@@ -711,12 +716,11 @@ def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() 
     form = LinearForm(records)
     nominal = form.fit((), [], None)
     chosen = [placed("quadratic_drag"), placed("viscous_friction")]
-    outcome = Outcome(nominal, form.fit(chosen, [], nominal), [Accepted(one, ((one,),), 1, 1) for one in chosen])
+    answer = answer_of(form.fit(chosen, [], nominal), *chosen)
     alone = form.fit(chosen[1:], [], nominal)
     assert alone.values[main("viscous_friction")] < 0, "its sign is forbidden"
-    assert compared(alone, outcome.model).total > -POLICY.tie, "and it explains as much"
-    prune(form, outcome, POLICY)
-    assert accepted(outcome) == {"quadratic_drag", "viscous_friction"}
+    assert compared(alone, answer.model).total > -POLICY.tie, "and it explains as much"
+    assert accepted(drop(table_of(form, nominal), answer)) == {"quadratic_drag", "viscous_friction"}
 
 
 def test_what_no_score_test_sees_takes_its_first_steps_in_full() -> None:
@@ -743,7 +747,7 @@ def test_what_was_left_on_its_way_is_said_to_be_and_not_that_it_did_not_converge
     nominal = form.fit((), [], None)
     behind = replace(form.fit([placed("quadratic_drag")], [], nominal), converged=False, beyond=True)
     stuck = replace(behind, beyond=False)
-    (first, *_), (second, *_) = (judged(one.effects, one, nominal, nominal).refusals for one in (behind, stuck))
+    (first, *_), (second, *_) = (judged(form, one.effects, one, nominal, nominal).refusals for one in (behind, stuck))
     assert (first.kind, second.kind) == (Kind.STOPPED, Kind.UNCONVERGED)
 
 
@@ -777,7 +781,7 @@ def test_what_the_validation_records_refuse_puts_no_end_to_the_fit_of_another() 
 def left_on_its_way(form: LinearForm, name: str, nominal: Fit) -> Judged:
     """Return a candidate whose fit was left on its way."""
     fit = replace(form.fit([placed(name)], [], nominal), converged=False, beyond=True)
-    return judged(fit.effects, fit, nominal, nominal)
+    return judged(form, fit.effects, fit, nominal, nominal)
 
 
 @pytest.mark.parametrize(("behind", "followed"), [("linear_spring", True), ("quadratic_drag", False)])
@@ -786,17 +790,17 @@ def test_what_was_left_on_its_way_is_followed_if_both_uses_make_it_a_rival(behin
     records = linear_records(16, {"linear_spring": 0.4, "quadratic_drag": 0.2}, alike={"cubic_spring": "linear_spring"})
     form = LinearForm(records)
     nominal = form.fit((), [], None)
-    spring = judged([placed("cubic_spring")], form.fit([placed("cubic_spring")], [], nominal), nominal, nominal)
+    spring = judged(form, [placed("cubic_spring")], form.fit([placed("cubic_spring")], [], nominal), nominal, nominal)
     rows = [spring, left_on_its_way(form, behind, nominal)]
     assert [row.passed for row in rows] == [True, False]
-    assert [row.passed for row in _ended(form, rows, nominal, nominal, POLICY)] == [True, followed]
+    assert [row.passed for row in moves._ended(table_of(form, nominal), rows, nominal)] == [True, followed]
 
 
 def test_what_would_be_the_answer_but_for_its_last_steps_takes_them() -> None:
     form = LinearForm(linear_records(16, {"linear_spring": 0.4}))
     nominal = form.fit((), [], None)
     fit = replace(form.fit([placed("linear_spring")], [], nominal), converged=False)
-    (row,) = _ended(form, [judged(fit.effects, fit, nominal, nominal)], nominal, nominal, POLICY)
+    (row,) = moves._ended(table_of(form, nominal), [judged(form, fit.effects, fit, nominal, nominal)], nominal)
     assert row.passed
 
 
@@ -818,9 +822,9 @@ def test_what_the_validation_records_alone_refuse_is_tried_there_once_more(
     worse = replace(begun_badly, terms={**fit.terms, "validation": [terms - 0.6 for terms in fit.terms["validation"]]})
     if start == "worse":
         form.fit = lambda *args: worse  # type: ignore[method-assign, assignment]
-    row = judged(fit.effects, begun_badly, nominal, nominal)
+    row = judged(form, fit.effects, begun_badly, nominal, nominal)
     assert not row.passed
-    (again,) = _ended(form, [row], nominal, nominal, POLICY)
+    (again,) = moves._ended(table_of(form, nominal), [row], nominal)
     assert again.passed is passes
     assert again.fit is not worse, "a fit that is worse takes no place"
 
@@ -852,37 +856,49 @@ def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: 
     nominal = form.fit((), [], None)
     drag, friction, spring = placed("quadratic_drag"), placed("viscous_friction"), placed("linear_spring")
     base = form.fit([drag], [], nominal)
-    both = judged([friction], form.fit([drag, friction], [], base), base, nominal)
+    both = judged(form, [friction], form.fit([drag, friction], [], base), base, nominal)
     assert both.comparison is not None
     assert both.comparison.evidence > POLICY.evidence
     assert any(refusal.kind is Kind.OTHER_LAW for refusal in both.refusals) is goes
-    first = Round(nominal, score_test(form, nominal, ALL), (judged([drag], base, nominal, nominal),))
+    first = Round(nominal, score_test(form, nominal, ALL), (judged(form, [drag], base, nominal, nominal),))
 
-    def answer(rows: Sequence[Judged]) -> tuple[bool, set[str], Outcome]:
-        outcome = Outcome(nominal, base, [Accepted(drag, ((drag,),), 1, 1)], [first, replace(first, base=base)])
-        trials = contradictions(form, outcome, rows, POLICY)
-        return displace(outcome, trials, rows, nominal, POLICY), accepted(outcome), outcome
+    def best_of(*rows: Judged) -> Answer | None:
+        past = Round(base, score_test(form, base, ALL), rows)
+        return _step(table_of(form, nominal, first, past), answer_of(base, drag), past)
 
-    changed, names, outcome = answer([both])
-    assert (changed, names) == (goes, {"viscous_friction"} if goes else {"quadratic_drag"})
+    found = best_of(both)
+    assert found is not None
     if not goes:
-        refused = replace(both, refusals=(Refusal(Kind.UNCONVERGED),))
-        assert answer([refused])[:2] == (False, {"quadratic_drag"}), "two laws that are ones beside each other stay"
-    if goes:
-        assert outcome.model.effects == (friction,)
-        assert outcome.accepted[0].tie == ((friction,), (drag,)), "what went is asked again at the end"
-        assert outcome.accepted[0].found == 1, "its rivals are those of the round that found it"
-        assert both.fit is not None
-        for ahead, stays in ((0.5 * POLICY.tie, False), (2.0 * POLICY.tie, True)):
-            more = value(outcome.model) + ahead - value(both.fit)
-            terms = {**both.fit.terms, "validation": [each + more / len(each) for each in both.fit.terms["validation"]]}
-            passing = replace(both, added=(spring,), fit=replace(both.fit, terms=terms), refusals=())
-            expected = (False, {"quadratic_drag"}) if stays else (True, {"viscous_friction"})
-            assert answer([both, passing])[:2] == expected, "a likelier candidate comes first; one that ties does not"
+        assert accepted(found) == {"quadratic_drag", "viscous_friction"}, "both are laws beside each other"
+        return
+    assert found.model.effects == (friction,)
+    assert found.accepted[0].tie == ((friction,), (drag,)), "what went is asked again at the end"
+    assert found.accepted[0].found == 1, "its rivals are those of the round that found it"
+    assert both.fit is not None
+    for ahead, stays in ((0.5 * POLICY.tie, False), (2.0 * POLICY.tie, True)):
+        more = value(found.model) + ahead - value(both.fit)
+        terms = {**both.fit.terms, "validation": [each + more / len(each) for each in both.fit.terms["validation"]]}
+        passing = replace(both, added=(spring,), fit=replace(both.fit, terms=terms), refusals=())
+        better = best_of(both, passing)
+        assert better is not None
+        names = {"quadratic_drag", "linear_spring"} if stays else {"viscous_friction"}
+        assert accepted(better) == names, "a likelier candidate comes first; one that ties does not"
+
+
+def test_two_laws_that_are_ones_beside_each_other_stay() -> None:
+    form = LinearForm(linear_records(21, {"viscous_friction": 0.6, "quadratic_drag": 0.3}))
+    nominal = form.fit((), [], None)
+    drag, friction = placed("quadratic_drag"), placed("viscous_friction")
+    base = form.fit([drag], [], nominal)
+    both = judged(form, [friction], form.fit([drag, friction], [], base), base, nominal)
+    past = Round(base, score_test(form, base, ALL), (replace(both, refusals=(Refusal(Kind.UNCONVERGED),)),))
+    assert [*exchange_contradicted(table_of(form, nominal, past), answer_of(base, drag), past)] == []
 
 
 @pytest.mark.parametrize(("first", "refined"), [("coulomb_friction", True), ("linear_spring", False)])
-def test_a_second_friction_keeps_no_refinement_of_the_first_from_its_place(first: str, refined: bool) -> None:
+def test_a_second_friction_keeps_no_refinement_of_the_first_from_its_place(
+    first: str, refined: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two frictions at a joint imitate one law: what refines the first is that law, though the two explain more."""
     form = LinearForm(linear_records(24, {}))
     for own in form.records.x.values():
@@ -893,15 +909,21 @@ def test_a_second_friction_keeps_no_refinement_of_the_first_from_its_place(first
     def likelier(effects: Sequence[Placed], gain: float) -> Fit:
         terms = {use: [each + gain / len(each) for each in parts] for use, parts in nominal.terms.items()}
         values = nominal.values | {one.name(name): 1.0 for one in effects for name in one.effect.parameter_names}
-        return replace(nominal, effects=tuple(effects), values=values, terms=terms, change=lambda _: 1.0)
+        return replace(nominal, effects=tuple(effects), values=values, terms=terms)
 
     base, both, instead = likelier([law], 100.0), likelier([law, second], 130.0), likelier([rich], 120.0)
-    empty = Round(nominal, score_test(form, nominal, ALL), ())
-    outcome = Outcome(nominal, base, [Accepted(law, ((law,),), 100, 100)], [empty, replace(empty, base=base)])
-    row = judged([second], both, base, nominal)
+    row = judged(form, [second], both, base, nominal)
     assert row.passed
-    trial = (0, replace(rich, effect=replace(rich.effect, requires={})), instead)
-    assert displace(outcome, [trial], [row], nominal, POLICY) is refined
+    answer = answer_of(base, law)
+    past = Round(base, score_test(form, nominal, ALL), (row,))
+
+    def refining(table: Table, answer: Answer) -> list[Answer]:
+        return [answer.exchanged(0, rich, instead, 0)]
+
+    monkeypatch.setattr("harness.diagnosis.search.search.generalise_earlier", refining)
+    found = _step(table_of(form, nominal, past), answer, past)
+    assert found is not None
+    assert [one.placed for one in found.accepted] == ([rich] if refined else [law, second])
 
 
 def test_an_early_law_is_refined_where_only_a_later_effect_shows_what_it_lacks() -> None:
@@ -939,15 +961,9 @@ def test_a_rival_takes_the_place_of_an_earlier_effect_from_its_own_nominal_param
     wrong, right, later = placed("cubic_spring"), placed("linear_spring"), placed("quadratic_drag")
     alone = form.fit([right], [], nominal)
     alone = replace(alone, values={**alone.values, "a": 7.0})
-    past = Round(nominal, score_test(form, nominal, ALL), (judged([right], alone, nominal, nominal),))
-    outcome = Outcome(
-        nominal,
-        form.fit([wrong, later], [], nominal),
-        [Accepted(one, ((one,),), 1, 1) for one in (wrong, later)],
-        [past, past],
-    )
-    exchange(form, outcome, nominal, POLICY)
-    assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
+    past = Round(nominal, score_test(form, nominal, ALL), (judged(form, [right], alone, nominal, nominal),))
+    answer = answer_of(form.fit([wrong, later], [], nominal), wrong, later)
+    assert accepted(exchange(table_of(form, nominal, past, past), answer)) == {"linear_spring", "quadratic_drag"}
     assert {start["a"] for start in starts} == {7.0, form.fit([wrong, later], [], nominal).values["a"]}
     assert all(main("quadratic_drag") in start for start in starts), "the later effect stays where it is"
 
@@ -957,10 +973,15 @@ def test_a_rival_takes_the_place_of_an_earlier_effect_from_its_own_nominal_param
 )
 def test_what_the_estimation_records_alone_are_sure_of_is_told(evidence: float, validation: float, sure: bool) -> None:
     """An end stop that the validation records do not touch: nothing can be named, and something is missing."""
-    form = LinearForm(linear_records(15, {}))
+
+    class Form(LinearForm):
+        def change(self, fit: Fit, placed: Placed) -> float:
+            return 0.1
+
+    form = Form(linear_records(15, {}))
     nominal = form.fit((), [], None)
     refused = Refusal(Kind.VALIDATION, numbers=(validation, 6.7))
-    fit = replace(form.fit([placed("cubic_spring")], [], nominal), change=lambda effect: 0.1)
+    fit = form.fit([placed("cubic_spring")], [], nominal)
     row = Judged(fit.effects, fit, Comparison(evidence, validation, 6.7, 48.0), (refused,))
-    outcome = Outcome(nominal, nominal, rounds=[Round(nominal, score_test(form, nominal, ALL), (row,))])
+    outcome = Outcome(form, nominal, nominal, rounds=(Round(nominal, score_test(form, nominal, ALL), (row,)),))
     assert (outcome.promised() is row) == sure

@@ -21,9 +21,10 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.runs.simple_fits import SimpleFit, SimpleFits
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.outcome import Outcome, Round
+from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.refusal import Kind
-from harness.diagnosis.search.score_test import score_test
+from harness.diagnosis.search.scores import score_test
+from harness.diagnosis.search.table import Round
 from harness.diagnosis.steps import beaten, candidates_of, form_of, nominal_fit, sizes_off
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -109,7 +110,7 @@ def test_an_answer_gives_way_to_the_simple_fit_that_runs_nearer(judged_by_hand: 
     """What the search refused, for its promise say, stands in the end if free runs and the likelihood both want it."""
     made = judged_by_hand
     test = score_test(made.form, made.nominal, made.candidates, POLICY)
-    nothing = Outcome(made.nominal, made.nominal, rounds=[Round(made.nominal, test, ())])
+    nothing = Outcome(made.remembered, made.nominal, made.nominal, rounds=(Round(made.nominal, test, ()),))
     spring = [placed for placed in made.candidates if placed.effect.name == "linear_spring"]
     outcome, rival = uncontested(made.remembered, nothing, made.simple, spring, POLICY, silent, made.form.sizes)
     assert rival == ""
@@ -121,7 +122,7 @@ def test_an_answer_gives_way_to_the_simple_fit_that_runs_nearer(judged_by_hand: 
 
 def test_a_rival_that_the_likelihood_refuses_is_said(judged_by_hand: Any) -> None:
     made = judged_by_hand
-    nothing = Outcome(made.nominal, made.nominal)
+    nothing = Outcome(made.remembered, made.nominal, made.nominal)
     strict = replace(POLICY, evidence=1e6)
     outcome, rival = uncontested(made.remembered, nothing, made.simple, [], strict, silent, made.form.sizes)
     assert rival == "coulomb_friction@theta"
@@ -171,7 +172,8 @@ def test_a_main_parameter_that_is_not_determined_names_nothing(
     deviations = dict.fromkeys(values, 0.01) | {placed.name(main): deviation}
     free, logs = tuple(values), frozenset({placed.name(main)} if logarithmic else ())
     fit = Fit((placed,), cast(Any, None), values, free, 3, {}, deviations, logs, True, ())
-    assert (Kind.UNDETERMINED in {refusal.kind for refusal in impossible(placed, fit)}) == (not named)
+    form: Any = SimpleNamespace(damping=lambda fit, at: None)
+    assert (Kind.UNDETERMINED in {refusal.kind for refusal in impossible(form, placed, fit)}) == (not named)
 
 
 @pytest.mark.parametrize(("inertia", "deviation", "told"), [(1e5, 0.01, True), (0.3, 0.01, False), (1e5, 8.0, False)])

@@ -23,6 +23,9 @@ from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.records.stretches import uncut
 from harness.diagnosis.runs.compare import _motion
 from harness.diagnosis.search.compare import impossible
+from harness.diagnosis.search.refusal import Kind
+from harness.diagnosis.search.table import Table
+from harness.diagnosis.search.warm import polished
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
@@ -103,13 +106,11 @@ def test_a_free_swing_tells_ratios_and_no_interval_of_the_parameters() -> None:
 def test_declared_parameters_that_are_far_off_make_no_gain_of_the_input() -> None:
     """Bounds of the noise follow the forces of the fitted plant: a common scale of all parameters gains nothing."""
     found = closed(swing(seed=1), swing(seed=2), "input_gain", J=100.0, mgl=2000.0, b=40.0)
-    assert found.outcome.accepted == []
+    assert found.outcome.accepted == ()
     assert found.form.noise_model.force_scale[0] == pytest.approx(0.4, abs=0.3)
 
 
-def test_an_accepted_law_is_not_polished_into_what_it_forbids(monkeypatch: pytest.MonkeyPatch) -> None:
-    from harness.diagnosis.search.refits import polished
-
+def test_an_accepted_law_is_not_polished_into_what_it_forbids() -> None:
     law = builtin()["coulomb_friction"]
     placed = Placed(law, "theta")
 
@@ -119,16 +120,20 @@ def test_an_accepted_law_is_not_polished_into_what_it_forbids(monkeypatch: pytes
             self.effects, self.free, self.on_bound, self.converged = (placed,), (f"{placed}.Fc",), (), True
             self.deviations, self.logarithmic = {f"{placed}.Fc": 0.01}, frozenset[str]()
 
+            self.beyond = False
+
         def log_likelihood(self, use: str) -> float:
             return self.penalised
 
     base, rival = Stub(0.1, 100.0), Stub(0.1, 150.0)
-    form: Any = type("F", (), {})()
-    form.begin = lambda effects, starts, fit: type("B", (), {"log_likelihood": 140.0})()
+    form: Any = SimpleNamespace(damping=lambda fit, at: None)
+    form.begin = lambda effects, starts, fit, hope: type("B", (), {"log_likelihood": 140.0})()
     for level, kept in ((-0.17, True), (0.12, False)):
         better = Stub(level, 160.0)
         form.finish = lambda begun, fit, better=better: better
-        assert (polished(form, base, [rival]) is base) is kept  # type: ignore[arg-type, list-item]
+        table = Table(form, base, [])  # type: ignore[arg-type]
+        assert (polished(table, base, [rival]) is base) is kept  # type: ignore[arg-type, list-item]
+        assert (table.fits[frozenset({str(placed)})] is base) is kept, "the set has its best fit"
 
 
 # ---- what is left, over a motion that no straight line follows ------------------------------------------------------
@@ -256,9 +261,10 @@ def test_a_drive_that_would_pull_back_at_its_peak_is_no_compression() -> None:
     assert 1.0 - 2.0 * most * 3.0 * 2.0 == pytest.approx(0.1)
     values = {**system.values(), placed.main(): most}
     fit: Any = SimpleNamespace(values=values, free=(placed.main(),), on_bound=(placed.main(),), effects=(placed,))
-    assert any("lies on its bound" in text for text in impossible(placed, fit))
-    fit.on_bound = ()
-    assert impossible(placed, fit) == []
+    form: Any = SimpleNamespace(damping=lambda fit, at: None)
+    assert [one.kind for one in impossible(form, placed, fit)] == [Kind.BOUND]
+    fit.on_bound, fit.deviations, fit.logarithmic = (), {placed.main(): 1e-6}, frozenset()
+    assert impossible(form, placed, fit) == []
 
 
 def test_peaks_of_a_swing_are_no_ceiling_of_the_sensor() -> None:

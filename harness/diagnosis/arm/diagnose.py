@@ -18,12 +18,12 @@ from harness.diagnosis.arm.misfit import likely_mistake, misfit_reasons
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
 from harness.diagnosis.arm.other_arm import free_bodies, look_like_another_arm, other_arm_reasons
 from harness.diagnosis.arm.regression import RegressionForm
-from harness.diagnosis.arm.simpler import take_simpler_laws
+from harness.diagnosis.arm.simpler import with_simpler_laws
 from harness.diagnosis.arm.wide import WideResult, wide_search
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.search.leftover import left_over
-from harness.diagnosis.search.rounds import search
+from harness.diagnosis.search.search import search
 from harness.effects.effect import Effect
 from harness.errors import FitError, InputError
 from harness.physics.arms.arm import ArmModel
@@ -246,7 +246,7 @@ def _joint(
         candidates,
         policy=replace(policy, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z),
     )
-    take_simpler_laws(form, outcome, candidates, policy)
+    outcome = with_simpler_laws(form, outcome, candidates, policy)
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))

@@ -149,7 +149,7 @@ class RegressionForm:
             return None
         known_errors = [self._rough]
         if base is not None:
-            known_errors = [fit.detail.errors for fit in (base, self.forgetful(base)) if fit is not None]
+            known_errors = [fit.detail.errors for fit in (base, self.without_memory(base)) if fit is not None]
         best: tuple[float, FloatArray, tuple[Coloured, ...], bool] | None = None
         for start, errors in itertools.product(starts, known_errors):
             known = {**equation.system.values(), **start}
@@ -285,9 +285,6 @@ class RegressionForm:
 
         innovations = {use: self._innovations(parts, use, errors) for use, parts in residual.items()}
 
-        def change(placed: Placed) -> float:
-            return self.changed_share(effects, values, residual["estimation"], placed)
-
         return Fit(
             tuple(effects), system, values, tuple(names[k] for k in free),
             len(free) + len(errors) * (POLICY.order + 1),
@@ -296,21 +293,23 @@ class RegressionForm:
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
             converged, tuple(dict.fromkeys(bound)),
             own={names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
-            innovations=innovations, detail=Detail(errors, residual, jacobian), change=change,
+            innovations=innovations, detail=Detail(errors, residual, jacobian),
         )  # fmt: skip
 
-    def changed_share(
-        self, effects: Sequence[Placed], values: Mapping[str, float], residual: Sequence[FloatArray], placed: Placed
-    ) -> float:
-        """Return what an effect changes of the torque, at the joint where it weighs most: rms over the torque's rms.
-
-        ``residual`` holds the residual torques (rows, n) of the estimation records with all effects.
-        """
-        less = self.regression.equation([effect for effect in effects if str(effect) != str(placed)])
-        p = np.array([values[name] for name in less.system.parameter_names])
+    def change(self, fit: Fit, placed: Placed) -> float:
+        """Return what an effect changes of the torque, at the joint where it weighs most: rms over the torque's rms."""
+        less = self.regression.equation([effect for effect in fit.effects if str(effect) != str(placed)])
+        p = np.array([fit.values[name] for name in less.system.parameter_names])
         bare = [r for r, _ in less.residual(p, "estimation")]
-        changed = self._rms([a - b for a, b in zip(bare, residual, strict=True)])
+        changed = self._rms([a - b for a, b in zip(bare, fit.detail.residual["estimation"], strict=True)])
         return float(np.max(changed / np.maximum(self.regression.size, 1e-300), initial=0.0))
+
+    def distance(self, fit: Fit, other: Fit) -> float:
+        """Return infinity: how far two fits are apart is not asked of torques."""
+        return float("inf")
+
+    def damping(self, fit: Fit, at: str) -> None:
+        """Return nothing: what brakes a joint is known by its torque only."""
 
     def _rms(self, parts: Sequence[FloatArray]) -> FloatArray:
         """Return the rms (n,) of torques (rows, n) over the rows of the estimation records that count."""
@@ -376,7 +375,7 @@ class RegressionForm:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         return [self._answered(fit, change) for change in self.regression.changes(fit.values, candidates)]
 
-    def forgetful(self, fit: Fit) -> Fit | None:
+    def without_memory(self, fit: Fit) -> Fit | None:
         """Return the fit with white errors of the same size at joints whose error remembers much of a record.
 
         An error with lines in its spectrum takes up whatever is left of a motion of a few sines, and no promise is left

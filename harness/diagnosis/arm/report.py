@@ -42,7 +42,7 @@ from harness.diagnosis.report.words import SAME, change_text, standing_in
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.ties import Accepted
+from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.stand_in import stand_in_reasons
 
 __all__ = ["arm_report"]

@@ -15,10 +15,11 @@ from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.ties import Accepted, close, value
+from harness.diagnosis.search.table import Accepted, value
+from harness.diagnosis.search.ties import close
 from harness.effects.effect import Effect, Placed
 
-__all__ = ["becomes", "take_simpler_laws"]
+__all__ = ["becomes", "with_simpler_laws"]
 
 MOST = 2
 """Laws that are replaced, and that replace them, at once: no law of the dictionary is the sum of three."""
@@ -51,8 +52,8 @@ def becomes(effect: Effect, known: Mapping[str, Effect]) -> tuple[Effect, ...]:
     return tuple(found.values())
 
 
-def take_simpler_laws(form: Form, outcome: Outcome, candidates: Sequence[Placed], policy: Policy) -> None:
-    """Put simpler laws in the place of accepted ones while these data do not tell them apart.
+def with_simpler_laws(form: Form, outcome: Outcome, candidates: Sequence[Placed], policy: Policy) -> Outcome:
+    """Return an outcome with simpler laws in the place of accepted ones while these data do not tell them apart.
 
     One or two laws of a place are replaced by up to two of those that they become at a limit. The best such replacement
     is the answer if it is as likely; and where an accepted law ended on a bound at which it is another one, or against
@@ -62,7 +63,6 @@ def take_simpler_laws(form: Form, outcome: Outcome, candidates: Sequence[Placed]
     ----------
     form : Form
     outcome : Outcome
-        Changed in place: its model and what it accepted.
     candidates : sequence of Placed
         The laws of the dictionary that may stand here.
     policy : Policy
@@ -82,7 +82,8 @@ def take_simpler_laws(form: Form, outcome: Outcome, candidates: Sequence[Placed]
             Accepted(placed, ((placed,), *rivals), evidence, validation, found=min(known.found for known in old))
             for placed in new
         ]
-        outcome.accepted, outcome.model = [*kept[:place], *made, *kept[place:]], fit
+        outcome = replace(outcome, accepted=(*kept[:place], *made, *kept[place:]), model=fit)
+    return outcome
 
 
 def _beside(known: Accepted, present: set[str]) -> Accepted:
@@ -103,9 +104,9 @@ def _better(
         fit = form.fit([*kept, *new], _starts(model, old, new), model)
         if fit is None or not fit.converged or fit.count > model.count:
             continue
-        if any(impossible(placed, fit) for placed in fit.effects):
+        if any(impossible(form, placed, fit) for placed in fit.effects):
             continue
-        lawful = not any(impossible(known.placed, model) for known in old)
+        lawful = not any(impossible(form, known.placed, model) for known in old)
         enough = (
             close(model, fit, value(model) - value(fit), policy)
             if lawful

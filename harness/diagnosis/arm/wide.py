@@ -19,8 +19,8 @@ from harness.diagnosis.arm.regression import USES, Change, RegressionForm
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.rounds import search
-from harness.diagnosis.search.ties import Accepted
+from harness.diagnosis.search.search import search
+from harness.diagnosis.search.table import Accepted
 from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.arms.arm import ArmModel
@@ -299,9 +299,9 @@ def wide_search(
     ]
     notes = []
     if small:
-        outcome.accepted = [accepted for accepted in outcome.accepted if accepted not in small]
-        again = form.fit([accepted.placed for accepted in outcome.accepted], [outcome.model.values], outcome.model)
-        outcome.model = outcome.nominal if again is None else again
+        large = tuple(accepted for accepted in outcome.accepted if accepted not in small)
+        again = form.fit([accepted.placed for accepted in large], [outcome.model.values], outcome.model)
+        outcome = replace(outcome, accepted=large, model=again or outcome.nominal)
         names = ", ".join(str(accepted.placed) for accepted in small)
         notes.append(
             f"{names} left out: less than {100 * arm_policy.detail:g} % of the friction beside it, whose law is not "

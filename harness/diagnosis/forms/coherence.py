@@ -19,7 +19,7 @@ from harness.diagnosis.search.fit import Column, Linearised
 from harness.diagnosis.search.leftover import largest_evidence
 from harness.signals import FloatArray
 
-__all__ = ["in_parts", "wandering", "without"]
+__all__ = ["in_parts", "incoherence", "without"]
 
 _SINGULAR = 1e-5
 """Singular values of unit columns below which nothing is divided by them."""
@@ -74,7 +74,7 @@ def without(
     return replace(linear, residual=residual, nuisance=nuisance, names=left, spread=linear.spread[keep])
 
 
-def wandering(linear: Linearised, whole: Sequence[Column], cuts: Sequence[Sequence[Column]]) -> float:
+def incoherence(linear: Linearised, whole: Sequence[Column], cuts: Sequence[Sequence[Column]]) -> float:
     """Return the logarithm of the evidence for a line drawn anew in every part, against one drawn once a record.
 
     The two amplitudes of every part are normal with a variance that is chosen by the evidence; both uses together.

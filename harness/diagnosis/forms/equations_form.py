@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.forms.braking import braking
 from harness.diagnosis.forms.changed import changed_share
-from harness.diagnosis.forms.coherence import in_parts, wandering, without
+from harness.diagnosis.forms.coherence import in_parts, incoherence, without
+from harness.diagnosis.forms.damping import damping_along
 from harness.diagnosis.forms.directions import Direction, directions, line_directions, test_functions
 from harness.diagnosis.forms.innovations import answered
 from harness.diagnosis.forms.lightened import lightened
@@ -188,14 +188,14 @@ class EquationsForm(LikelihoodForm[System]):
         ]
         return [*([names[coordinate.v] for coordinate in self.nominal.coordinates] or names), *motors]
 
-    def _braking(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
+    def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate, and the damping of all that brakes it there."""
         row, system = self.nominal.coordinate(at), fit.model
         assert by_equations(system)
         x = np.concatenate([trace.x for trace in self._traces(fit, USES[:1])["estimation"]])
-        return braking(system, fit.values, at, x[:, row.q], x[:, row.v])
+        return damping_along(system, fit.values, at, x[:, row.q], x[:, row.v])
 
-    def _wandering(self, fit: Fit, placed: Placed) -> float:
+    def incoherence_of(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""
         main, frequency, turn = placed.effect.main, *map(placed.effect.parameter_of, WAVE_ROLES)
         if main is None or frequency is None or turn is None:
@@ -210,7 +210,7 @@ class EquationsForm(LikelihoodForm[System]):
         (column,) = self._answered(fit, [wave])
         linear = without(self.linearised(fit), (size, omega, phase), column, fit.values[size], phases)
         whole, *cuts = (self._answered(fit, in_parts(wave, parts)) for parts in (1, *POLICY.line_parts))
-        return wandering(linear, whole, cuts)
+        return incoherence(linear, whole, cuts)
 
     def _traces(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Trace]]:
         """Return the smoothed motion of every record of some uses."""

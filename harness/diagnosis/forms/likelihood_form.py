@@ -399,16 +399,10 @@ class LikelihoodForm(SystemForm[SystemT]):
             beyond=best.beyond,
             free_run=not self.latent,
         )
-        fit = replace(
-            fit,
-            change=lambda placed: self.change(fit, placed),
-            distance=lambda other: self.distance(fit, other),
-            braking=lambda at: self._braking(fit, at),
-        )
         repeating = [placed for placed in effects if _own([placed], "phase")]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit
-        return replace(fit, wandering={str(placed): self._wandering(fit, placed) for placed in repeating})
+        return replace(fit, incoherence={str(placed): self.incoherence_of(fit, placed) for placed in repeating})
 
     def apart(self, fit: Fit) -> Apart | None:
         """Return how much likelier the validation records are with parameters of their own; None without latent forces.
@@ -580,7 +574,7 @@ class LikelihoodForm(SystemForm[SystemT]):
             detail.smooth[use] = [self.smooth(passed) for passed in detail.paths[use]]
         return detail.paths[use], detail.smooth[use]
 
-    def forgetful(self, fit: Fit) -> Fit | None:
+    def without_memory(self, fit: Fit) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         if not self.latent:
             return None

@@ -17,6 +17,7 @@ from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.fingerprint import fingerprint
+from harness.signals import FloatArray
 
 __all__ = ["Remembered"]
 
@@ -87,9 +88,9 @@ class Remembered:
         begun = self.begin(effects, starts, base)
         return None if begun is None else self.finish(begun, base, rival)
 
-    def forgetful(self, fit: Fit) -> Fit | None:
+    def without_memory(self, fit: Fit) -> Fit | None:
         """Pass on."""
-        return self.form.forgetful(fit)
+        return self.form.without_memory(fit)
 
     def linearised(self, fit: Fit) -> Linearised:
         """Pass on."""
@@ -108,6 +109,18 @@ class Remembered:
     def test_functions(self, fit: Fit) -> list[Column]:
         """Pass on."""
         return self.form.test_functions(fit)
+
+    def change(self, fit: Fit, placed: Placed) -> float:
+        """Pass on."""
+        return self.form.change(fit, placed)
+
+    def distance(self, fit: Fit, other: Fit) -> float:
+        """Pass on."""
+        return self.form.distance(fit, other)
+
+    def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
+        """Pass on."""
+        return self.form.damping(fit, at)
 
 
 def _identity(fit: Fit | None) -> tuple[Any, ...] | None:

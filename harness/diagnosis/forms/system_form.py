@@ -77,10 +77,10 @@ class SystemForm(ABC, Generic[SystemT]):
         """Return how far another fit is from one, as such a share; infinity where nobody can tell."""
         return float("inf")
 
-    def _braking(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
+    def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate and what brakes it there; None where forces have no text."""
         return None
 
-    def _wandering(self, fit: Fit, placed: Placed) -> float:
+    def incoherence_of(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""
         return 0.0

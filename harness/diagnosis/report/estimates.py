@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.ties import Accepted
+from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset
 

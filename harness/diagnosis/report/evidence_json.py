@@ -75,7 +75,7 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.refusal import Kind, Refusal
-from harness.diagnosis.search.ties import Accepted
+from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import by_equations
 from harness.effects.effect import Placed
 from harness.signals import FloatArray

@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
 from harness.diagnosis.search.coloured import coloured_likelihood
-from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -139,48 +139,68 @@ def _expected(fit: Fit, base: Fit, use: str) -> list[FloatArray]:
     return found
 
 
-def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, policy: Policy = POLICY) -> Judged:
-    """Apply the acceptance rule."""
+def judged(
+    form: Form, added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, policy: Policy = POLICY
+) -> Judged:
+    """Apply the acceptance rule to effects that were added to a base."""
     if fit is None:
         return Judged(tuple(added), None, None, (Refusal(Kind.NOT_SIMULATED),))
     comparison = compared(fit, base, policy)
-    reasons = []
+    names = {str(placed) for placed in added}
+    reasons = [*_ended(fit), *_wanting(fit, base, nominal, comparison, policy)]
+    for placed in added:
+        reasons += impossible(form, placed, fit)
+        incoherence = fit.incoherence.get(str(placed), 0.0)
+        if incoherence > 0.0:  # likelier a line drawn anew in every part than one that repeats
+            reasons.append(Refusal(Kind.INCOHERENT, str(placed), (incoherence,)))
+    reasons += [  # what was found before must stay what it is
+        Refusal(Kind.OTHER_LAW, str(placed), cause=refusal)
+        for placed in fit.effects
+        if str(placed) not in names
+        for refusal in wrong_signs(placed, fit.values)
+    ]
+    if not reasons:  # what costs more than a comparison is asked last
+        reasons = _coloured(fit, base, policy) or _small(form, added, fit, policy)
+    return Judged(tuple(added), fit, comparison, tuple(reasons))
+
+
+def _ended(fit: Fit) -> list[Refusal]:
+    """Return whether a fit came to its end."""
     if fit.beyond:
-        reasons.append(Refusal(Kind.STOPPED))
-    elif not fit.converged:
-        reasons.append(Refusal(Kind.UNCONVERGED))
-    asked = max(2 * policy.evidence, policy.gain_z * comparison.total_error)
-    if comparison.total < asked:
-        reasons.append(Refusal(Kind.EVIDENCE, numbers=(comparison.evidence, comparison.validation, asked)))
-    if comparison.evidence < policy.alone:
-        reasons.append(Refusal(Kind.ESTIMATION, numbers=(comparison.evidence, policy.alone)))
-    if comparison.validation < policy.alone_z * comparison.error:
-        reasons.append(Refusal(Kind.VALIDATION, numbers=(comparison.validation, policy.alone_z * comparison.error)))
+        return [Refusal(Kind.STOPPED)]
+    return [] if fit.converged else [Refusal(Kind.UNCONVERGED)]
+
+
+def _wanting(fit: Fit, base: Fit, nominal: Fit, found: Comparison, policy: Policy) -> list[Refusal]:
+    """Return which of the evidence that is asked for a fit does not have."""
+    reasons = []
+    asked = max(2 * policy.evidence, policy.gain_z * found.total_error)
+    if found.total < asked:
+        reasons.append(Refusal(Kind.EVIDENCE, numbers=(found.evidence, found.validation, asked)))
+    if found.evidence < policy.alone:
+        reasons.append(Refusal(Kind.ESTIMATION, numbers=(found.evidence, policy.alone)))
+    if found.validation < policy.alone_z * found.error:
+        reasons.append(Refusal(Kind.VALIDATION, numbers=(found.validation, policy.alone_z * found.error)))
     if base is not nominal:
         whole = fit.penalised - nominal.penalised  # of records that no effect was fitted to, one may explain most
-        if policy.alone <= comparison.evidence < policy.second_share * whole:  # what brings less than nothing was said
-            reasons.append(Refusal(Kind.SHARE, numbers=(comparison.evidence / whole, policy.second_share)))
-    for placed in added:
-        reasons += impossible(placed, fit)
-        wandering = fit.wandering.get(str(placed), 0.0)
-        if wandering > 0.0:  # likelier a line drawn anew in every part than one that repeats
-            reasons.append(Refusal(Kind.INCOHERENT, str(placed), (wandering,)))
-    names = {str(placed) for placed in added}
-    for placed in fit.effects:  # what was found before must stay what it is
-        if str(placed) not in names:
-            reasons += [
-                Refusal(Kind.OTHER_LAW, str(placed), cause=refusal) for refusal in wrong_signs(placed, fit.values)
-            ]
-    if not reasons and fit.free_run:
-        gains = coloured_gains(fit, base, policy.order)
-        least = 2 * policy.evidence if gains[1] >= 0.0 else policy.misfit_gain
-        if gains[0] < 0.0 or sum(gains) < least:
-            reasons.append(Refusal(Kind.COLOURED, numbers=(*gains, least)))
-    for placed in added if not reasons else ():
-        share = fit.change(placed)
-        if share < policy.least:
-            reasons.append(Refusal(Kind.SIZE, str(placed), (share, policy.least)))
-    return Judged(tuple(added), fit, comparison, tuple(reasons))
+        if policy.alone <= found.evidence < policy.second_share * whole:  # what brings less than nothing was said
+            reasons.append(Refusal(Kind.SHARE, numbers=(found.evidence / whole, policy.second_share)))
+    return reasons
+
+
+def _coloured(fit: Fit, base: Fit, policy: Policy) -> list[Refusal]:
+    """Return what free runs refuse beside an error that remembers."""
+    if not fit.free_run:
+        return []
+    gains = coloured_gains(fit, base, policy.order)
+    least = 2 * policy.evidence if gains[1] >= 0.0 else policy.misfit_gain
+    return [Refusal(Kind.COLOURED, numbers=(*gains, least))] if gains[0] < 0.0 or sum(gains) < least else []
+
+
+def _small(form: Form, added: Sequence[Placed], fit: Fit, policy: Policy) -> list[Refusal]:
+    """Return which effects change less than anybody would miss."""
+    shares = [(placed, form.change(fit, placed)) for placed in added]
+    return [Refusal(Kind.SIZE, str(placed), (share, policy.least)) for placed, share in shares if share < policy.least]
 
 
 def coloured_gains(fit: Fit, base: Fit, order: int) -> tuple[float, float]:
@@ -200,7 +220,7 @@ def pays(fit: Fit, base: Fit, policy: Policy = POLICY) -> bool:
     return fit.penalised > base.penalised - policy.evidence
 
 
-def impossible(placed: Placed, fit: Fit) -> list[Refusal]:
+def impossible(form: Form, placed: Placed, fit: Fit) -> list[Refusal]:
     """Return what physics forbids in the values of an effect, as its parameters declare."""
     reasons = wrong_signs(placed, fit.values)
     for parameter in placed.effect.parameters:
@@ -218,7 +238,7 @@ def impossible(placed: Placed, fit: Fit) -> list[Refusal]:
             reasons.append(Refusal(Kind.BOUND, parameter.name, (near[0],)))
         elif parameter.main and _undetermined(name, parameter.neutral or 0.0, fit):
             reasons.append(Refusal(Kind.UNDETERMINED, parameter.name, (value,)))
-    return reasons + violations(placed, fit)
+    return reasons + violations(form, placed, fit)
 
 
 def _undetermined(name: str, neutral: float, fit: Fit) -> bool:
@@ -242,10 +262,10 @@ def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[Refusal]:
     return reasons
 
 
-def violations(placed: Placed, fit: Fit) -> list[Refusal]:
+def violations(form: Form, placed: Placed, fit: Fit) -> list[Refusal]:
     """Return which relations between the values of an effect, as its law asks for them, do not hold."""
     effect = placed.effect
     values = {parameter.name: fit.values[placed.name(parameter.name)] for parameter in effect.parameters}
-    along = fit.braking(placed.at) if effect.requires_along else None
+    along = form.damping(fit, placed.at) if effect.requires_along else None
     broken = effect.violations(values) + ([] if along is None else effect.violations_along(values, *along))
     return [Refusal(Kind.LAW, sentence) for sentence in broken]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, cast
 
@@ -21,20 +21,6 @@ ColumnKind = Literal["linear", "wave", "drift"]
 a wave; test functions of a force that changes through every record."""
 WAVE = ("in phase", "quarter turn")
 """Names of the two columns of a wave."""
-
-
-def _untold(placed: Placed) -> float:
-    """Return infinity: nobody told how much an effect changes."""
-    return float("inf")
-
-
-def _far(other: Fit) -> float:
-    """Return infinity: nobody told how far apart two fits are."""
-    return float("inf")
-
-
-def _unbraked(at: str) -> None:
-    """Return nothing: nobody told what brakes a coordinate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,18 +56,9 @@ class Fit:
         True if the innovations are errors of free runs: what is not modelled moves many of them together.
     own : dict
         Parameters of the validation records themselves.
-    wandering : dict
+    incoherence : dict
         By full name of an effect that repeats: the logarithm of the evidence for amplitude and phase that are drawn
         anew in every part of the records, against ones that stay.
-    change : callable
-        How much one of the effects changes of rates or readings, as a share of them; found when it is asked for.
-        Infinite where a form cannot tell.
-    distance : callable
-        How far another fit to the same records is from this one, as such a share, each with its own values and hidden
-        states: what an effect does beyond what the other parameters can do as well. Infinite where a form cannot tell.
-    braking : callable
-        Places along the motion of a coordinate and the damping of all that brakes it there; None where unknown. See
-        :func:`harness.diagnosis.forms.braking.braking`.
     detail : object
         What the form itself needs to go on from here.
     """
@@ -98,13 +75,10 @@ class Fit:
     on_bound: tuple[str, ...]
     innovations: dict[str, list[tuple[FloatArray, FloatArray]]] = field(default_factory=dict, repr=False)
     own: dict[str, float] = field(default_factory=dict)
-    wandering: dict[str, float] = field(default_factory=dict)
+    incoherence: dict[str, float] = field(default_factory=dict)
     detail: Any = field(default=None, repr=False)
     beyond: bool = False
     free_run: bool = False
-    change: Callable[[Placed], float] = field(default=_untold, repr=False)
-    distance: Callable[[Fit], float] = field(default=_far, repr=False)
-    braking: Callable[[str], tuple[FloatArray, FloatArray] | None] = field(default=_unbraked, repr=False)
 
     @property
     def model(self) -> AnySystem:
@@ -249,7 +223,7 @@ class Form(Protocol):
         """Begin and finish."""
         ...
 
-    def forgetful(self, fit: Fit) -> Fit | None:
+    def without_memory(self, fit: Fit) -> Fit | None:
         """Return a fit with latent forces that are as quick as the fitted ones and remember nothing, None if they do.
 
         A force that remembers a tenth of a record takes up what is constant along it, and no promise is left of that.
@@ -273,4 +247,26 @@ class Form(Protocol):
 
     def test_functions(self, fit: Fit) -> list[Column]:
         """Return the same for functions of position, speed and input that are no effect of a dictionary."""
+        ...
+
+    def change(self, fit: Fit, placed: Placed) -> float:
+        """Return how much one of the effects of a fit changes of rates or readings, as a share of them.
+
+        Infinite where nobody can tell.
+        """
+        ...
+
+    def distance(self, fit: Fit, other: Fit) -> float:
+        """Return how far another fit to the same records is from one, as such a share.
+
+        Each has its own values and hidden states: it is what an effect does beyond what the other parameters can do as
+        well. Infinite where nobody can tell.
+        """
+        ...
+
+    def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
+        """Return places along the motion of a coordinate and the damping of all that brakes it there; None if unknown.
+
+        See :func:`harness.diagnosis.forms.damping.damping_along`.
+        """
         ...

@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
-from harness.diagnosis.search.score_test import projected
+from harness.diagnosis.search.scores import projected
 from harness.signals import FloatArray
 
 __all__ = ["Axis", "Leftover", "largest_evidence", "left_over"]

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Form
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.ties import Accepted
+from harness.diagnosis.search.table import Accepted
 from harness.effects.effect import Placed
 from harness.effects.laws.sensor import quantisation_test
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["add_rounding"]
+__all__ = ["with_rounding"]
 
 
-def add_rounding(
+def with_rounding(
     form: Form,
     outcome: Outcome,
     dataset: Dataset,
@@ -25,14 +26,13 @@ def add_rounding(
     policy: Policy = POLICY,
     *,
     share: FloatArray | None = None,
-) -> None:
-    """Add the rounding of an output to what was found, where it makes a part of the noise.
+) -> Outcome:
+    """Return what was found with the rounding of outputs, where it makes a part of the noise.
 
     Parameters
     ----------
     form : Form
     outcome : Outcome
-        Changed in place.
     dataset : Dataset
     candidates : sequence of Placed
     policy : Policy
@@ -60,5 +60,6 @@ def add_rounding(
         if fit is None:
             continue
         gain = [-test.on_grid * len(readings[use]) * float(np.log(policy.chance)) for use, test in tests.items()]
-        outcome.model = fit
-        outcome.accepted.append(Accepted(placed, ((placed,),), gain[0], gain[1]))
+        rounded = Accepted(placed, ((placed,),), gain[0], gain[1])
+        outcome = replace(outcome, model=fit, accepted=(*outcome.accepted, rounded))
+    return outcome

@@ -3,67 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import Judged, difference, judged
+from harness.diagnosis.search.compare import Judged, difference
 from harness.diagnosis.search.fit import Fit, Form
+from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, only, subjects
+from harness.diagnosis.search.table import Accepted, Answer, Round, Table, named, value
+from harness.diagnosis.search.warm import own_values
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 
 __all__ = [
-    "Accepted",
+    "alike",
     "asked_again",
     "close",
     "held",
     "may_tie",
-    "own_values",
     "physical",
     "refines",
     "tie_set",
+    "tie_set_of_last",
     "tied",
     "total",
     "typical_elsewhere",
     "undecided",
-    "value",
+    "unknown_parts",
 ]
-
-
-@dataclass(frozen=True, eq=False)
-class Accepted:
-    """One accepted effect with all that these data cannot tell from it, itself first, and its evidence.
-
-    ``beside`` names the effects beside which the tie set was asked for, None where it was not asked for yet;
-    ``found`` counts the rounds before the one that found it, with its rivals; ``part_of`` names the unknown force that
-    it may be a part of, where that is larger than what it explains.
-    """
-
-    placed: Placed
-    tie: tuple[tuple[Placed, ...], ...]
-    evidence: float
-    validation: float
-    beside: frozenset[str] | None = None
-    found: int = 0
-    part_of: str = ""
 
 
 def total(row: Judged) -> float:
     """Return what decides between rivals: the gain of both uses together."""
     return -np.inf if row.comparison is None else row.comparison.total
-
-
-def value(fit: Fit) -> float:
-    """Return the same of a fit itself."""
-    return fit.penalised + fit.log_likelihood("validation")
-
-
-def own_values(placed: Placed, fit: Fit) -> dict[str, float]:
-    """Return the values of the parameters of one effect, by full name."""
-    names = {*map(placed.name, placed.effect.parameter_names)}
-    return {name: number for name, number in fit.values.items() if name in names}
 
 
 def physical(row: Judged) -> bool:
@@ -100,12 +74,12 @@ def refines(rival: Sequence[Placed], placed: Placed, laws: Dictionary) -> bool:
 
 
 def undecided(
+    form: Form,
     answer: Fit,
     placed: Placed,
     rival: Fit,
     law: Sequence[Placed],
     gap: float,
-    laws: Dictionary,
     policy: Policy = POLICY,
 ) -> bool:
     """Return True if the data do not decide between an effect of an answer and a rival.
@@ -116,6 +90,7 @@ def undecided(
 
     Parameters
     ----------
+    form : Form
     answer : Fit
     placed : Placed
         The effect.
@@ -125,54 +100,63 @@ def undecided(
         That law.
     gap : float
         By which it is less likely.
-    laws : Dictionary
     policy : Policy
     """
     if not close(answer, rival, gap, policy):
         return False
     pays = gap < 0.0  # what its parameter explains is worth more than the parameter
-    return pays or not (refines(law, placed, laws) and rival.distance(answer) < policy.least)
+    return pays or not (refines(law, placed, form.laws) and form.distance(rival, answer) < policy.least)
 
 
 def tie_set(
-    best: Judged, rows: Sequence[Judged], laws: Dictionary, policy: Policy = POLICY
+    form: Form, best: Judged, rows: Sequence[Judged], policy: Policy = POLICY
 ) -> tuple[tuple[Placed, ...], ...]:
     """Return the tie set of an answer: what may tie with it (:func:`may_tie`), and is as likely."""
     found = [best.added]
     for row in sorted(rows, key=lambda row: -total(row)):
         if row is best or row.comparison is None or row.comparison.evidence < 0 or row.comparison.total < 0:
             continue
-        if row.fit is None or best.fit is None or not may_tie(row, best.added[-1], laws):
+        if row.fit is None or best.fit is None or not may_tie(row, best.added[-1], form.laws):
             continue
-        if undecided(best.fit, best.added[-1], row.fit, row.added, total(best) - total(row), laws, policy):
+        if undecided(form, best.fit, best.added[-1], row.fit, row.added, total(best) - total(row), policy):
             found.append(row.added)
     return tuple(found)
 
 
-def held(
-    form: Form, best: Judged, rows: Sequence[Judged], base: Fit, nominal: Fit, policy: Policy = POLICY
-) -> list[Judged]:
+def tie_set_of_last(table: Table, answer: Answer, past: Round, best: Judged) -> Answer:
+    """Return an answer whose last effect, found in a round, has its tie set."""
+    rivals = [*past.candidates, *held(table, best, past)]
+    last = replace(answer.accepted[-1], tie=tie_set(table.form, best, rivals, table.policy))
+    return replace(answer, accepted=(*answer.accepted[:-1], last))
+
+
+def alike(placed: Placed, past: Round, laws: Dictionary) -> list[tuple[Placed, ...]]:
+    """Return what may be tied with an effect: what is like it, at its place, and was refitted in a round."""
+    names = {placed.effect.name, *laws.family(placed.effect).near}
+    near = [row.added[0] for row in past.candidates if row.added[0].effect.name in names and typical_elsewhere(row)]
+    return [(other,) for other in near if other.at == placed.at and other != placed]
+
+
+def held(table: Table, best: Judged, past: Round) -> list[Judged]:
     """Return laws that are as likely as an answer only on a bound, with what lies on it held at its usual value.
 
     On its bound a law is another one: an exponent of 0.05 is dry friction. Whether the data tell the law itself from
-    the answer shows where it is typical. Only what has no unit has a usual value whatever the data.
+    the answer shows where it is typical. Only what has no unit has a usual value whatever the data. It is another law
+    than that of its name, and has no place in the table.
 
     Parameters
     ----------
-    form : Form
+    table : Table
     best : Judged
         The answer.
-    rows : sequence of Judged
-        Its rivals.
-    base, nominal : Fit
-        What all were judged against.
-    policy : Policy
+    past : Round
+        With its rivals.
     """
     found = []
-    for row in rows:
-        if best.fit is not None and (typical := _typical(best.fit, row, policy)) is not None:
-            fit = form.fit([*base.effects, typical], [_usual(row, typical)], row.fit)
-            found.append(judged([typical], fit, base, nominal, policy))
+    for row in past.candidates:
+        if best.fit is not None and (typical := _typical(best.fit, row, table.policy)) is not None:
+            fit = table.form.fit([*past.base.effects, typical], [_usual(row, typical)], row.fit)
+            found.append(table.judged([typical], fit, past.base))
     return found
 
 
@@ -198,72 +182,71 @@ def _usual(row: Judged, typical: Placed) -> dict[str, float]:
     return {**row.fit.values, **{typical.name(known.name): known.start({}) for known in held_now}}
 
 
-def asked_again(
-    form: Form,
-    model: Fit,
-    accepted: Sequence[Accepted],
-    rows: Sequence[Judged],
-    nominal: Fit,
-    policy: Policy = POLICY,
-) -> list[Accepted]:
-    """Return the accepted effects with the rivals that stay tied beside all that was accepted.
+def asked_again(table: Table, answer: Answer) -> Answer:
+    """Return an answer whose effects have the rivals that stay tied beside all that was accepted.
 
     A tie of the first effect was found when it stood alone: what was accepted later may tell them apart, or be the
     rival itself.
-
-    Parameters
-    ----------
-    form : Form
-    model : Fit
-        With all accepted effects.
-    accepted : sequence of Accepted
-    rows : sequence of Judged
-        Earlier fits of the rivals, to start from.
-    nominal : Fit
-    policy : Policy
     """
-    present = frozenset(str(placed) for placed in model.effects)
-    found = []
-    for effect in accepted:
+    present, found = named(answer.model.effects), list[Accepted]()
+    for effect in answer.accepted:
         others = present - {str(effect.placed)}
-        if effect.beside == others:
-            found.append(effect)
-            continue
-        kept: list[tuple[Placed, ...]] = [(effect.placed,)]
-        for member in effect.tie:
-            new = {str(placed) for placed in member} & present  # without the effect, its rival in the answer lost
-            if not new and _still_tied(form, model, effect.placed, member, rows, nominal, policy):
-                kept.append(member)
-        found.append(replace(effect, tie=tuple(kept), beside=others))
-    return found
+        if effect.beside != others:
+            # a rival in the answer lost already without the effect
+            rivals = [member for member in effect.tie if not named(member) & present]
+            kept = [member for member in rivals if _still_tied(table, answer.model, effect.placed, member)]
+            effect = replace(effect, tie=((effect.placed,), *kept), beside=others)
+        found.append(effect)
+    return replace(answer, accepted=tuple(found))
 
 
-def _still_tied(
-    form: Form,
-    model: Fit,
-    placed: Placed,
-    member: tuple[Placed, ...],
-    rows: Sequence[Judged],
-    nominal: Fit,
-    policy: Policy,
-) -> bool:
+def _still_tied(table: Table, model: Fit, placed: Placed, member: tuple[Placed, ...]) -> bool:
     """Return whether a model with a rival in the place of an effect is as likely."""
+    policy = table.policy
     others = [effect for effect in model.effects if str(effect) != str(placed)]
     start = dict(model.values)
-    for fit in (row.fit for row in rows if row.fit is not None and row.added == member):
-        for rival in member:
-            start |= own_values(rival, fit)
-    begun = form.begin([*others, *member], [start], model)
+    for row in (row for past in table.rounds for row in past.candidates if row.added == member):
+        if row.fit is not None:
+            for rival in member:
+                start |= own_values(rival, row.fit)
+    begun = table.begin([*others, *member], [start], model)
     if begun is None or begun.log_likelihood < model.log_likelihood("estimation") - EFFORT.margin:
         return False
-    trial = form.finish(begun, model, model)
-    row = judged(member, trial, nominal, nominal, policy)
+    trial = table.finish(begun, model, model)
+    row = table.judged(member, trial)
     if (typical := _typical(model, row, policy)) is not None:
-        trial = form.fit([*others, typical], [_usual(row, typical)], trial)
-        row = judged([typical], trial, nominal, nominal, policy)
+        trial = table.form.fit([*others, typical], [_usual(row, typical)], trial)
+        row = table.judged([typical], trial)
     if trial is None or trial.beyond or not physical(row):
         return False
-    return undecided(model, placed, trial, member, value(model) - value(trial), form.laws, policy)
+    return undecided(table.form, model, placed, trial, member, value(model) - value(trial), policy)
+
+
+def unknown_parts(table: Table, answer: Answer) -> Answer:
+    """Return an answer that marks effects which explain less than an unknown force that is left: parts of it, maybe.
+
+    Where something unknown acts, laws of the dictionary follow parts of it. What the records are surer of than of all
+    that a free force could still explain is no such part; of several effects the surest one stands in any case. The
+    faintest is asked first, and the next one beside what that leaves.
+    """
+    model, standing, marked = answer.model, list(answer.accepted), dict[str, str]()
+    while len(standing) > 1 and (unknown := left_over(table.form, model, table.policy).best) is not None:
+        losses: dict[int, tuple[float, Fit]] = {}
+        for number, accepted in enumerate(standing):
+            others = [other.placed for other in standing if other is not accepted]
+            table.fit(others, [model.values, {**model.values, **table.nominal.values}], model)
+            without = table.best(others)
+            if without is not None:
+                losses[number] = value(model) - value(without), without
+        if not losses:
+            break
+        faintest = min(losses, key=lambda number: losses[number][0])
+        loss, model = losses[faintest]
+        if loss > unknown.total:
+            break
+        marked[str(standing.pop(faintest).placed)] = unknown.name
+    parts = tuple(replace(one, part_of=marked.get(str(one.placed), one.part_of)) for one in answer.accepted)
+    return replace(answer, accepted=parts)
 
 
 def close(best: Fit, other: Fit, gap: float, policy: Policy) -> bool:

@@ -12,13 +12,13 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["braking"]
+__all__ = ["damping_along"]
 
 PLACES = 41
 """Places along the motion."""
 
 
-def braking(
+def damping_along(
     system: System, values: Mapping[str, float], at: str, q: FloatArray, v: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return places between the ends of a motion (K,), and the damping of all that brakes the coordinate there (K,).
@@ -41,7 +41,7 @@ def braking(
     --------
     >>> from harness.physics.models import pendulum
     >>> system = pendulum().system()
-    >>> places, damping = braking(system, system.values({"b": 0.3}), "theta", np.array([-1.0, 1.0]), np.ones(2))
+    >>> places, damping = damping_along(system, system.values({"b": 0.3}), "theta", np.array([-1.0, 1.0]), np.ones(2))
     >>> bool(np.allclose(damping, 0.3)), len(places)
     (True, 41)
     """

@@ -1,4 +1,4 @@
-"""The refits of a round: which are begun, which are finished, and from where each of them starts."""
+"""The refits beside a base, as a race by successive halving: all are begun, those that keep up are finished."""
 
 from __future__ import annotations
 
@@ -9,31 +9,20 @@ from functools import cache
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import (
-    impossible,
-    judged,
-    pays,
-    violations,
-    wrong_signs,
-)
-from harness.diagnosis.search.fit import Begun, Fit, Form
-from harness.diagnosis.search.grown import as_good, start_between
-from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
-from harness.diagnosis.search.ties import value
+from harness.diagnosis.search.compare import pays, wrong_signs
+from harness.diagnosis.search.fit import Begun, Fit
+from harness.diagnosis.search.scores import Lead, ScoreTest, score_test
+from harness.diagnosis.search.table import Table, named
+from harness.diagnosis.search.warm import Fits, lawful_again, share_ends
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 
-__all__ = ["Say", "chosen", "polished", "refitted"]
-
-
-Say = Callable[[str], None]
+__all__ = ["chosen", "raced"]
 
 Passes = Callable[[Placed, Fit], bool]
 
 
-def refitted(
-    form: Form, base: Fit, nominal: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy, say: Say
-) -> tuple[dict[Placed, Fit | None], frozenset[str]]:
+def raced(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> tuple[Fits, frozenset[str]]:
     """Begin the refits of all that promises something; finish those whose first steps keep up with the best.
 
     Returns them, and the names of those that were begun and left.
@@ -41,35 +30,29 @@ def refitted(
 
     @cache
     def passes(placed: Placed, fit: Fit) -> bool:
-        return judged([placed], fit, base, nominal, policy).passed
+        return table.judged([placed], fit, base).passed
 
-    race = _begun(form, base, test, untried, policy, say)
-    fits: dict[Placed, Fit | None] = {}
+    race = _begun(table, base, test, untried)
+    fits: Fits = {}
     while len(fits) < EFFORT.refits and (order := race.next(fits)):
         for placed in order:
             first = race.begun[placed]
             assert first is not None
-            say(f"{placed} to its maximum")
-            fits[placed] = form.finish(first, race.origins[placed], _best(fits, placed, passes), race.worth(placed))
+            table.say(f"{placed} to its maximum")
+            fits[placed] = table.finish(first, race.origins[placed], _best(fits, placed, passes), race.worth(placed))
         race.refused |= {placed for placed, fit in fits.items() if fit is None or not passes(placed, fit)}
         if len(race.refused) < len(fits):
             break
-    for placed in [
-        simple
-        for simple in race.begun
-        if simple not in fits
-        and any(
-            fit is not None
-            and pays(fit, base, policy)
-            and simple.at == rich.at
-            and simple.effect.name in rich.effect.nests
-            for rich, fit in fits.items()
-        )
-    ]:  # a law is no answer before its special cases were tried from where it ended
-        fits[placed] = None
-    _share_starts(form, fits, base, passes)
-    _lawful(form, fits, base, {lead.placed: lead.starts[0] for lead in test.leads})
-    return fits, frozenset(str(placed) for placed in race.begun if placed not in fits)
+    fits |= dict.fromkeys(_special_cases(table, base, fits, race.begun))
+    share_ends(table, base, fits, lambda placed: _best(fits, placed, passes))
+    lawful_again(table, base, fits, {lead.placed: lead.starts[0] for lead in test.leads})
+    return fits, named(placed for placed in race.begun if placed not in fits)
+
+
+def _special_cases(table: Table, base: Fit, fits: Fits, begun: Mapping[Placed, Begun | None]) -> list[Placed]:
+    """Return what was begun and left, and is a special case of what pays: it is tried from where that one ended."""
+    paying = [placed for placed, fit in fits.items() if fit is not None and pays(fit, base, table.policy)]
+    return [simple for simple in begun if simple not in fits and any(rich.generalises(simple) for rich in paying)]
 
 
 @dataclass(eq=False)
@@ -137,32 +120,32 @@ class _Race:
         return first is not None and bool(wrong_signs(placed, first.values))
 
 
-def _begun(form: Form, base: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy, say: Say) -> _Race:
+def _begun(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> _Race:
     """Begin the refits of all that promises something, and of what no promise tells of."""
-    race = _Race(base, policy, form.laws)
+    race = _Race(base, table.policy, table.laws)
     before = base.log_likelihood("estimation")
-    for lead in [*chosen(test, form.laws, policy), *_remembered(form, base, test, untried, policy)]:
-        say(str(lead.placed))
+    for lead in [*chosen(test, table.laws, table.policy), *_remembered(table, base, test, untried)]:
+        table.say(str(lead.placed))
         promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
         starts = [{**base.values, **start} for start in promising]
         race.origins[lead.placed] = base
-        race.begun[lead.placed] = form.begin([*base.effects, lead.placed], starts, base, before + race.enough())
+        race.begun[lead.placed] = table.begin([*base.effects, lead.placed], starts, base, before + race.enough())
     best = max((refit for refit in race.begun.values() if refit), key=lambda refit: refit.log_likelihood, default=None)
-    unsure = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.share < policy.clear}
+    unsure = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.share < table.policy.clear}
     race.uncertain |= {placed for placed in race.begun if str(placed) in unsure}
-    for suspect in form.suspects(base, best, untried):
-        say(str(suspect.placed))
+    for suspect in table.form.suspects(base, best, untried):
+        table.say(str(suspect.placed))
         origin = base if suspect.base is None else suspect.base
         starts = [{**origin.values, **start} for start in suspect.starts]
         race.origins[suspect.placed] = origin
         # its starts lie far off: two steps tell nothing of where it leads
-        race.begun[suspect.placed] = form.begin([*base.effects, suspect.placed], starts, origin)
+        race.begun[suspect.placed] = table.begin([*base.effects, suspect.placed], starts, origin)
         if race.gain(suspect.placed) > 0.0:
             race.uncertain.add(suspect.placed)
     return race
 
 
-def _best(fits: Mapping[Placed, Fit | None], beside: Placed, passes: Passes) -> Fit | None:
+def _best(fits: Fits, beside: Placed, passes: Passes) -> Fit | None:
     """Return the likeliest of the other refits that may be the answer: nothing else puts an end to another fit.
 
     What the validation records or its own law refuse says nothing of how near to it the answer may come.
@@ -192,55 +175,13 @@ def chosen(test: ScoreTest, laws: Dictionary, policy: Policy = POLICY) -> list[L
     return [*list(ordered)[: EFFORT.begun], *faint[: EFFORT.faint]]
 
 
-def _remembered(form: Form, base: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy) -> list[Lead]:
+def _remembered(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> list[Lead]:
     """Return leads that promise something only where the latent force does not remember what it took up."""
-    forgetful = form.forgetful(base)
-    if forgetful is None:
+    without_memory = table.form.without_memory(base)
+    if without_memory is None:
         return []
+    policy = table.policy
     known = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.gain >= policy.lead}
-    leads = score_test(form, forgetful, [placed for placed in untried if str(placed) not in known], policy).leads
+    others = [placed for placed in untried if str(placed) not in known]
+    leads = score_test(table.form, without_memory, others, policy).leads
     return [lead for lead in leads if lead.penalised > 0.0 and lead.share >= policy.clear][: EFFORT.faint]
-
-
-def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit, passes: Passes) -> None:
-    """Fit a law and its special cases from each other's ends: no rival loses by a bad start."""
-    for rich, simple in [(a, b) for a in fits for b in fits if b.effect.name in a.effect.nests and a.at == b.at]:
-        for mine, theirs in ((rich, simple), (simple, rich)):
-            fit, other = fits[mine], fits[theirs]
-            if other is None or (fit is not None and as_good(fit, other, contains=mine is rich)):
-                continue
-            start = start_between(mine, fit, theirs, other)
-            again = form.fit([*base.effects, mine], [start], other, _best(fits, mine, passes))
-            if again is not None and (fit is None or value(again) > value(fit)):
-                fits[mine] = again
-
-
-def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mapping[Placed, dict[str, float]]) -> None:
-    """Fit a law whose values its own physics forbids once more, from a special case of it and its first start."""
-    for rich, simple in [(a, b) for a in fits for b in fits if b.effect.name in a.effect.nests and a.at == b.at]:
-        fit, other = fits[rich], fits[simple]
-        if fit is None or other is None or rich not in starts or not violations(rich, fit):
-            continue
-        shared = {parameter.name for parameter in simple.effect.parameters if parameter.nuisance}
-        names = {*map(rich.name, rich.effect.parameter_names)}
-        own = {name: value for name, value in starts[rich].items() if name in names}
-        start = {**other.values, **own}
-        start |= {rich.name(name): other.values[simple.name(name)] for name in shared}
-        again = form.fit([*base.effects, rich], [start], other)
-        if again is not None and not violations(rich, again):
-            fits[rich] = again
-
-
-def polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
-    """Return the base fitted again from where its best rival ended, if that is better."""
-    best = max(fits, key=lambda fit: fit.penalised, default=None)
-    if best is None or best.penalised < base.penalised:
-        return base
-    begun = form.begin(base.effects, [best.values], best)
-    if begun is None or begun.log_likelihood < base.log_likelihood("estimation") - EFFORT.margin:
-        return base
-    again = form.finish(begun, best)
-    better = again is not None and again.penalised > base.penalised + 0.5
-    if again is not None and any(impossible(placed, again) and not impossible(placed, base) for placed in base.effects):
-        return base  # it was accepted as a law
-    return again if again is not None and better and (again.converged or not base.converged) else base

@@ -1,0 +1,189 @@
+"""The table of a search: every set of effects that was fitted, the rounds that filled it, and an answer out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.search.compare import Judged, compared, impossible, judged
+from harness.diagnosis.search.fit import Begun, Fit, Form
+from harness.diagnosis.search.scores import ScoreTest
+from harness.effects.dictionary import Dictionary
+from harness.effects.effect import Placed
+
+__all__ = ["Accepted", "Answer", "Round", "Say", "Table", "named", "value"]
+
+Say = Callable[[str], None]
+
+
+def silent(text: str) -> None:
+    """Say nothing."""
+
+
+def named(effects: Iterable[Placed]) -> frozenset[str]:
+    """Return the names of effects, by which a set of them is known."""
+    return frozenset(map(str, effects))
+
+
+def value(fit: Fit) -> float:
+    """Return what decides between two sets of effects: both uses together, the estimation records penalised."""
+    return fit.penalised + fit.log_likelihood("validation")
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """One accepted effect with all that these data cannot tell from it, itself first, and its evidence.
+
+    ``beside`` names the effects beside which the tie set was asked for, None where it was not asked for yet;
+    ``found`` counts the rounds before the one that found it, with its rivals; ``part_of`` names the unknown force that
+    it may be a part of, where that is larger than what it explains.
+    """
+
+    placed: Placed
+    tie: tuple[tuple[Placed, ...], ...]
+    evidence: float
+    validation: float
+    beside: frozenset[str] | None = None
+    found: int = 0
+    part_of: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A set of effects that stands, in the order in which they were found, and its fit."""
+
+    model: Fit
+    accepted: tuple[Accepted, ...] = ()
+
+    def without(self, gone: int) -> list[Placed]:
+        """Return the effects but one."""
+        return [accepted.placed for number, accepted in enumerate(self.accepted) if number != gone]
+
+    def added(self, row: Judged, found: int) -> Answer:
+        """Return the answer with a candidate, whose rivals are not asked for yet, beside it."""
+        assert row.fit is not None
+        assert row.comparison is not None
+        gains = row.comparison.evidence, row.comparison.validation
+        new = Accepted(row.added[-1], (row.added,), *gains, named(self.model.effects), found)
+        return Answer(row.fit, (*self.accepted, new))
+
+    def exchanged(
+        self, number: int, new: Placed, fit: Fit, found: int, alike: Sequence[tuple[Placed, ...]] = ()
+    ) -> Answer:
+        """Return the answer with an effect in the place of another one, which may be tied with it."""
+        old, gains = self.accepted[number], compared(fit, self.model)
+        changed = replace(
+            old,
+            placed=new,
+            tie=tuple(dict.fromkeys([(new,), *old.tie, *alike])),
+            evidence=old.evidence + gains.evidence,
+            validation=old.validation + gains.validation,
+            beside=None,
+            found=found,
+        )
+        return Answer(fit, (*self.accepted[:number], changed, *self.accepted[number + 1 :]))
+
+    def dropped(self, number: int, fit: Fit) -> Answer:
+        """Return the answer without an effect."""
+        return Answer(fit, (*self.accepted[:number], *self.accepted[number + 1 :]))
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What was added to a set: the score test beside it, the refits that followed, and what was begun and left."""
+
+    base: Fit
+    test: ScoreTest
+    candidates: tuple[Judged, ...]
+    left: frozenset[str] = frozenset()
+
+
+@dataclass(eq=False)
+class Table:
+    """Every set of effects that was fitted, with the best fit of it.
+
+    Parameters
+    ----------
+    form : Form
+    root : Fit
+        Of the nominal model.
+    candidates : sequence of Placed
+        The effects that may be added.
+    policy : Policy
+    say : callable
+        Told what is fitted.
+    sizes : mapping
+        Sizes of the data by port, for what laws that refine others start from.
+    """
+
+    form: Form
+    root: Fit
+    candidates: Sequence[Placed]
+    policy: Policy = POLICY
+    say: Say = silent
+    sizes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    rounds: list[Round] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Begin with what is known."""
+        self.put(self.root)
+        for past in self.rounds:
+            for fit in (past.base, *(row.fit for row in past.candidates)):
+                if fit is not None:
+                    self.put(fit)
+
+    @property
+    def laws(self) -> Dictionary:
+        """The effects of the run, and what they say of each other."""
+        return self.form.laws
+
+    @property
+    def nominal(self) -> Fit:
+        """The best fit of the nominal model."""
+        return self.fits[frozenset()]
+
+    def best(self, effects: Iterable[Placed]) -> Fit | None:
+        """Return the best fit of a set, None where it was not fitted."""
+        return self.fits.get(named(effects))
+
+    def put(self, fit: Fit) -> Fit:
+        """Keep a fit if it is the best one of its set; what was left on its way is none where another was not."""
+        key = named(fit.effects)
+        known = self.fits.get(key)
+        if known is None or (not fit.beyond, value(fit)) > (not known.beyond, value(known)):
+            self.fits[key] = fit
+        return fit
+
+    def begin(
+        self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None, hope: float = -np.inf
+    ) -> Begun | None:
+        """Take the first steps of a fit, see :meth:`Form.begin`."""
+        return self.form.begin(effects, starts, base, hope)
+
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
+        """Finish a fit, see :meth:`Form.finish`, and keep it."""
+        fit = self.form.finish(begun, base, rival, least)
+        return None if fit is None else self.put(fit)
+
+    def fit(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        rival: Fit | None = None,
+    ) -> Fit | None:
+        """Begin and finish."""
+        fit = self.form.fit(effects, starts, base, rival)
+        return None if fit is None else self.put(fit)
+
+    def judged(self, added: Sequence[Placed], fit: Fit | None, base: Fit | None = None) -> Judged:
+        """Return what speaks for and against effects that were added to a base, the nominal model if none is given."""
+        return judged(self.form, added, fit, base or self.nominal, self.nominal, self.policy)
+
+    def lawful(self, fit: Fit) -> bool:
+        """Return True for a fit at its end in which physics forbids nothing."""
+        return fit.converged and not any(impossible(self.form, placed, fit) for placed in fit.effects)

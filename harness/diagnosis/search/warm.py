@@ -1,0 +1,141 @@
+"""From where a set of effects starts again: from the ends of sets that it contains, is contained in, or replaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import permutations
+
+from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.search.compare import impossible, violations
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.table import Table, named, value
+from harness.effects.effect import Placed
+
+__all__ = [
+    "Fits",
+    "as_good",
+    "in_its_place",
+    "lawful_again",
+    "own_values",
+    "polished",
+    "share_ends",
+    "start_between",
+]
+
+Fits = dict[Placed, Fit | None]
+"""Fits of a base with one effect more, by that effect; None where it could not be simulated, or was left."""
+
+
+def own_values(placed: Placed, fit: Fit) -> dict[str, float]:
+    """Return the values of the parameters of one effect, by full name."""
+    names = {*map(placed.name, placed.effect.parameter_names)}
+    return {name: number for name, number in fit.values.items() if name in names}
+
+
+def start_between(mine: Placed, fit: Fit | None, theirs: Placed, other: Fit) -> dict[str, float]:
+    """Return where a law starts from the end of one that it contains or is contained in; the rest as it was."""
+    start = dict(other.values)
+    for parameter in mine.effect.parameters:
+        if parameter.name in theirs.effect.parameter_names:
+            start[mine.name(parameter.name)] = other.values[theirs.name(parameter.name)]
+        elif fit is not None:
+            start[mine.name(parameter.name)] = fit.values[mine.name(parameter.name)]
+    return start
+
+
+def in_its_place(values: Mapping[str, float], gone: Placed, left: Sequence[Placed]) -> list[dict[str, float]]:
+    """Return values with which another effect at the same place carries the level of one that goes as well."""
+    starts = []
+    for other in left:
+        pairs = [(a, b) for a in gone.effect.parameters for b in other.effect.parameters if a.main and b.main]
+        for a, b in pairs:
+            if other.at == gone.at and a.unit == b.unit:
+                starts.append({**values, other.name(b.name): values[other.name(b.name)] + values[gone.name(a.name)]})
+    return starts
+
+
+def as_good(fit: Fit, other: Fit, *, contains: bool) -> bool:
+    """Return True if a fit has nothing to learn from where another ended; a law that contains it may not be worse.
+
+    What it fits too closely costs a law that contains the other some of the validation records' likelihood, not much.
+    """
+    if contains:
+        lost = other.log_likelihood("validation") - fit.log_likelihood("validation")
+        return lost < EFFORT.close and fit.log_likelihood("estimation") > other.log_likelihood("estimation") - 1.0
+    return value(fit) > value(other) - 1.0
+
+
+def share_ends(
+    table: Table,
+    base: Fit,
+    fits: Fits,
+    rival: Callable[[Placed], Fit | None],
+    among: Sequence[Placed] | None = None,
+    *,
+    upward: bool = False,
+) -> None:
+    """Fit a law and its special cases from each other's ends: no rival loses by a bad start.
+
+    Parameters
+    ----------
+    table : Table
+    base : Fit
+        Beside which they stand.
+    fits : dict
+        By law, changed.
+    rival : callable
+        The fit that puts an end to the one of a law, if any.
+    among : sequence of Placed, optional
+        Only these laws.
+    upward : bool
+        Only from special cases to what contains them.
+    """
+    for mine, theirs in permutations(fits if among is None else among, 2):
+        contains = mine.generalises(theirs)
+        if not contains and (upward or not theirs.generalises(mine)):
+            continue
+        fit, other = fits.get(mine), fits.get(theirs)
+        if other is None or (fit is not None and as_good(fit, other, contains=contains)):
+            continue
+        again = table.fit([*base.effects, mine], [start_between(mine, fit, theirs, other)], other, rival(mine))
+        if again is not None and (fit is None or value(again) > value(fit)):
+            fits[mine] = again
+
+
+def lawful_again(table: Table, base: Fit, fits: Fits, starts: Mapping[Placed, Mapping[str, float]]) -> None:
+    """Fit a law whose values its own physics forbids once more, from a special case of it and its first start."""
+    for rich, simple in permutations(fits, 2):
+        fit, other = fits[rich], fits[simple]
+        if fit is None or other is None or rich not in starts or not rich.generalises(simple):
+            continue
+        if not violations(table.form, rich, fit):
+            continue
+        shared = {parameter.name for parameter in simple.effect.parameters if parameter.nuisance}
+        names = {*map(rich.name, rich.effect.parameter_names)}
+        own = {name: number for name, number in starts[rich].items() if name in names}
+        start = {**other.values, **own}
+        start |= {rich.name(name): other.values[simple.name(name)] for name in shared}
+        again = table.fit([*base.effects, rich], [start], other)
+        if again is not None and not violations(table.form, rich, again):
+            fits[rich] = again
+
+
+def polished(table: Table, base: Fit, fits: Sequence[Fit]) -> Fit:
+    """Return the base fitted again from where its best rival ended, if that is better; it is then that of its set.
+
+    Nothing is compared with a model that is not at its maximum.
+    """
+    best = max(fits, key=lambda fit: fit.penalised, default=None)
+    if best is None or best.penalised < base.penalised:
+        return base
+    begun = table.begin(base.effects, [best.values], best)
+    if begun is None or begun.log_likelihood < base.log_likelihood("estimation") - EFFORT.margin:
+        return base
+    again = table.form.finish(begun, best)
+    if again is None or again.penalised <= base.penalised + 0.5 or (base.converged and not again.converged):
+        return base
+    for placed in base.effects:  # it was accepted as a law
+        if impossible(table.form, placed, again) and not impossible(table.form, placed, base):
+            return base
+    table.fits[named(base.effects)] = again
+    return again
