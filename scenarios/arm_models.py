@@ -10,9 +10,10 @@ from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec
 
 if TYPE_CHECKING:
+    from harness.physics.arms.arm import ArmModel
     from harness.physics.arms.rigid_tree import Arm
 
-__all__ = ["arm_of", "damping_of"]
+__all__ = ["arm_model_of", "arm_of", "damping_of"]
 
 
 def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
@@ -23,27 +24,30 @@ def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
     InputError
         If there is none, or it has another number of joints than the plant has inputs.
     """
-    from harness.physics.arms.urdf import load_urdf
+    return arm_model_of(urdf, spec).arm
+
+
+def arm_model_of(urdf: str | Path | None, spec: PlantSpec) -> ArmModel:
+    """Return the same with the damping, friction and rotors that the URDF or MJCF states; see :func:`arm_of`."""
+    from harness.physics.arms.arm import load_arm
 
     path = _path(urdf, spec)
-    arm = load_urdf(path)
-    if arm.n != spec.nu:
+    model = load_arm(path)
+    if model.n != spec.nu:
         raise InputError(
             "model of the arm",
             expected=f"{spec.nu} moving joints, one for each input",
-            got=str(arm.n),
-            remedy="give the URDF of this arm",
+            got=str(model.n),
+            remedy="give the URDF or MJCF of this arm",
             file=path,
             place="urdf",
         )
-    return arm
+    return model
 
 
 def damping_of(urdf: str | Path | None, spec: PlantSpec) -> FloatArray:
-    """Return the damping (n,) that the URDF of :func:`arm_of` states."""
-    from harness.physics.arms.arm import load_arm
-
-    return load_arm(_path(urdf, spec)).damping
+    """Return the damping (n,) that the file of :func:`arm_of` states."""
+    return arm_model_of(urdf, spec).damping
 
 
 def _path(urdf: str | Path | None, spec: PlantSpec) -> Path:
@@ -57,7 +61,7 @@ def _iiwa_urdf(spec: PlantSpec) -> Path:
     if path is None or not path.is_file():
         raise InputError(
             "model of the arm",
-            expected="a URDF, or a plant with seven inputs and PyBullet's data installed",
+            expected="a URDF or MJCF, or a plant with seven inputs and PyBullet's data installed",
             got=f"{spec.nu} inputs",
             remedy="give urdf, or inverse_dynamics, or for arm-pd kp, kd and gravity_compensation = false",
             place="urdf",

@@ -14,7 +14,7 @@ from harness.protocols import Experiment
 from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec
 from scenarios import signals
-from scenarios.arm_models import arm_of
+from scenarios.arm_models import arm_model_of
 from scenarios.conditions import Conditions
 from scenarios.noise import PerChannel, not_negative, per_channel
 
@@ -42,7 +42,8 @@ class ArmTracking(Conditions):
     fade : float
         Time over which the reference fades in [s].
     urdf : path, optional
-        Model of the arm for the controller; without it, for a plant with seven inputs, the KUKA iiwa of PyBullet.
+        Model of the arm for the controller, a URDF or MJCF, with the rotors that it states; without it, for a plant
+        with seven inputs, the KUKA iiwa of PyBullet.
     inverse_dynamics : callable, optional
         ``(q, v, a) -> torque`` instead of a URDF.
     natural_frequency, damping_ratio : float
@@ -105,7 +106,8 @@ class ArmTracking(Conditions):
         """Return the inverse dynamics that the controller uses."""
         if self.inverse_dynamics is not None:
             return self.inverse_dynamics
-        return arm_of(self.urdf, spec).inverse_dynamics
+        model = arm_model_of(self.urdf, spec)
+        return lambda q, v, a: model.arm.inverse_dynamics(q, v, a) + model.motor_inertia * a
 
     def _planned(
         self, n: int, spec: PlantSpec, positions: list[int], *, rng: np.random.Generator
