@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from harness.models.damped import Damping, damped_descent
 from harness.protocols import Model
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.linear_model import LinearModel
@@ -124,6 +126,7 @@ def fitted_start(
     best = np.array(guess, dtype=float)
     nx = best.size
     steps = 1e-6 * scale
+    rule = Damping(least=0.0, most=1e6, rounds=8)
 
     def misses(states: FloatArray, count: int) -> FloatArray:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -132,32 +135,24 @@ def fitted_start(
             wrong = residual(channels, np.broadcast_to(data.y[:count], y.shape).copy(), y) / spread
         return wrong.reshape(len(states), -1)
 
+    def cost(state: FloatArray, count: int) -> float:
+        now = misses(state[None], count)[0]
+        return float(now @ now)
+
+    def linearised(state: FloatArray, count: int) -> tuple[FloatArray, FloatArray] | None:
+        now = misses(state[None], count)[0]
+        jacobian = (misses(state + np.diag(steps), count) - now).T / 1e-6
+        return (jacobian.T @ jacobian, jacobian.T @ now) if np.isfinite(jacobian).all() else None
+
+    def moved(state: FloatArray, system: tuple[FloatArray, FloatArray], damping: float) -> FloatArray:
+        gram, right = system
+        return state + scale * np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-12), -right)
+
     for length in lengths:
         count = min(length, len(data))
         if count * data.spec.ny < nx:
             break
-        damping = 1e-3
-        now = misses(best[None], count)[0]
-        for _ in range(8):
-            cost = float(now @ now)
-            if not np.isfinite(cost):
-                break
-            jacobian = (misses(best + np.diag(steps), count) - now).T / 1e-6
-            if not np.isfinite(jacobian).all():
-                break
-            gram, right = jacobian.T @ jacobian, jacobian.T @ now
-            improved = 0.0
-            while damping < 1e6:
-                move = np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-12), -right)
-                trial = best + scale * move
-                then = misses(trial[None], count)[0]
-                if float(then @ then) < cost:
-                    improved = cost - float(then @ then)
-                    best, now, damping = trial, then, damping / 10
-                    break
-                damping *= 10
-            if improved <= 1e-6 * cost:
-                break
+        best = damped_descent(best, partial(cost, count=count), partial(linearised, count=count), moved, rule)
         if count == len(data):
             break
     return best

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError
+from harness.models.damped import Damping, damped_descent
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.learned.recurrent_pass import Layout
 from identifiers.linear.n4sid import Subspace
@@ -16,6 +17,8 @@ from identifiers.linear.n4sid import Subspace
 __all__ = ["Fitted", "Problem", "descend", "fit_start"]
 
 Mask = npt.NDArray[np.bool_]
+Point = tuple[FloatArray, FloatArray]
+"""Weights (p,) and the initial state of every record (R, nx)."""
 
 _HELD_OUT = 5
 """One part in so many of every record, its end, is held out."""
@@ -111,35 +114,31 @@ def descend(
     theta[~free] = 0.0
     weight = _ridge(layout, ridge)
     starts = np.tile(start, (len(problems), 1))
-    lost = Fitted(theta, starts, np.inf, np.inf)
-    now = _cost(layout, problems, theta, starts, weight)
-    if not np.isfinite(now[0]):
-        return lost
-    damping, best, since = 1.0, lost, 0
-    for _ in range(iterations):
-        gram, gradient, corner, bridge, side, held_out, error = _normal(layout, problems, theta, starts, weight)
+    best, since = Fitted(theta, starts, np.inf, np.inf), 0
+
+    def cost(point: Point) -> float:
+        return _cost(layout, problems, *point, weight)[0]
+
+    def linearised(point: Point) -> System | None:
+        nonlocal best, since
+        gram, gradient, corner, bridge, side, held_out, error = _normal(layout, problems, *point, weight)
         if held_out < best.held_out:
-            best, since = Fitted(theta.copy(), starts.copy(), held_out, error), 0
+            best, since = Fitted(*point, held_out, error), 0
         elif (since := since + 1) > _PATIENCE:
-            break
-        moved = False
-        for _ in range(_TRIALS):
-            d_theta, d_starts = _solve(gram, gradient, corner, bridge, side, free, damping)
-            trial, trial_starts = theta - d_theta, starts - d_starts
-            then = _cost(layout, problems, trial, trial_starts, weight)
-            if then[0] < now[0]:
-                moved = True
-                break
-            damping *= 4.0
-        if not moved:
-            break
-        fall = (now[0] - then[0]) / now[0]
-        theta, starts, now, damping = trial, trial_starts, then, max(0.3 * damping, 1e-7)
-        if fall < _ENOUGH:
-            break
-    if now[1] < best.held_out:
-        best = Fitted(theta, starts, now[1], now[2])
-    return best
+            return None
+        return gram, gradient, corner, bridge, side
+
+    def moved(point: Point, system: System, damping: float) -> Point:
+        d_theta, d_starts = _solve(*system, free, damping)
+        return point[0] - d_theta, point[1] - d_starts
+
+    if not np.isfinite(cost((theta, starts))):
+        return best
+    rule = Damping(start=1.0, growth=4.0, fall=0.3, least=1e-7, most=np.inf, trials=_TRIALS, enough=_ENOUGH,
+                   rounds=iterations)  # fmt: skip
+    end = damped_descent((theta, starts), cost, linearised, moved, rule)
+    _, held_out, error = _cost(layout, problems, *end, weight)
+    return Fitted(*end, held_out, error) if held_out < best.held_out else best
 
 
 def fit_start(
@@ -158,7 +157,6 @@ def fit_start(
         Standard deviation of the errors of a free run, in scaled units.
     """
     precision = (max(error, 1e-6) / std) ** 2
-    x, damping = np.array(mean, dtype=float), 1e-2
 
     def cost(state: FloatArray) -> float:
         y, _ = layout.run(theta, state, problem.u, sensitivities=False)
@@ -166,30 +164,21 @@ def fit_start(
         total = float(np.sum(miss**2) + np.sum(precision * (state - mean) ** 2))
         return total if np.isfinite(total) else np.inf
 
-    now = cost(x)
-    for _ in range(40):
+    def linearised(x: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         y, table = layout.run(theta, x, problem.u, sensitivities=True)
         assert table is not None
         jacobian = table[..., layout.count :].reshape(-1, layout.nx)
         miss = problem.errors(y).ravel()
         if not np.isfinite(miss).all():
-            break
-        gram = jacobian.T @ jacobian + np.diag(precision)
-        right = jacobian.T @ miss + precision * (x - mean)
-        moved = False
-        for _ in range(_TRIALS):
-            trial = x - np.linalg.solve(gram + damping * np.diag(np.diag(gram)), right)
-            then = cost(trial)
-            if then < now:
-                moved = True
-                break
-            damping *= 4.0
-        if not moved:
-            break
-        fall, x, now, damping = (now - then) / now, trial, then, max(0.3 * damping, 1e-9)
-        if fall < _ENOUGH:
-            break
-    return x
+            return None
+        return jacobian.T @ jacobian + np.diag(precision), jacobian.T @ miss + precision * (x - mean)
+
+    def moved(x: FloatArray, system: tuple[FloatArray, FloatArray], damping: float) -> FloatArray:
+        gram, right = system
+        return x - np.linalg.solve(gram + damping * np.diag(np.diag(gram)), right)
+
+    rule = Damping(start=1e-2, growth=4.0, fall=0.3, least=1e-9, most=np.inf, trials=_TRIALS, enough=_ENOUGH, rounds=40)
+    return damped_descent(np.array(mean, dtype=float), cost, linearised, moved, rule)
 
 
 def _begin(
@@ -292,6 +281,7 @@ def _sums(
     return cost, float(np.sqrt(np.mean(held**2))), float(np.sqrt(np.mean(learned**2)))
 
 
+System = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Normal = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float, float]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import HarnessError
+from harness.models.damped import Damping, damped_descent
 from harness.physics.arms.vectorised import OnRecords
 from harness.physics.compiled.windows import data_states
 from harness.physics.fitting.levenberg import log_scaled
@@ -183,34 +184,33 @@ def _small_fit(
     """Return the parameters of least squared residual, and that sum."""
     low = np.array([parameter.minimum for parameter in system.parameters])
     high = np.array([parameter.maximum for parameter in system.parameters])
-    p = np.where(logarithmic, np.maximum(p, 1e-12), p)
-    r, j = residual(p, True)
-    cost, damping = float(r @ r), 1e-3
-    for _ in range(40):
-        if not (np.isfinite(cost) and np.isfinite(j).all()):
-            return p, np.inf
-        scaled = (j * np.where(logarithmic, p, 1.0))[:, free]
-        gram, right = scaled.T @ scaled, scaled.T @ r
-        size = np.sqrt(np.maximum(np.diag(gram), 1e-14 * np.diag(gram).max(initial=0.0) + 1e-200))
-        improved = False
-        while damping < 1e8:
-            matrix = gram / np.outer(size, size) + (damping + 1e-12) * np.eye(len(right))
-            step = np.zeros_like(p)
-            step[free] = np.linalg.solve(matrix, right / size) / size
-            longest = np.abs(step[logarithmic]).max(initial=0.0)
-            step *= min(1.0, 2.0 / longest) if longest > 0 else 1.0
-            trial = np.clip(np.where(logarithmic, p * np.exp(np.clip(step, -2.0, 2.0)), p + step), low, high)
-            trial = np.where(logarithmic, np.maximum(trial, 1e-12), trial)
-            then, _ = residual(trial, False)
-            new = float(then @ then)
-            if np.isfinite(new) and new < cost:
-                improved = True
-                break
-            damping *= 6.0
-        if not improved:
-            break
-        gain, cost, p, damping = (cost - new) / cost, new, trial, damping / 8.0
-        if gain < 1e-5:
-            break
+    sound = True
+
+    def cost(p: FloatArray) -> float:
+        r, _ = residual(p, False)
+        total = float(r @ r)
+        return total if np.isfinite(total) else np.inf
+
+    def linearised(p: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         r, j = residual(p, True)
-    return p, cost
+        nonlocal sound
+        sound = bool(np.isfinite(r).all() and np.isfinite(j).all())
+        if not sound:
+            return None
+        scaled = (j * np.where(logarithmic, p, 1.0))[:, free]
+        return scaled.T @ scaled, scaled.T @ r
+
+    def moved(p: FloatArray, system: tuple[FloatArray, FloatArray], damping: float) -> FloatArray:
+        gram, right = system
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-14 * np.diag(gram).max(initial=0.0) + 1e-200))
+        matrix = gram / np.outer(size, size) + (damping + 1e-12) * np.eye(len(right))
+        step = np.zeros_like(p)
+        step[free] = np.linalg.solve(matrix, right / size) / size
+        longest = np.abs(step[logarithmic]).max(initial=0.0)
+        step *= min(1.0, 2.0 / longest) if longest > 0 else 1.0
+        trial = np.clip(np.where(logarithmic, p * np.exp(np.clip(step, -2.0, 2.0)), p + step), low, high)
+        return np.where(logarithmic, np.maximum(trial, 1e-12), trial)
+
+    rule = Damping(growth=6.0, fall=1 / 8, least=0.0, enough=1e-5, rounds=40)
+    found = damped_descent(np.where(logarithmic, np.maximum(p, 1e-12), p), cost, linearised, moved, rule)
+    return found, cost(found) if sound else np.inf

@@ -1,0 +1,95 @@
+"""Damped least squares (Levenberg 1944; Marquardt 1963, J. SIAM 11:431): one loop, whatever the normal equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+__all__ = ["Damping", "damped_descent"]
+
+Point = TypeVar("Point")
+System = TypeVar("System")
+
+
+@dataclass(frozen=True)
+class Damping:
+    """How a descent is damped, and when it ends.
+
+    Parameters
+    ----------
+    start : float
+        Marquardt's lambda of the first step.
+    growth : float
+        Factor after a step that lowers nothing.
+    fall : float
+        Factor after one that does.
+    least, most : float
+        Least lambda, and the one from which on no step is tried.
+    trials : int
+        Steps that are tried from one point.
+    enough : float
+        Relative decrease of the cost below which the descent ends.
+    rounds : int
+        Points from which a step is taken, at most.
+    """
+
+    start: float = 1e-3
+    growth: float = 10.0
+    fall: float = 0.1
+    least: float = 1e-12
+    most: float = 1e8
+    trials: int = 1000
+    enough: float = 1e-6
+    rounds: int = 50
+
+
+def damped_descent(
+    point: Point,
+    cost: Callable[[Point], float],
+    linearised: Callable[[Point], System | None],
+    moved: Callable[[Point, System, float], Point],
+    damping: Damping,
+) -> Point:
+    """Return the point where no damped step lowers a sum of squares any more, or not by enough.
+
+    Parameters
+    ----------
+    point : any
+        Where it begins.
+    cost : callable
+        The sum of squares at a point; infinite where there is none.
+    linearised : callable
+        What the steps from a point are made of, such as J'J and J'r; None ends the descent there.
+    moved : callable
+        ``moved(point, system, lambda)``: where the damped step leads.
+    damping : Damping
+
+    Examples
+    --------
+    >>> residual, slope = (lambda x: x**3 - 8.0), (lambda x: 3.0 * x**2)
+    >>> found = damped_descent(5.0, lambda x: residual(x) ** 2, lambda x: (slope(x) ** 2, slope(x) * residual(x)),
+    ...                        lambda x, system, damp: x - system[1] / (system[0] * (1.0 + damp)), Damping())
+    >>> round(found, 6)
+    2.0
+    """
+    now, size = cost(point), damping.start
+    for _ in range(damping.rounds):
+        system = linearised(point)
+        if system is None:
+            break
+        then = now
+        for _ in range(damping.trials):
+            if size >= damping.most:
+                break
+            trial = moved(point, system, size)
+            then = cost(trial)
+            if then < now:
+                break
+            size *= damping.growth
+        if not then < now:
+            break
+        gain, point, now, size = (now - then) / now, trial, then, max(size * damping.fall, damping.least)
+        if gain < damping.enough:
+            break
+    return point
