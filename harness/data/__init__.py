@@ -1,15 +1,22 @@
-"""Recorded data in and out: dataset.toml, bare CSV and Parquet files, MAT, HDF5, MDF4, MCAP and numpy files."""
+"""Recorded data in and out: dataset.toml, bare CSV and Parquet files, MAT, HDF5, MDF4, MCAP and numpy files.
+
+Names are loaded when they are asked for: who writes a file needs no reader.
+"""
 
 from __future__ import annotations
 
-from harness.data.recipe.description import parse_description, read_description
-from harness.data.recipe.load import DATA_FOLDER, load_dataset
-from harness.data.recipe.loaded import LoadedDataset, Nominal
-from harness.data.recipe.si import si_unit
-from harness.data.sections import NominalParameter, SourceSection
-from harness.data.tables.columns import columns_of
-from harness.data.trajectories import read_trajectory, write_trajectory
-from harness.data.views import from_control, from_fmpy, to_pandas, to_polars, to_xarray
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from harness.data.recipe.description import parse_description, read_description
+    from harness.data.recipe.load import DATA_FOLDER, load_dataset
+    from harness.data.recipe.loaded import LoadedDataset, Nominal
+    from harness.data.recipe.si import si_unit
+    from harness.data.sections import NominalParameter, SourceSection
+    from harness.data.tables.columns import columns_of
+    from harness.data.trajectories import read_trajectory, write_trajectory
+    from harness.data.views import from_control, from_fmpy, to_pandas, to_polars, to_xarray
 
 __all__ = [
     "DATA_FOLDER",
@@ -30,3 +37,31 @@ __all__ = [
     "to_xarray",
     "write_trajectory",
 ]
+
+_HOMES = {
+    "DATA_FOLDER": "recipe.load",
+    "LoadedDataset": "recipe.loaded",
+    "Nominal": "recipe.loaded",
+    "NominalParameter": "sections",
+    "SourceSection": "sections",
+    "columns_of": "tables.columns",
+    "from_control": "views",
+    "from_fmpy": "views",
+    "load_dataset": "recipe.load",
+    "parse_description": "recipe.description",
+    "read_description": "recipe.description",
+    "read_trajectory": "trajectories",
+    "si_unit": "recipe.si",
+    "to_pandas": "views",
+    "to_polars": "views",
+    "to_xarray": "views",
+    "write_trajectory": "trajectories",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name on first use."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(importlib.import_module(f"harness.data.{_HOMES[name]}"), name)
+    return value

@@ -14,7 +14,6 @@ import numpy as np
 
 from harness.data.conditioning.timebase import Piece, TimeRules, pieces_of, refuse_unlikely_seconds
 from harness.data.conditioning.trends import conditioned
-from harness.data.oddities import examined, lines
 from harness.data.recipe.bare import describe_bare
 from harness.data.recipe.chosen import Chosen, Signals
 from harness.data.recipe.description import read_description
@@ -29,7 +28,6 @@ from harness.data.tables.memory import in_memory
 from harness.data.tables.merging import merged
 from harness.data.tables.table import BARE, FORMATS, Table, nearest, open_table, suffix_of
 from harness.errors import InputError
-from harness.physics.arms.arm import is_arm
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 from harness.units import convert, fits
 
@@ -183,6 +181,14 @@ def _are_records(data: Any) -> bool:
     return isinstance(data, list | tuple) and bool(data) and all(isinstance(one, Trajectory) for one in data)
 
 
+def _examined(data: Dataset, *names: Sequence[str]) -> Dataset:
+    """Return a data set that knows what is odd about it, in its warnings too; runs by these names."""
+    from harness.data.oddities import examined, lines  # SciPy's statistics take a second to load
+
+    data = examined(data)
+    return replace(data, warnings=(*data.warnings, *lines(data.oddities or (), *names)))
+
+
 def _of_records(data: Any, model: str | None) -> LoadedDataset:
     """Return records that are in memory already as a data set that was read."""
     if isinstance(data, LoadedDataset):
@@ -190,8 +196,7 @@ def _of_records(data: Any, model: str | None) -> LoadedDataset:
     if not isinstance(data, Dataset):
         data = Dataset("data", tuple(Run(one, "estimation", str(k)) for k, one in enumerate(data)))
     if data.oddities is None:
-        data = examined(data)
-        data = replace(data, warnings=(*data.warnings, *lines(data.oddities or ())))
+        data = _examined(data)
     known = None if model is None else ports_of(located_model(model, Path.cwd()), {})
     names = {channel.name: (channel.name, 0) for channel in data.spec.outputs}
     ports = [] if known is None else [channel.name for channel in known.outputs]
@@ -248,7 +253,11 @@ class _Reader:
         self._refuse_conditioning()
         measured = tuple((plan.port(name), plan.signal(name).derivative) for name in plan.outputs)
         self._check_files()
-        arm = plan.nominal is not None and is_arm(plan.nominal.model)
+        arm = False
+        if plan.nominal is not None:
+            from harness.physics.arms.arm import is_arm
+
+            arm = is_arm(plan.nominal.model)
         for number, section in enumerate(self.description.runs):
             file, place = self._file(number, section), f"runs[{number}]"
             try:
@@ -273,14 +282,15 @@ class _Reader:
         if not any(run.use == "validation" for run in runs):
             self.notes.append("no validation run: nothing chooses between models on data that they have not seen")
         between = self.description.intersample or "zoh"
-        dataset = examined(Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes)))
+        dataset = _examined(
+            Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes)), names
+        )
         dataset = replace(
             dataset,
             runs=tuple(
                 replace(run, trajectory=conditioned(run.trajectory, self.description.detrend, self.description.filter))
                 for run in dataset
             ),
-            warnings=(*dataset.warnings, *lines(dataset.oddities or (), names)),
         )
         return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
 
