@@ -1,13 +1,15 @@
-"""Packages that an extra brings: imported where they are used, or refused with the words that install them."""
+"""What is imported when it is used: packages that an extra brings, and the public names of a room."""
 
 from __future__ import annotations
 
 import importlib
+import sys
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["optional"]
+__all__ = ["on_demand", "optional"]
 
 
 def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") -> Any:
@@ -41,3 +43,35 @@ def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") ->
             got="it is not",
             remedy=f"pip install {install}",
         ) from error
+
+
+def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package whose public names are loaded when they are asked for.
+
+    Parameters
+    ----------
+    package : str
+        Its ``__name__``.
+    homes : mapping
+        The module below it that has each name; empty where the name is such a module itself.
+
+    Examples
+    --------
+    >>> loaded = on_demand("harness", {"stream": "rng"})
+    >>> loaded("stream").__module__
+    'harness.rng'
+    >>> loaded("river")
+    Traceback (most recent call last):
+        ...
+    AttributeError: module 'harness' has no attribute 'river'
+    """
+
+    def load(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module = importlib.import_module(f"{package}.{homes[name] or name}")
+        value = getattr(module, name) if homes[name] else module
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return load

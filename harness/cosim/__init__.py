@@ -8,9 +8,26 @@ Schiehlen 2000, Math. Comput. Modelling Dyn. Syst. 6:93; Gomes et al. 2018, ACM 
 
 from __future__ import annotations
 
-from harness.cosim.description import Make, couple, read_coupling
-from harness.cosim.master import Coupled, Order
-from harness.cosim.ssp import couple_ssp
-from harness.cosim.wiring import Connection
+from typing import TYPE_CHECKING
+
+from harness.extras import on_demand
+
+if TYPE_CHECKING:
+    from harness.cosim.description import Make, couple, read_coupling
+    from harness.cosim.master import Coupled, Order
+    from harness.cosim.ssp import couple_ssp
+    from harness.cosim.wiring import Connection
 
 __all__ = ["Connection", "Coupled", "Make", "Order", "couple", "couple_ssp", "read_coupling"]
+
+_WHERE = {
+    "Connection": "wiring",
+    "Coupled": "master",
+    "Make": "description",
+    "Order": "master",
+    "couple": "description",
+    "couple_ssp": "ssp",
+    "read_coupling": "description",
+}
+
+__getattr__ = on_demand(__name__, _WHERE)

@@ -5,8 +5,9 @@ Names are loaded when they are asked for: who writes a file needs no reader.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from harness.extras import on_demand
 
 if TYPE_CHECKING:
     from harness.data.recipe.description import parse_description, read_description
@@ -58,10 +59,4 @@ _HOMES = {
     "write_trajectory": "trajectories",
 }
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name on first use."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(importlib.import_module(f"harness.data.{_HOMES[name]}"), name)
-    return value
+__getattr__ = on_demand(__name__, _HOMES)

@@ -5,8 +5,9 @@ Names are loaded when they are asked for: whether a source is a fleet is asked o
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from harness.extras import on_demand
 
 if TYPE_CHECKING:
     from harness.fleet.records import FleetRecord, find_records, is_fleet
@@ -35,11 +36,4 @@ _WHERE = {
     "query": "store",
 }
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name on first use."""
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"harness.fleet.{_WHERE[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = on_demand(__name__, _WHERE)

@@ -5,9 +5,9 @@ Names are loaded when they are asked for: SymPy and CasADi take a moment.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from harness.extras import on_demand
 from harness.physics.definition.parameters import Parameter
 
 if TYPE_CHECKING:
@@ -61,16 +61,7 @@ _WHERE = {
     "Simulator": "compiled.simulator",
     "equations": "symbolic.equation_text",
     "load_model": "models",
+    "models": "",
 }
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name on first use."""
-    if name == "models":
-        return importlib.import_module("harness.physics.models")
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(f"harness.physics.{_WHERE[name]}")
-    value = getattr(module, name)
-    globals()[name] = value
-    return value
+__getattr__ = on_demand(__name__, _WHERE)
