@@ -25,6 +25,7 @@ from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
+    from harness.benchmark.public import PublicResult
     from harness.calibration import Calibration
     from harness.comparison import Comparison, OrderSelection, ReportComparison, Spectrum
     from harness.conformance import CheckResult
@@ -52,6 +53,7 @@ __all__ = [
     "agreement",
     "analyse",
     "bench",
+    "bench_public",
     "calibrate",
     "check",
     "check_data",
@@ -76,6 +78,7 @@ __all__ = [
     "query",
     "simulate",
     "spectrum",
+    "stored_public",
     "table",
     "vet",
 ]
@@ -403,6 +406,33 @@ def bench(
         traces=traces,
         progress=progress,
     )
+
+
+def bench_public(
+    *,
+    sets: Sequence[str] | None = None,
+    only: str | None = None,
+    out: str | Path = "results/public",
+    choices: str | Path | None = None,
+    download: bool = False,
+    resume: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> PublicResult:
+    """Run the public table (``sysid bench public``); see :func:`harness.benchmark.public.bench_public`."""
+    from harness.benchmark import public
+
+    return public.bench_public(
+        sets=sets, only=only, out=out, choices=choices, download=download, resume=resume, progress=progress
+    )
+
+
+def stored_public(directory: str | Path) -> PublicResult | None:
+    """Return the public table that a folder holds, or None; see :func:`harness.benchmark.public.read_public`."""
+    if not (Path(directory) / "public.json").is_file():
+        return None
+    from harness.benchmark import public
+
+    return public.read_public(directory)
 
 
 def plan_bench(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.benchmark.row import Row
-from harness.benchmark.statistics import Ranking, no_worse, ranking
+from harness.benchmark.statistics import MARGIN, Ranking, Standing, enough_pairs, ranking, replicates, standings
 
 __all__ = [
     "CONTROL",
@@ -19,6 +19,7 @@ __all__ = [
     "best_possible",
     "figure",
     "optional_scores",
+    "pairs_in_words",
     "places_of",
     "rankings",
     "summarise",
@@ -85,12 +86,17 @@ class Summary:
     """What the best possible is: ``"Cramer-Rao"``, ``"noise"``, or nothing where there is none."""
     fit_seconds: Quartiles | None
     memory_mib: Quartiles | None
-    leading: bool
-    """The least simulation error of its plant and scenario, or one that the paired bootstrap cannot tell from it."""
+    standing: Standing | None
+    """How its simulation error stands against the least of its plant and scenario; None where it does not compete."""
     problems: tuple[tuple[str, str, int], ...]
     """(status, reason, count) of the rows that are not ok, the most frequent first."""
     control: str
     """What is said of the models for control: how many states are controllable and observable, or why no score."""
+
+    @property
+    def leading(self) -> bool:
+        """True for the least simulation error of a plant and scenario and those that tie with it."""
+        return self.standing is not None and self.standing.marked
 
 
 def optional_scores(lines: Sequence[Summary]) -> dict[str, str]:
@@ -126,7 +132,7 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
     for row in rows:
         grouped[row.plant, row.scenario, row.identifier].append(row)
     result = []
-    leaders = _leaders(grouped)
+    stands = _standings(grouped)
     for (plant, scenario, identifier), own in grouped.items():
         good = [row for row in own if row.status == "ok"]
         scores = {name: _quartiles([getattr(row, name) for row in good]) for name in SCORES}
@@ -135,7 +141,6 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
         scores["best_possible"] = _quartiles([best_possible(row) for row in own])
         pairs = [(row.simulation_error, best_possible(row)) for row in good]
         scores["over_best"] = _quartiles([error / best for error, best in pairs if error and best])
-        leading = (plant, scenario, identifier) in leaders
         faults = Counter((row.status, row.reason) for row in own if row.status != "ok")
         problems = tuple((status, reason, n) for (status, reason), n in faults.most_common())
         result.append(
@@ -147,7 +152,7 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
                 len(own),
                 **scores,
                 bound=_bound(own),
-                leading=leading,
+                standing=stands.get((plant, scenario, identifier)),
                 problems=problems,
                 control=_control_text(good),
             )
@@ -181,26 +186,56 @@ def _control_text(good: Sequence[Row]) -> str:
     return texts.most_common(1)[0][0] if texts else ""
 
 
-def _leaders(grouped: Mapping[tuple[str, str, str], Sequence[Row]]) -> set[tuple[str, str, str]]:
-    """Return the lines that lead their plant and scenario, over the seeds that all of its identifiers have."""
+def _standings(
+    grouped: Mapping[tuple[str, str, str], Sequence[Row]],
+) -> dict[tuple[str, str, str], Standing]:
+    """Return how lines stand in their plant and scenario, over the replicates that all of its identifiers have."""
     places: dict[tuple[str, str], dict[str, Sequence[Row]]] = defaultdict(dict)
     for (plant, scenario, identifier), rows in grouped.items():
         if identifier not in BASELINES and any(row.simulation_error is not None for row in rows):
             places[plant, scenario][identifier] = rows
-    found = set()
-    for (plant, scenario), own in places.items():
-        found |= {(plant, scenario, name) for name in no_worse(_paired(own))}
-    return found
+    return {
+        (plant, scenario, name): standing
+        for (plant, scenario), own in places.items()
+        for name, standing in standings(_paired(own)).items()
+    }
+
+
+def pairs_in_words(lines: Sequence[Summary]) -> str:
+    """Return what the marks of a table rest on, with the number of pairs and what they can tell.
+
+    Examples
+    --------
+    >>> pairs_in_words([])
+    'No line is marked: nothing is compared.'
+    """
+    compared = [line.standing for line in lines if line.standing is not None and line.standing.others]
+    if not compared:
+        return "No line is marked: nothing is compared."
+    pairs = sorted({one.pairs for one in compared})
+    span = str(pairs[0]) if len(pairs) == 1 else f"{pairs[0]} to {pairs[-1]}"
+    short = sum(one.pairs < enough_pairs(one.others) for one in compared)
+    text = (
+        f"Marked: the least error of a plant and scenario, and those not told from it by a paired sign test over "
+        f"{span} replicates (5 %, Holm over the group) whose 95 % interval of the median ratio stays below {MARGIN:g}."
+    )
+    if short:
+        needed = max(enough_pairs(one.others) for one in compared)
+        text += (
+            f" {short} of {len(compared)} lines have too few replicates to be told from the best or tied with it (up "
+            f"to {needed} needed)."
+        )
+    return text
 
 
 def _paired(own: Mapping[str, Sequence[Row]]) -> dict[str, list[float | None]]:
-    """Return the simulation errors by identifier over the seeds that all have run; None where a cell is not ok."""
+    """Return the simulation errors by identifier over replicates that all have run; None where a cell is not ok."""
     by_seed = {
         name: {row.seed: row.simulation_error if row.status == "ok" else None for row in rows}
         for name, rows in own.items()
     }
     seeds = sorted(set.intersection(*(set(scores) for scores in by_seed.values())))
-    return {name: [scores[seed] for seed in seeds] for name, scores in by_seed.items()}
+    return replicates({name: {seed: scores[seed] for seed in seeds} for name, scores in by_seed.items()})
 
 
 def places_of(lines: Sequence[Summary]) -> list[tuple[str, str, list[Summary]]]:
@@ -214,8 +249,8 @@ def places_of(lines: Sequence[Summary]) -> list[tuple[str, str, list[Summary]]]:
 def rankings(rows: Sequence[Row]) -> list[Ranking]:
     """Return a ranking for each set of identifiers that meet in the same plants and scenarios.
 
-    Blocks are plant x scenario x seed. Identifiers without a simulation error anywhere (online ones) do not take part,
-    nor does the true model.
+    Blocks are plant x scenario x replicate (seeds between which something differs). Identifiers without a simulation
+    error anywhere (online ones) do not take part, nor does the true model.
     """
     places: dict[tuple[str, str], dict[str, list[Row]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,7 @@ from harness.cli.terminal import (
     print_answer,
     print_bench,
     print_json,
+    print_public,
     print_rows,
     progress_bar,
     say,
@@ -155,11 +157,29 @@ def bench(
         str, typer.Option(help="seeds with an overlay of their trajectory: first | all | none")
     ] = "first",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
+    sets: Annotated[
+        str | None, typer.Option(metavar="ID[,...]", help="of public: sets of the table; default all")
+    ] = None,
+    only: Annotated[str | None, typer.Option(help="of public: black | grey | peers, one column")] = None,
+    choices: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="of public: what is entered")] = None,
+    download: Annotated[bool, typer.Option("--download", help="of public: get missing sets (extra download)")] = False,
     as_json: AsJson = False,
     trust: Trust = None,
 ) -> None:
-    """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
+    """Run a suite of plants x scenarios x identifiers x seeds and print its table; public is the public table."""
     folder = out if out is not None else Path("results") / Path(suite).stem
+    if suite == PUBLIC:
+        apart = {"--workers": workers, "--seeds": seeds, "--shard": shard, "--dry-run": dry_run or None}
+        _refused(apart, "another suite", "the public table")
+        wanted = None if sets is None else [name.strip() for name in sets.split(",") if name.strip()]
+        with jobs_bar(suite, suite) as show:
+            public = api.bench_public(
+                sets=wanted, only=only, out=folder, choices=choices, download=download, resume=resume, progress=show
+            )
+        print_public(public, as_json=as_json)
+        return
+    own = {"--sets": sets, "--only": only, "--choices": choices, "--download": download or None}
+    _refused(own, "the suite public", suite)
     if dry_run:
         planned = api.plan_bench(suite, out=folder, workers=workers, seeds=seed_range(seeds), shard=shard)
         if as_json:
@@ -185,12 +205,26 @@ def bench(
     print_bench(result, as_json=as_json)
 
 
+PUBLIC = "public"
+"""The suite that is a table of its own: :mod:`harness.benchmark.public`."""
+
+
+def _refused(options: Mapping[str, object], needed: str, suite: str) -> None:
+    """Refuse options that mean nothing to a suite."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise InputError(", ".join(given), expected=needed, got=suite, remedy="leave it out")
+
+
 def table(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, or of its shares")],
     form: Annotated[str | None, typer.Option("--format", help="markdown | latex | csv")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Print a stored benchmark again, and render its report anew; puts the shares of a job array together."""
+    if (public := api.stored_public(directory)) is not None:
+        print_public(public, as_json=as_json)
+        return
     result = api.table(directory)
     if form is not None:
         from harness.benchmark import render

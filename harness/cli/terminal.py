@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from harness.api import Identified
     from harness.benchmark import Answer, BenchResult
+    from harness.benchmark.public import PublicResult
     from harness.diagnosis.planned import Planned
     from harness.models.estimate import Estimate
 
@@ -40,6 +41,7 @@ __all__ = [
     "print_json",
     "print_parts",
     "print_planned",
+    "print_public",
     "print_rows",
     "print_system",
     "print_written",
@@ -299,6 +301,21 @@ def print_bench(result: BenchResult, *, as_json: bool) -> None:
         else:
             say(f"report: {result.report}")
         say(f"results: {result.folder / 'results.parquet'}")
+
+
+def print_public(result: PublicResult, *, as_json: bool) -> None:
+    """Print the public table, and where its files are."""
+    from harness.benchmark.public import records, rich_public
+
+    if as_json:
+        print_json(records(result))
+        return
+    console = wide_console()
+    if not sys.stdout.isatty():
+        console.width = UNFOLDED
+    console.print(rich_public(result))
+    say(f"report: {result.folder / 'public.html'}")
+    say(f"results: {result.folder / 'public.csv'}, public.md, public.tex, public.json")
 
 
 TEXT = 24

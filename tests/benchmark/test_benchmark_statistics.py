@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from harness.benchmark import BenchResult
 from harness.benchmark.page.exports import render
 from harness.benchmark.row import Row
-from harness.benchmark.statistics import no_worse, ranking
-from harness.benchmark.summary import rankings, summarise
+from harness.benchmark.statistics import MARGIN, enough_pairs, no_worse, ranking, replicates, standings
+from harness.benchmark.summary import pairs_in_words, rankings, summarise
 from harness.errors import InputError
 
-SEEDS = range(12)
+UNLIKE = [1.0, 1.3, 0.8, 1.1, 0.9, 1.2]
+"""Scores of six seeds whose data differ."""
 
 
 def rows(scores: dict[str, list[float | None]], plant: str = "p") -> list[Row]:
@@ -40,7 +41,55 @@ def test_pairs_decide_where_the_spread_over_seeds_hides_the_difference() -> None
     hard = np.geomspace(0.01, 10.0, 12)  # seeds differ a thousandfold, the two methods by 5 % on each
     assert no_worse({"good": list(hard), "bad": list(1.05 * hard)}) == {"good"}
     unpaired = np.random.default_rng(0).permutation(1.05 * hard)
-    assert no_worse({"good": list(hard), "other": list(unpaired)}) == {"good", "other"}
+    found = standings({"good": list(hard), "other": list(unpaired)})
+    assert found["other"].state == "undecided"  # not told apart, but it may as well be a hundred times worse
+    assert found["other"].ratio[1] > 10.0
+    alike = hard * np.where(np.arange(12) % 2, 1.02, 0.99)
+    assert no_worse({"good": list(hard), "alike": list(alike)}) == {"good", "alike"}
+
+
+def test_six_seeds_with_one_inverted_never_tie_a_factor_of_ten() -> None:
+    found = standings({"good": UNLIKE, "bad": [10.0 * s for s in UNLIKE[:-1]] + [0.5 * UNLIKE[-1]]})
+    assert found["bad"].state == "undecided"
+    assert no_worse({"good": UNLIKE, "bad": [10.0 * s for s in UNLIKE[:-1]] + [0.5 * UNLIKE[-1]]}) == {"good"}
+
+
+@given(st.integers(1, 12))
+def test_enough_pairs_is_where_all_of_one_sign_are_told_and_one_fewer_are_not(others: int) -> None:
+    def states(pairs: int) -> set[str]:
+        scores = {f"b{k}": [3.0 + n for n in range(pairs)] for k in range(others)}
+        found = standings({"a": [1.0 + n for n in range(pairs)], **scores})
+        return {one.state for name, one in found.items() if name != "a"}
+
+    assert states(enough_pairs(others)) == {"worse"}
+    assert "worse" not in states(enough_pairs(others) - 1)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 6))
+def test_holm_seldom_tells_apart_what_is_alike(seed: int, names: int) -> None:
+    rng = np.random.default_rng(seed)
+    wrong = 0
+    for _ in range(20):
+        found = standings({str(k): list(rng.lognormal(size=12)) for k in range(names)})
+        wrong += any(one.state == "worse" for one in found.values())
+        for one in found.values():
+            assert one.state != "tied" or one.ratio[1] < MARGIN
+    assert (
+        wrong <= 10
+    )  # the best of the group is chosen from the same data, so a little more than 5 % is to be expected
+
+
+def test_the_same_record_under_six_seeds_is_one_replicate() -> None:
+    same = {"arx": dict.fromkeys(range(6), 0.3), "dmdc": dict.fromkeys(range(6), 0.5), "net": dict(enumerate(UNLIKE))}
+    assert replicates(same) == {"arx": [0.3], "dmdc": [0.5], "net": [1.05]}
+    unlike = {"arx": dict(enumerate(UNLIKE)), "perfect": dict.fromkeys(range(6), 0.0)}
+    assert len(replicates(unlike)["arx"]) == 6
+    failed = {"arx": dict.fromkeys(range(6), 0.3), "net": dict.fromkeys(range(6), None)}
+    assert replicates(failed) == {"arx": [0.3], "net": [None]}
+    found = summarise(rows({"a": [1.0] * 6, "b": [2.0] * 6}))
+    assert not any(line.leading for line in found)
+    assert "have too few replicates" in pairs_in_words(found)
+    assert rankings(rows({"a": [1.0] * 6, "b": [2.0] * 6})) == []
 
 
 @given(st.lists(st.floats(0.1, 10.0), min_size=5, max_size=15), st.floats(0.01, 100.0))
@@ -68,8 +117,9 @@ def test_ranks_of_random_scores_seldom_differ_by_more_than_the_critical_differen
 
 
 def test_ranks_come_from_places_with_the_same_identifiers() -> None:
-    many = rows({"a": [1.0] * 6, "b": [2.0] * 6}, "p") + rows({"a": [1.0] * 6, "b": [2.0] * 6}, "q")
-    alone = rows({"a": [1.0] * 6, "c": [None] * 6}, "r")
+    scores = {"a": UNLIKE, "b": [2.0 * score for score in UNLIKE]}
+    many = rows(scores, "p") + rows(scores, "q")
+    alone = rows({"a": UNLIKE, "c": [None] * 6}, "r")
     (made,) = rankings([*many, *alone])
     assert (made.names, made.ranks, made.blocks) == (("a", "b"), (1.0, 2.0), 12)
     assert made.groups() == []
@@ -107,14 +157,19 @@ def test_the_cramer_rao_bound_goes_before_the_noise() -> None:
 
 
 def test_summaries_mark_the_leaders_but_never_the_truth() -> None:
-    found = summarise(rows({"true-model": [0.5] * 6, "a": [1.0] * 6, "b": [1.0] * 5 + [None], "c": [3.0] * 6}))
-    assert {line.identifier: line.leading for line in found} == {"true-model": False, "a": True, "b": True, "c": False}
-    assert {line.identifier: (line.ok, line.run) for line in found}["b"] == (5, 6)
+    hard = [*UNLIKE, 1.4, 0.7]
+    alike = [score * (0.99 if k % 2 else 1.01) for k, score in enumerate(hard)]
+    scores = {"true-model": [0.5 * s for s in hard], "a": hard, "b": alike, "c": [3.0 * s for s in hard]}
+    found = summarise(rows({**scores, "d": [*hard[:-1], None]}))
+    marked = {line.identifier for line in found if line.leading}
+    assert marked == {"a", "b"}
+    assert {line.identifier: (line.ok, line.run) for line in found}["d"] == (7, 8)
+    assert "8 replicates" in pairs_in_words(found)
 
 
 def test_tables_for_papers() -> None:
     own = rows({"a_1": [1.0, 2.0, 3.0, 4.0, 5.0], "b|2": [None] * 5})
-    result = BenchResult("s", tuple(own), 10, None, {}, (("p", "s", "a_1"), ("p", "s", "b|2")))
+    result = BenchResult("s", tuple(own), 10, None, {"numpy": "2.0"}, (("p", "s", "a_1"), ("p", "s", "b|2")))
     markdown = render(result, "markdown").splitlines()
     assert "| p | s | a_1 | 5/5 |  | **3 [2, 4]** | 0.01 | noise | 300 |" in markdown[2]
     assert "b\\|2" in markdown[3]
@@ -123,6 +178,8 @@ def test_tables_for_papers() -> None:
     latex = render(result, "latex")
     assert r"a\_1 & 5/5 &  & \textbf{3 [2, 4]}" in latex
     assert latex.count("{") == latex.count("}")
+    assert latex.startswith("\\begin{table}\n\\caption{Suite s: ")
+    assert "CITATION.cff. Versions: numpy 2.0." in latex
     csv = render(result, "csv").splitlines()
     assert csv[0].split(",")[:6] == ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
     assert csv[1].startswith("p,s,a_1,5,5,1,,,,3.0,2.0,4.0,0.01")

@@ -7,10 +7,18 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 
 from harness.benchmark.result import BenchResult
-from harness.benchmark.summary import CONTROL, OPTIONAL, Quartiles, Summary, figure, optional_scores
+from harness.benchmark.summary import (
+    CONTROL,
+    OPTIONAL,
+    Quartiles,
+    Summary,
+    figure,
+    optional_scores,
+    pairs_in_words,
+)
 from harness.errors import InputError
 
-__all__ = ["FORMATS", "render"]
+__all__ = ["FORMATS", "caption", "latex_text", "markdown_text", "render"]
 
 HEAD = (
     "plant",
@@ -34,8 +42,8 @@ def render(result: BenchResult, form: str) -> str:
     ----------
     result : BenchResult
     form : {"markdown", "latex", "csv"}
-        CSV has one column for every figure; the others have ``median [quartiles]``, bold where the paired bootstrap
-        over seeds cannot tell a line from the best of its plant and scenario.
+        CSV has one column for every figure; the others have ``median [quartiles]``, bold for the best of a plant and
+        scenario and for lines that tie with it (:func:`harness.benchmark.statistics.standings`).
 
     Raises
     ------
@@ -46,32 +54,54 @@ def render(result: BenchResult, form: str) -> str:
         raise InputError(
             "format of a table", expected=", ".join(FORMATS), got=repr(form), remedy="choose one", place="--format"
         )
-    return FORMATS[form](result.summary())
+    return FORMATS[form](result)
 
 
-def _markdown(lines: Sequence[Summary]) -> str:
+def _markdown(result: BenchResult) -> str:
+    lines = result.summary()
     control, more = _asked(lines), optional_scores(lines)
     head = (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)
     rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    rows += ["| " + " | ".join(_cells(line, more, "**{}**", _plain, control)) + " |" for line in lines]
+    rows += ["| " + " | ".join(_cells(line, more, "**{}**", markdown_text, control)) + " |" for line in lines]
     return "\n".join(rows) + "\n"
 
 
-def _latex(lines: Sequence[Summary]) -> str:
+def _latex(result: BenchResult) -> str:
+    lines = result.summary()
     control, more = _asked(lines), optional_scores(lines)
-    head = " & ".join(map(_escaped, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
+    head = " & ".join(map(latex_text, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
     columns = f"lllrlllllll{'l' * len(more)}{'lll' * control}"
-    rows = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head + r" \\", r"\midrule"]
+    words = (
+        f"Suite {result.suite}: median [quartiles] over seeds of the NRMSE on held-out records. {pairs_in_words(lines)}"
+    )
+    rows = [r"\begin{table}", caption(words, result.versions)]
+    rows += [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head + r" \\", r"\midrule"]
     place = None
     for line in lines:
         if place not in (None, (line.plant, line.scenario)):
             rows.append(r"\addlinespace")
         place = (line.plant, line.scenario)
-        rows.append(" & ".join(_cells(line, more, r"\textbf{{{}}}", _escaped, control)) + r" \\")
-    return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", ""])
+        rows.append(" & ".join(_cells(line, more, r"\textbf{{{}}}", latex_text, control)) + r" \\")
+    return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
 
-def _csv(lines: Sequence[Summary]) -> str:
+CITATION = "sysid-harness (BSD-3-Clause); how to cite it stands in its CITATION.cff"
+
+
+def caption(words: str, versions: Mapping[str, str]) -> str:
+    """Return the caption of a table in LaTeX: what it shows, the versions that it rests on, and how to cite.
+
+    Examples
+    --------
+    >>> caption("All of it.", {"numpy": "2.0"}).endswith("stands in its CITATION.cff. Versions: numpy 2.0.}")
+    True
+    """
+    known = ", ".join(f"{name} {version}" for name, version in versions.items() if version != "not installed")
+    return rf"\caption{{{latex_text(f'{words} Made by {CITATION}. Versions: {known}.')}}}"
+
+
+def _csv(result: BenchResult) -> str:
+    lines = result.summary()
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     scores = ["equation_error", "simulation_error", "noise_floor", "best_possible", "over_best", "least_equation_error"]
@@ -95,7 +125,7 @@ def _csv(lines: Sequence[Summary]) -> str:
     return stream.getvalue()
 
 
-FORMATS: dict[str, Callable[[Sequence[Summary]], str]] = {"markdown": _markdown, "latex": _latex, "csv": _csv}
+FORMATS: dict[str, Callable[[BenchResult], str]] = {"markdown": _markdown, "latex": _latex, "csv": _csv}
 """Name to what makes the text."""
 
 
@@ -134,12 +164,12 @@ def _score(score: Quartiles | None) -> str:
     return "" if score is None else str(score)
 
 
-def _plain(text: str) -> str:
+def markdown_text(text: str) -> str:
     """Return a text that ends no cell of Markdown."""
     return text.replace("|", "\\|")
 
 
-def _escaped(text: str) -> str:
+def latex_text(text: str) -> str:
     """Return a text that LaTeX sets as it is."""
     special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
     return "".join(special.get(sign, "\\" + sign if sign in "&%_#${}" else sign) for sign in text)

@@ -9,8 +9,7 @@ from typing import Any
 from harness.benchmark.page.plots import axis_plot, error_plot, rank_plot, regret_plot
 from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row
-from harness.benchmark.statistics import MINIMUM_SEEDS
-from harness.benchmark.summary import Summary, figure, optional_scores, places_of, rankings
+from harness.benchmark.summary import Summary, figure, optional_scores, pairs_in_words, places_of, rankings
 
 __all__ = ["filled", "render_html"]
 
@@ -41,7 +40,7 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
         several=any(line.ok > 1 for line in lines),
         figure=figure,
         more=optional_scores(lines),
-        enough=any(line.run >= MINIMUM_SEEDS for line in lines),
+        marks=pairs_in_words(lines),
         ranks=[(made, rank_plot(made)) for made in rankings(result.rows)],
         curves=axis_plot(result.rows),
         errors=error_plot(lines, result.rows),

@@ -14,7 +14,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from harness.benchmark.result import BenchResult
-from harness.benchmark.summary import CONTROL, Quartiles, Summary, figure, optional_scores
+from harness.benchmark.summary import CONTROL, Quartiles, Summary, figure, optional_scores, pairs_in_words
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
@@ -36,9 +36,9 @@ REASON = 200
 def rich_table(result: BenchResult) -> RenderableType:
     """Return the table for a terminal of any width, and below it a line for each kind of failure with its reason.
 
-    The least simulation error of each plant and scenario stands out, with those that the paired bootstrap over seeds
-    cannot tell from it (from five seeds on). No figure is ever cut: what a narrow terminal has no room for is left
-    out and named below the table, and below some 70 columns each row becomes a block.
+    The least simulation error of each plant and scenario stands out, with those that tie with it
+    (:func:`harness.benchmark.statistics.standings`; from five replicates on). No figure is ever cut: what a narrow
+    terminal has no room for is left out and named below the table, and below some 70 columns each row becomes a block.
     """
     return _Fitted(result)
 
@@ -82,7 +82,7 @@ class _Fitted:
                 predicted = [line for line in self.lines if any(one.text(line) for one in optional)]
                 second = _fitted(predicted, optional, console, options)
                 yield from _blocks(predicted, optional) if second is None else second[0]
-        for text in _reasons(self.lines):
+        for text in [*_reasons(self.lines), pairs_in_words(self.lines)]:
             yield Text(text, style="dim")
         yield Text(f"{self.result.ok} ok of {len(self.result.rows)} run, {self.result.planned} planned")
 
