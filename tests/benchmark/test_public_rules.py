@@ -96,6 +96,9 @@ def test_tanks_learn_from_the_whole_first_part(folder: Path) -> None:
     split = of(folder, "cascaded-tanks")
     assert (ends(split.train[0]), ends(split.tests[0][0])) == ((200, 207), (300, 307))
     assert float(split.tests[0][0].u[0, 0]) == 100
+    assert split.origin == "files in cascaded_tanks"
+    (folder / "cascaded_tanks" / "origin.txt").write_text("a copy\nby somebody\n")
+    assert of(folder, "cascaded-tanks").origin == "a copy by somebody"
 
 
 @pytest.mark.parametrize("folder", ["coupled-drives"], indirect=True)

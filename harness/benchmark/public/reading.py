@@ -18,6 +18,7 @@ from harness.signals import FloatArray, Trajectory
 __all__ = ["READERS", "Split", "downloaded", "found_in", "read"]
 
 DATA_FOLDER = "SYSID_HARNESS_DATA"
+ORIGIN = "origin.txt"
 Pair = tuple[FloatArray, FloatArray]
 Pairs = tuple[list[Pair], list[list[Pair]]]
 """Records (u, y) to learn from; and those of each figure."""
@@ -207,7 +208,7 @@ def found_in(rule: Rule, folder: Path | None = None) -> Path | None:
 
 
 def read(rule: Rule, folder: Path) -> Split:
-    """Return a set from its folder.
+    """Return a set from its folder; what a file ``origin.txt`` there says of its data stands beside the figures.
 
     Raises
     ------
@@ -215,7 +216,9 @@ def read(rule: Rule, folder: Path) -> Split:
         If a file of it is missing or is not what the rule speaks of.
     """
     try:
-        return _split(rule, READERS[rule.id][1](folder), f"files in {rule.folder}")
+        stated = folder / ORIGIN
+        origin = stated.read_text(encoding="utf-8").strip() if stated.is_file() else f"files in {rule.folder}"
+        return _split(rule, READERS[rule.id][1](folder), " ".join(origin.split()))
     except (KeyError, OSError, ValueError, IndexError) as error:
         raise InputError(
             f"files of {rule.title}",

@@ -60,12 +60,18 @@ def simulated(model: Model, test: Trajectory, window: int | None) -> FloatArray:
     model : Model
     test : Trajectory
     window : int or None
-        The model estimates its initial state from so many samples of the record and is shown no other output. None lets
-        it see the whole record for that: the figure of such a run is another one.
+        The model is shown so many outputs and no other: one without memory of the past (``burn_in`` 0) estimates its
+        initial state from them, any other filters its state through them, and what it then says of them is what was
+        measured. None lets a model see the whole record for its initial state: the figure of such a run is another one.
     """
     record = test.measured()
-    start = model.initial_state(record if window is None else record[:window])
-    return free_run(model, start, test.u)
+    if window is None or model.burn_in == 0:
+        return free_run(model, model.initial_state(record if window is None else record[:window]), test.u)
+    x = model.initial_state(record[:window])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(window):
+            x = model.step(model.correct(x, test.u[k], test.y[k]), test.u[k])
+    return np.vstack([test.y[:window], free_run(model, x, test.u[window:])])
 
 
 def figure(rule: Rule, measured: Sequence[FloatArray], modelled: Sequence[FloatArray]) -> float:
