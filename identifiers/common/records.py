@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,17 @@ from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.normal import NormalEquations
 
-__all__ = ["lagged", "lagged_blocks", "moving", "real_signals", "snapshot_sums", "usable"]
+__all__ = [
+    "filled",
+    "lagged",
+    "lagged_blocks",
+    "missing_notes",
+    "moving",
+    "real_signals",
+    "snapshot_sums",
+    "usable",
+    "without_holes",
+]
 
 
 # Numbers of a block of regressors: 0.8 MB, which stays in a processor's second-level cache.
@@ -54,6 +65,99 @@ def usable(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> tu
             remedy="record longer, or lower the order",
         )
     return long_enough, spec
+
+
+def without_holes(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> list[Trajectory]:
+    """Return the stretches of the records in which every output was read, each a record of its own.
+
+    For fits to windows of all signals: a window with a missing reading is no equation, and a hole is a seam.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+        What stands where a reading is missing is not looked at.
+    samples : int
+        Least number of samples of a stretch.
+    what : str
+        Name of the identifier, for messages.
+
+    Raises
+    ------
+    FitError
+        If no stretch is so long.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> hole = np.arange(6)[:, None] == 2
+    >>> whole = Trajectory(np.arange(6.0), np.ones((6, 1)), np.ones((6, 1)), spec, missing=hole)
+    >>> [len(part) for part in without_holes([whole], samples=2, what="example")]
+    [2, 3]
+    """
+    parts: list[Trajectory] = []
+    for record in trajectories:
+        if record.missing is None:
+            parts.append(record)
+            continue
+        read = np.concatenate([[False], ~record.missing.any(axis=1), [False]]).astype(int)
+        edges = np.flatnonzero(np.diff(read))
+        parts += [record[int(low) : int(high)] for low, high in zip(edges[::2], edges[1::2], strict=True)]
+    long_enough = [part for part in parts if len(part) >= samples]
+    if not long_enough:
+        raise FitError(
+            f"{what}: no stretch without a missing reading is long enough",
+            expected=f"at least {samples} samples in a row with all outputs read",
+            got=f"{max(map(len, parts), default=0)}",
+            remedy="lower the order, leave out an output that is seldom read, or use prediction-error",
+        )
+    return long_enough
+
+
+def filled(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return the records with a straight line between the readings where one is missing, still marked as missing.
+
+    For whatever only scales, starts or judges; a fit passes over what is marked.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+    """
+    found = []
+    for record in trajectories:
+        if record.missing is None:
+            found.append(record)
+            continue
+        y, k = record.y.copy(), np.arange(len(record))
+        for column, gone in enumerate(record.missing.T):
+            if gone.any():
+                y[gone, column] = np.interp(k[gone], k[~gone], y[~gone, column]) if not gone.all() else 0.0
+        found.append(replace(record, y=y))
+    return found
+
+
+def missing_notes(
+    trajectories: Sequence[Trajectory], how: str, used: Sequence[Trajectory] | None = None
+) -> dict[str, object]:
+    """Return what a model's notes say of missing readings; nothing where none is.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+        As they were given.
+    how : str
+        What the fit did about them.
+    used : sequence of Trajectory, optional
+        Stretches that were used, where not all samples were.
+    """
+    gone = sum(0 if record.missing is None else int(record.missing.sum()) for record in trajectories)
+    if not gone:
+        return {}
+    said: dict[str, object] = {"readings": gone, "how": how}
+    if used is not None:
+        said["samples_left_out"] = sum(map(len, trajectories)) - sum(map(len, used))
+        said["stretches"] = len(used)
+    return {"missing": said}
 
 
 def real_signals(spec: PlantSpec, what: str) -> None:

@@ -12,7 +12,8 @@ from identifiers.common.linear_model import LinearModel
 from identifiers.linear.arx import Arx
 from identifiers.linear.balance import balanced
 from identifiers.linear.n4sid import Subspace
-from identifiers.linear.polynomial import Orders, Part, Polynomials, block_form, errors_and_gradients
+from identifiers.linear.polynomials.holes import misses_of
+from identifiers.linear.polynomials.model import Orders, Part, Polynomials, block_form, errors_and_gradients
 from identifiers.linear.prediction_error import PredictionError
 from identifiers.linear.spectral import etfe, welch
 
@@ -53,50 +54,48 @@ def roots(model, count=2):
 # ---- prediction error ----
 
 
-def test_slopes_of_prediction_errors_are_their_differences():
+@pytest.mark.parametrize("gaps", [((), ()), ((7, 8, 20), (29,))])
+@pytest.mark.parametrize("nf", [(), (2,), (2, 1), (0, 1)])
+def test_slopes_of_prediction_errors_are_their_differences(nf, gaps):
     rng = np.random.default_rng(0)
-    orders = Orders(na=1, nb=2, nc=2, nd=1, nf=2, delay=1)
-    model = Polynomials(
-        orders,
-        np.array([0.2]),
-        rng.normal(size=(2, 2)),
-        np.array([0.3, 0.1]),
-        np.array([0.2]),
-        np.array([-1.2, 0.5]),
-        0.4,
+    parts = [Part(rng.normal(size=(n, 2)), rng.normal(size=n), holes) for n, holes in zip((50, 30), gaps, strict=True)]
+    orders = Orders(na=1, nb=(2, 1), nc=2, nd=1, nf=nf, nk=(1, 3))
+    theta = np.concatenate(
+        [[0.2], rng.normal(size=3), [0.3, 0.1, 0.2], [-0.6] if sum(nf) == 1 else [-1.2, 0.5, -0.6][: sum(nf)], [0.4]]
     )
-    parts = [Part(rng.normal(size=(n, 2)), rng.normal(size=n)) for n in (50, 30)]
+    model = Polynomials.of(theta, orders)
     starts = [(rng.normal(size=orders.start_x), rng.normal(size=orders.start_z)) for _ in parts]
     vector = np.concatenate([model.vector, *(np.concatenate(pair) for pair in starts)])
 
     def errors(theta):
         rest = theta[model.vector.size :].reshape(2, -1)
         pairs = [(row[: orders.start_x], row[orders.start_x :]) for row in rest]
-        return errors_and_gradients(Polynomials.of(theta, orders, 2), pairs, parts)[0]
+        return misses_of(Polynomials.of(theta, orders), pairs, parts)
 
     step = 1e-6
-    numeric = np.array(
-        [(errors(vector + step * d) - errors(vector - step * d)) / (2 * step) for d in np.eye(len(vector))]
-    )
-    assert errors_and_gradients(model, starts, parts)[1] == pytest.approx(numeric.T, abs=1e-7)
+    # with holes the errors turn as the model moves: it is their sum of squares whose slope must be right
+    numeric = [
+        (errors(vector + step * d).cost - errors(vector - step * d).cost) / (2 * step) for d in np.eye(len(vector))
+    ]
+    now = misses_of(model, starts, parts)
+    assert 2 * now.gradients.T @ now.errors == pytest.approx(np.array(numeric), rel=1e-5, abs=1e-5)
+    if not gaps[0]:
+        each = [errors(vector + step * d).errors - errors(vector - step * d).errors for d in np.eye(len(vector))]
+        assert now.gradients == pytest.approx(np.array(each).T / (2 * step), abs=1e-7)
 
 
-def test_the_state_space_form_predicts_as_the_polynomials_do():
+@pytest.mark.parametrize("nf", [(), (2,), (2, 1)])
+def test_the_state_space_form_predicts_as_the_polynomials_do(nf):
     rng = np.random.default_rng(2)
-    orders = Orders(na=1, nb=2, nc=2, nd=1, nf=2, delay=2)
-    model = Polynomials(
-        orders,
-        np.array([-0.4]),
-        rng.normal(size=(1, 2)),
-        np.array([0.3, 0.1]),
-        np.array([0.2]),
-        np.array([-1.2, 0.5]),
-        0.7,
+    orders = Orders(na=1, nb=(2, 1), nc=2, nd=1, nf=nf, nk=(2, 0))
+    theta = np.concatenate(
+        [[-0.4], rng.normal(size=3), [0.3, 0.1, 0.2], [-0.6] if sum(nf) == 1 else [-1.2, 0.5, -0.6][: sum(nf)], [0.7]]
     )
-    u, y = rng.normal(size=(80, 1)), rng.normal(size=80)
+    model = Polynomials.of(theta, orders)
+    u, y = rng.normal(size=(80, 2)), rng.normal(size=80)
     blank = [(np.zeros(orders.start_x), np.zeros(orders.start_z))]
     errors = errors_and_gradients(model, blank, [Part(u, y)])[0]
-    a, b, c, d, k, level = block_form([model], 1)
+    a, b, c, d, k, level = block_form([model])
     x = np.zeros(len(a))
     for n in range(80):
         miss = y[n] - (c @ x + d @ u[n] + level)[0]
@@ -147,7 +146,7 @@ def test_order_and_delay_are_found_and_kept():
     assert model.filter_gain == pytest.approx(0.0)
 
 
-@pytest.mark.parametrize("options", [{"structure": "arx"}, {"order": 0}, {"delay": -1}])
+@pytest.mark.parametrize("options", [{"structure": "arma"}, {"nk": "some"}, {"order": 0}, {"delay": -1}])
 def test_options_of_prediction_error_that_make_no_sense_are_refused(options):
     with pytest.raises(FitError, match="options"):
         PredictionError(**options).fit([record("oe", 100)], rng=RNG)

@@ -22,7 +22,7 @@ from identifiers.linear.continuous.model import TransferFunction, estimate_of_ro
 from identifiers.linear.continuous.rational import Hold, Rational
 from identifiers.linear.continuous.record_fit import RecordFit, Shown, fit_to_records
 from identifiers.linear.continuous.response_fit import ResponseFit, fit_response
-from identifiers.linear.polynomial import Part
+from identifiers.linear.polynomials.model import Part
 
 __all__ = ["ContinuousTransferFunction"]
 

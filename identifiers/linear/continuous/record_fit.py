@@ -14,7 +14,7 @@ from harness.signals import FloatArray
 from identifiers.common.linear_model import LinearModel
 from identifiers.linear.continuous.rational import Hold, Rational, held
 from identifiers.linear.continuous.response_fit import fit_to_response
-from identifiers.linear.polynomial import Part
+from identifiers.linear.polynomials.model import Part
 
 __all__ = ["RecordFit", "Shown", "fit_to_records"]
 

@@ -11,9 +11,9 @@ from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec
 from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL, quotient
 from identifiers.common.scaling import Scaling
-from identifiers.linear.polynomial import Polynomials
+from identifiers.linear.polynomials.model import Polynomials
 
-__all__ = ["Fitted", "prediction_error_estimate"]
+__all__ = ["Fitted", "in_units", "prediction_error_estimate", "whiteness"]
 
 LAGS = 20
 """Lags of the residuals' autocorrelation that are tested together (Ljung & Box 1978), as usual in the field."""
@@ -84,6 +84,15 @@ def whiteness(residuals: Sequence[FloatArray]) -> float:
         return 1.0
     shares = [sum(float(miss[j:] @ miss[:-j]) for miss in residuals) / power for j in range(1, lags + 1)]
     return float(chi2.sf(n * (n + 2) * sum(s**2 / (n - j) for j, s in enumerate(shares, 1)), lags))
+
+
+def in_units(fit: Fitted, scaling: Scaling, output: int) -> tuple[Polynomials, FloatArray]:
+    """Return the polynomials of one output, and their standard errors (p,), in the units of the channels."""
+    own, orders = float(scaling.outputs[output]), fit.model.orders
+    gains = [np.full(nb, own / size) for nb, size in zip(orders.nb, scaling.inputs, strict=True)]
+    rest = np.ones(orders.nc + orders.nd + sum(orders.nf))
+    scale = np.concatenate([np.ones(orders.na), *gains, rest, [own]])
+    return Polynomials.of(fit.model.vector * scale, orders), np.array(fit.errors) * scale
 
 
 def prediction_error_estimate(spec: PlantSpec, fits: Sequence[Fitted], scaling: Scaling) -> Estimate | None:
@@ -163,11 +172,12 @@ def _rows(
     """Return name, unit and scale of every coefficient of a parameter vector."""
     orders = model.orders
     rows = [(f"{output}: a{j}", "1", 1.0) for j in range(1, orders.na + 1)]
-    for channel, size in zip(spec.inputs, inputs, strict=True):
-        rows += [
-            (f"{output}: b{j} of {channel.name}", quotient(unit, channel.unit), own / float(size))
-            for j in range(orders.delay, orders.delay + orders.nb)
-        ]
-    for letter, count in (("c", orders.nc), ("d", orders.nd), ("f", orders.nf)):
+    for channel, size, nb, nk in zip(spec.inputs, inputs, orders.nb, orders.nk, strict=True):
+        by = quotient(unit, channel.unit)
+        rows += [(f"{output}: b{j} of {channel.name}", by, own / float(size)) for j in range(nk, nk + nb)]
+    for letter, count in (("c", orders.nc), ("d", orders.nd)):
         rows += [(f"{output}: {letter}{j}", "1", 1.0) for j in range(1, count + 1)]
+    for count, group in zip(orders.nf, orders.groups, strict=False):
+        of = f" of {spec.inputs[group[0]].name}" if len(orders.nf) > 1 else ""
+        rows += [(f"{output}: f{j}{of}", "1", 1.0) for j in range(1, count + 1)]
     return [*rows, (f"{output}: level", unit, own)]
