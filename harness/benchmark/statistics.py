@@ -23,7 +23,6 @@ __all__ = [
     "Ranking",
     "Standing",
     "enough_pairs",
-    "no_worse",
     "ranking",
     "replicates",
     "standings",
@@ -128,22 +127,6 @@ def standings(scores: Mapping[str, Sequence[float | None]]) -> dict[str, Standin
             state = "tied"
         found[name] = Standing(state, chances[name], ratio, best.size, len(others))
     return found
-
-
-def no_worse(scores: Mapping[str, Sequence[float | None]]) -> set[str]:
-    """Return the name with the least median and those that tie with it; see :func:`standings`.
-
-    Returns
-    -------
-    set of str
-        Empty with fewer than five pairs, or where nobody has a median.
-
-    Examples
-    --------
-    >>> no_worse({"good": [1.0] * 6, "bad": [10.0] * 5 + [0.9]})
-    {'good'}
-    """
-    return {name for name, one in standings(scores).items() if one.marked}
 
 
 def replicates(scores: Mapping[str, Mapping[Seed, float | None]]) -> dict[str, list[float | None]]:

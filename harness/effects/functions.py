@@ -19,7 +19,6 @@ __all__ = [
     "dead_band_slope",
     "exp",
     "floor",
-    "hard_step",
     "larger",
     "no_sooner",
     "power",
@@ -116,12 +115,6 @@ def power(x: Any, exponent: Any) -> Any:
     """
     module = _casadi(x, exponent) or np
     return module.exp(exponent * module.log(x))
-
-
-def hard_step(x: Any) -> Any:
-    """Return 1 where x >= 0, else 0."""
-    module = _casadi(x)
-    return module.if_else(x >= 0, 1.0, 0.0) if module else np.where(np.asarray(x) >= 0, 1.0, 0.0)
 
 
 def softplus(x: Any) -> Any:

@@ -17,7 +17,6 @@ __all__ = [
     "optimal_values",
     "policy_values",
     "value_error_bound",
-    "value_sufficient",
 ]
 
 Labels = npt.NDArray[np.intp]
@@ -108,15 +107,6 @@ def value_error_bound(radius: FloatArray, values: FloatArray, discount: float) -
     """
     worst = float(np.minimum(radius, 2.0).max())
     return round(discount * worst * float(np.ptp(values)) / (2.0 * (1.0 - discount)), 15)
-
-
-def value_sufficient(transition: FloatArray, reward: FloatArray, discount: float, tolerance: float = 1e-9) -> Labels:
-    """Return the classes (S,) of states with equal optimal action values.
-
-    Enough to value every action that is followed by the best ones (Q*-irrelevance, Li, Walsh and Littman 2006, *Towards
-    a unified theory of state abstraction for MDPs*).
-    """
-    return groups_of_rows(optimal_values(transition, reward, discount)[1], tolerance)
 
 
 def action_sufficient(transition: FloatArray, reward: FloatArray, discount: float, tolerance: float = 1e-9) -> Labels:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,12 +12,17 @@ from hypothesis import strategies as st
 from harness.benchmark import BenchResult
 from harness.benchmark.page.exports import render
 from harness.benchmark.row import Row
-from harness.benchmark.statistics import MARGIN, enough_pairs, no_worse, ranking, replicates, standings
+from harness.benchmark.statistics import MARGIN, enough_pairs, ranking, replicates, standings
 from harness.benchmark.summary import pairs_in_words, rankings, summarise
 from harness.errors import InputError
 
 UNLIKE = [1.0, 1.3, 0.8, 1.1, 0.9, 1.2]
 """Scores of six seeds whose data differ."""
+
+
+def no_worse(scores: Mapping[str, Sequence[float | None]]) -> set[str]:
+    """Return the name with the least median and those that tie with it."""
+    return {name for name, one in standings(scores).items() if one.marked}
 
 
 def rows(scores: dict[str, list[float | None]], plant: str = "p") -> list[Row]:

@@ -17,7 +17,6 @@ from identifiers.finite.decision import (
     optimal_values,
     policy_values,
     value_error_bound,
-    value_sufficient,
 )
 from identifiers.finite.mdp import MdpCounting
 from plants.finite.mdp import FiniteMdp
@@ -132,13 +131,13 @@ def test_information_states_keep_their_bound(states, seed):
 def test_two_corridors_need_less_to_act_than_to_be_valued():
     even, slippery = create("plants", "corridors-mdp", length=5), create("plants", "corridors-mdp", length=5, slip=0.3)
 
-    def classes(plant) -> tuple[int, int, int]:
+    def classes(plant) -> tuple[int, int]:
         P, r = plant.true_transition, plant.true_reward
-        found = bisimulation(P, r), value_sufficient(P, r, 0.9), action_sufficient(P, r, 0.9)
+        found = bisimulation(P, r), action_sufficient(P, r, 0.9)
         return tuple(int(one.max()) + 1 for one in found)
 
-    assert classes(even) == (6, 6, 2), "without slip the corridors are the same but for the label"
-    assert classes(slippery) == (11, 11, 2), "with slip every cell has its own value, and still one action"
+    assert classes(even) == (6, 2), "without slip the corridors are the same but for the label"
+    assert classes(slippery) == (11, 2), "with slip every cell has its own value, and still one action"
 
 
 def test_policy_values_against_a_simulation():

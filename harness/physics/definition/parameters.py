@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.errors import InputError
 
-__all__ = ["FAR", "Parameter", "as_parameter", "defaults", "names_of", "said_far"]
+__all__ = ["FAR", "Parameter", "as_parameter", "defaults", "said_far"]
 
 FAR = 100.0
 """Factor between a fitted parameter and its declared value from which both sides are said: a power of ten is a rough
@@ -158,11 +158,6 @@ def said_far(
             unit = "" if one.unit == "1" else f" {one.unit}"
             parts.append(f"{one.name} = {values[one.name]:.4g}{unit} is {ratio:.2g} times the declared {one.value:g}")
     return f"check the units of the columns, time included: {', '.join(parts)}" if parts else None
-
-
-def names_of(parameters: Iterable[Parameter]) -> tuple[str, ...]:
-    """Return the names of some parameters, in order."""
-    return tuple(parameter.name for parameter in parameters)
 
 
 def defaults(parameters: Iterable[Parameter], given: Mapping[str, float] | None = None) -> dict[str, float]:

@@ -1,0 +1,242 @@
+"""Whether the tests notice small faults anywhere in a room: faults are made by rule, and planted one at a time.
+
+    python lab/mutations.py [--room ROOM ...] [--count N] [--seed S] [--out FILE]
+
+A fault is another comparison, sign, product, junction or number (DeMillo, Lipton & Sayward 1978, *Computer* 11(4):34);
+which of them are planted depends on the seed alone. Works in a temporary copy of the tree. The tests of a room run
+once with a tracer, which knows the lines that each test reaches; a fault is then held against the tests that reach its
+line, the quickest first. ``lab/planted_faults.py`` plants faults in the diagnosis that somebody has thought of. Results
+are JSON lines (``--out``); those of a fault whose file is as it was are not made anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import hashlib
+import json
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from planted_faults import AIM, ROOT, copied, known_results, run_tests
+
+COMMON = "tests/core/test_core_more_small_faults.py"
+ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
+    "units": ("harness/units", (), ("tests/core/test_core_unit_texts.py", "tests/core/test_core_registry.py", COMMON)),
+    "scoring": ("harness/scoring", (), ("tests/scoring", COMMON)),
+    "cosim": ("harness/cosim", (), ("tests/cosim", COMMON)),
+    "fleet": ("harness/fleet", ("page.py",), ("tests/fleet", COMMON)),
+    "data": ("harness/data", ("page.py",), ("tests/data", COMMON)),
+    "benchmark": ("harness/benchmark", ("plots.py", "overlays.py", "report.py", "public"), ("tests/benchmark", COMMON)),
+}
+"""By room its folder, what only has a look (or is being built) in it, and the tests that are to notice beside its own
+examples."""
+SECONDS = 60.0
+"""What the tests of one fault may take together, by the time that they took unharmed."""
+SWAPS: Mapping[type[ast.AST], tuple[str, str]] = {
+    ast.Lt: ("<", "<="), ast.LtE: ("<=", "<"), ast.Gt: (">", ">="), ast.GtE: (">=", ">"),
+    ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.In: ("in", "not in"), ast.NotIn: ("not in", "in"),
+    ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"),
+    ast.And: ("and", "or"), ast.Or: ("or", "and"),
+}  # fmt: skip
+"""What stands between two operands, and what is planted instead."""
+TRACER = """
+import json, sys, time
+ROOT, FILES, OUT = {root!r}, {files!r}, {out!r}
+reached, lasted, passed = {{}}, {{}}, set()
+
+def tracer(lines):
+    def local(frame, event, argument):
+        if event == "line":
+            lines.add((frame.f_code.co_filename, frame.f_lineno))
+        return local
+    return lambda frame, event, argument: local if frame.f_code.co_filename.startswith(FILES) else None
+
+def pytest_runtest_call(item):
+    lines = reached.setdefault(item.nodeid, set())
+    sys.settrace(tracer(lines))
+
+def pytest_runtest_logreport(report):
+    if report.when == "call":
+        sys.settrace(None)
+        lasted[report.nodeid] = report.duration
+        if report.passed:
+            passed.add(report.nodeid)
+
+def pytest_sessionfinish():
+    found = {{name: sorted({{(file[len(ROOT) + 1:], line) for file, line in reached[name]}}) for name in passed}}
+    json.dump({{"reached": found, "lasted": lasted}}, open(OUT, "w"))
+"""
+"""A plug-in of pytest, made for one room."""
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """A place in a file, what stands there, and what is planted."""
+
+    file: str
+    first: int
+    last: int
+    start: int
+    end: int
+    old: str
+    new: str
+    inside: bool
+    """False for a line that runs when the file is imported."""
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.first} {self.old} -> {self.new}"
+
+    def rank(self, seed: int) -> str:
+        """Return where it stands among the others: the first ones are planted."""
+        return hashlib.sha256(f"{seed} {self.file} {self.start} {self.new}".encode()).hexdigest()
+
+    def identity(self, text: str) -> str:
+        """Return what decides the result but for the tests: the fault and its file as it is."""
+        return hashlib.sha256(f"{self}{self.start}{text}".encode()).hexdigest()[:16]
+
+
+def mutations_of(file: str, text: str) -> Iterator[Mutation]:
+    r"""Yield what can be planted in a source file; messages, names and types are left alone.
+
+    Examples
+    --------
+    >>> [str(one) for one in mutations_of("f.py", "def f(x):\n    return x < 2 and not x\n")]
+    ['f.py:2 and -> or', 'f.py:2 < -> <=', 'f.py:2 2 -> 3', 'f.py:2 not  -> ']
+    """
+    starts = [0]
+    for line in text.encode().splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    body = text.encode()
+
+    def at(line: int, column: int) -> int:
+        return starts[line - 1] + column
+
+    def found(node: Any, start: int, end: int, new: str, inside: bool) -> Mutation:
+        return Mutation(file, node.lineno, node.end_lineno, start, end, body[start:end].decode(), new, inside)
+
+    def between(node: Any, left: Any, right: Any, operator: ast.AST, inside: bool) -> Iterator[Mutation]:
+        if type(operator) in SWAPS:
+            old, new = SWAPS[type(operator)]
+            first, last = at(left.end_lineno, left.end_col_offset), at(right.lineno, right.col_offset)
+            place = body.find(old.encode(), first, last)
+            if place >= 0:
+                yield found(node, place, place + len(old), new, inside)
+
+    def walk(node: ast.AST, inside: bool) -> Iterator[Mutation]:
+        if isinstance(node, ast.BoolOp):
+            yield from between(node, node.values[0], node.values[1], node.op, inside)
+        elif isinstance(node, ast.Compare):
+            yield from between(node, node.left, node.comparators[0], node.ops[0], inside)
+        elif isinstance(node, ast.BinOp) and not isinstance(node.left, ast.Constant | ast.JoinedStr | ast.List):
+            yield from between(node, node.left, node.right, node.op, inside)
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            start = at(node.lineno, node.col_offset)
+            yield found(node, start, at(node.operand.lineno, node.operand.col_offset), "", inside)
+        elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            start, end = at(node.lineno, node.col_offset), at(node.end_lineno or 0, node.end_col_offset or 0)
+            new = repr(node.value + 1) if isinstance(node.value, int) else repr(1.5 * node.value or 0.1)
+            yield found(node, start, end, new, inside)
+        inside = inside or isinstance(node, ast.FunctionDef | ast.Lambda)
+        for name, value in ast.iter_fields(node):
+            if name in ("annotation", "returns", "decorator_list", "op", "ops") or isinstance(node, ast.JoinedStr):
+                continue
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST) and not isinstance(child, ast.Raise | ast.Import | ast.ImportFrom):
+                    yield from walk(child, inside)
+
+    yield from walk(ast.parse(text), False)
+
+
+def chosen_of(room: str, count: int, seed: int) -> list[Mutation]:
+    """Return the faults of a room that a seed plants."""
+    folder, left_out, _ = ROOMS[room]
+    every: list[Mutation] = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        if not set(path.relative_to(ROOT / folder).parts) & set(left_out):
+            every += mutations_of(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8"))
+    return sorted(every, key=lambda one: one.rank(seed))[:count]
+
+
+def traced(room: str, folder: Path) -> tuple[dict[str, set[tuple[str, int]]], dict[str, float]]:
+    """Return the lines that each test of a room reaches, and how long it takes."""
+    out = folder / "reached.json"
+    place, _, tests = ROOMS[room]
+    text = TRACER.format(root=str(folder), files=str(folder / place), out=str(out))
+    (folder / "reached.py").write_text(text, encoding="utf-8")
+    code, line = run_tests(folder, [place, *tests, "-p", "reached"])
+    if not out.is_file():
+        raise SystemExit(f"{room}: its tests did not run: {code} {line}")
+    told = json.loads(out.read_text(encoding="utf-8"))
+    out.unlink()
+    return {name: set(map(tuple, lines)) for name, lines in told["reached"].items()}, told["lasted"]
+
+
+def tried(one: Mutation, folder: Path, reached: Mapping[str, set[tuple[str, int]]], lasted: Mapping[str, float]) -> Any:
+    """Plant a fault, run the tests that reach it, and take it out again."""
+    lines = {(one.file, line) for line in range(one.first, one.last + 1)}
+    near = [name for name, own in reached.items() if own & lines]
+    if not near and not one.inside:  # it runs when the file is imported
+        near = [name for name, own in reached.items() if any(file == one.file for file, _ in own)]
+    if not near:
+        return {"result": "not reached", "by": ""}
+    picked, time = [], 0.0
+    for name in sorted(near, key=lambda name: lasted[name]):
+        time += lasted[name]
+        if picked and time > SECONDS:
+            break
+        picked.append(name)
+    path = folder / one.file
+    sound = path.read_bytes()
+    path.write_bytes(sound[: one.start] + one.new.encode() + sound[one.end :])
+    try:
+        code, line = run_tests(folder, picked)
+    finally:
+        path.write_bytes(sound)
+    return {"result": "unnoticed" if code == 0 else "noticed", "by": line if code != 0 else f"{len(picked)} tests"}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Plant the faults and print those that nothing noticed."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "mutations.jsonl")
+    parser.add_argument("--room", nargs="+", default=list(ROOMS), choices=list(ROOMS))
+    parser.add_argument("--count", type=int, default=20, help="faults of each room")
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args(arguments)
+    known, met = known_results(asked.out), True
+    for room in asked.room:
+        faults = chosen_of(room, asked.count, asked.seed)
+        identities = {one: one.identity((ROOT / one.file).read_text(encoding="utf-8")) for one in faults}
+        left = [one for one in faults if known.get(identities[one], {}).get("result") != "noticed"]
+        with tempfile.TemporaryDirectory(prefix="mutations-") as scratch:
+            folder = Path(scratch)
+            if left:
+                copied(folder)
+                reached, lasted = traced(room, folder)
+            for one in left:
+                row = {
+                    "identity": identities[one],
+                    "room": room,
+                    "fault": str(one),
+                    **tried(one, folder, reached, lasted),
+                }
+                known[identities[one]] = row
+                with asked.out.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(row) + "\n")
+                print(f"{row['fault']}: {row['result']} {row['by']}", flush=True)
+        rows = [known[identities[one]] for one in faults]
+        noticed = sum(row["result"] == "noticed" for row in rows)
+        met = met and noticed >= AIM * len(rows)
+        print(f"{room}: noticed {noticed} of {len(rows)}; not: "
+              + "; ".join(row["fault"] for row in rows if row["result"] != "noticed"), flush=True)  # fmt: skip
+    return 0 if met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
