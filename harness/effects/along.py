@@ -36,6 +36,9 @@ class Signals:
         Coordinates, rates and accelerations, in the order of ``system.coordinates`` (smoothed, from the sensor).
     ramps : bool
         Inputs run straight from instant to instant, as means of both sides of a jump do; else each is held.
+    others : array (K,), optional
+        Where the states of the nominal model that are no coordinates begin (a current, a temperature), in its order; 0
+        where it is not known. They are simulated along the motion, as hidden states of effects are.
 
     Raises
     ------
@@ -49,6 +52,7 @@ class Signals:
     v: FloatArray
     a: FloatArray
     ramps: bool = False
+    others: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -118,10 +122,13 @@ def along(
 ) -> FloatArray:
     """Return the values of a function of (x, u, p, t, ...) along a motion, (N, size).
 
-    The function has one output, a column; it is CasADi's, or made for whole records already.
+    The function has one output, a column; it is CasADi's, or made for whole records already. States of the nominal
+    model beside its coordinates are simulated, if ``hidden`` does not hold them.
     """
     from harness.physics.arms.vectorised import OnRecords
 
+    if hidden is None and system.nx - system.hidden_count > 2 * len(system.coordinates):
+        hidden = hidden_states(system, signals, p)
     whole = function if isinstance(function, OnRecords) else OnRecords(function)
     x = _states(system, signals, hidden)
     return whole(x.T, signals.u, p, signals.t[:, None], *more)[0]
@@ -152,7 +159,10 @@ def hidden_states(system: System, signals: Signals, p: FloatArray, *, substeps: 
         whole[*key, pieces] = piece.mapaccum("pieces", pieces, 1)
     motion = np.hstack([signals.q, signals.v])
     x0 = np.concatenate([motion[0], np.zeros(count)])
-    first = np.array(initial(x0, signals.u[0], p, signals.t[0])).ravel()
+    own = count - system.hidden_count  # states of the nominal model itself
+    if own and signals.others is not None:
+        x0[2 * n : 2 * n + own] = signals.others
+    first = np.concatenate([x0[2 * n : 2 * n + own], np.array(initial(x0, signals.u[0], p, signals.t[0])).ravel()])
 
     def padded(rows: FloatArray) -> FloatArray:
         return np.pad(rows, ((0, pieces * many - steps), (0, 0)), mode="edge").T
@@ -213,7 +223,8 @@ def _hidden_step(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
         state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     symbols = [z, here, there, u, end, parameters, t]
     step_function = ca.Function("step", symbols, [state], ["z", "here", "there", "u", "end", "p", "t"], ["after"])
-    return step_function, ca.Function("z0", arguments(system), [system.initial])
+    start = ca.SX(0, 1) if system.initial is None else system.initial
+    return step_function, ca.Function("z0", arguments(system), [start])
 
 
 def rms(values: FloatArray) -> FloatArray:

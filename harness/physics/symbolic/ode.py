@@ -11,6 +11,7 @@ import sympy as sp
 from harness.errors import InputError
 from harness.physics.compiled.system import System
 from harness.physics.definition.parameters import Parameter, as_parameter
+from harness.physics.definition.ports import Coordinate
 from harness.physics.symbolic.convert import to_casadi
 from harness.physics.symbolic.mechanism import _check_names
 from harness.signals import Channel
@@ -34,6 +35,12 @@ class Ode:
     process : str
         Names of the states that are levels, in the order in which they flow into each other: where process effects
         (overflow, leak, level saturation) can act.
+    motions : mapping, optional
+        What of the states moves: name of a coordinate to ``(speed, inertia)``, the name of the state that is its speed
+        (rad/s or m/s) and the parameter or expression by which its rate is multiplied to give a torque or force. There
+        the effects of a joint can act, dry friction or backlash, as on a coordinate of a :class:`Mechanism`. The
+        coordinate may be a state itself, whose rate then is the speed, or one that no equation needs. Everything else,
+        a current, a temperature, a level, stays a state beside it.
 
     Attributes
     ----------
@@ -51,6 +58,14 @@ class Ode:
     >>> o.rhs = [inflow - k * sp.sqrt(h)]
     >>> print(o.system())
     tank: inflow [1] -> h [1]
+
+    A motor: its shaft is a coordinate, its current a state beside it.
+
+    >>> o = Ode("motor", x="i w", u="v", p="R L K J", units={"i": "A", "w": "rad/s"}, motions={"shaft": ("w", "J")})
+    >>> (i, w), (v,), (R, L, K, J) = o.x, o.u, o.p
+    >>> o.rhs = [(v - R * i - K * w) / L, K * i / J]
+    >>> [f"{port.kind}:{port.name}" for port in o.system().ports]
+    ['input:v', 'coordinate:shaft', 'output:i', 'output:w']
     """
 
     def __init__(
@@ -63,6 +78,7 @@ class Ode:
         units: Mapping[str, str] | None = None,
         parameters: Mapping[str, Any] | None = None,
         process: str = "",
+        motions: Mapping[str, tuple[str, Any]] | None = None,
     ) -> None:
         self.name = name
         _check_names(name, [*x.split(), *u.split(), *p.split()])
@@ -84,6 +100,29 @@ class Ode:
                 remedy="correct the names",
             )
         self._parameters = {key: as_parameter(key, value) for key, value in (parameters or {}).items()}
+        self.motions = {coordinate: self._motion(coordinate, *given) for coordinate, given in (motions or {}).items()}
+
+    def _motion(self, coordinate: str, speed: str, inertia: Any) -> tuple[str, Any]:
+        """Return what a coordinate's speed is and what inertia it has, or refuse the declaration."""
+        names, known = [str(state) for state in self.x], {str(parameter): parameter for parameter in self.p}
+        unit = self.units.get(speed, "1")
+        if speed not in names or coordinate == speed or not unit.endswith("/s"):
+            raise InputError(
+                f"motion {coordinate!r} of {self.name!r}",
+                expected="(speed, inertia): a state with a unit such as rad/s or m/s, and a parameter",
+                got=f"({speed}, {inertia})" + (f" with {speed} in {unit}" if speed in names else ""),
+                remedy=f'name one of {", ".join(names)}, and state its unit: units={{"{speed}": "rad/s"}}',
+            )
+        if isinstance(inertia, str) and inertia not in known:
+            raise InputError(
+                f"inertia of {coordinate!r} of {self.name!r}",
+                expected=f"one of {', '.join(known) or 'no parameter'}, or an expression in them",
+                got=repr(inertia),
+                remedy="correct the name",
+            )
+        if coordinate not in names:
+            _check_names(self.name, [*names, *map(str, self.u), *known, coordinate])
+        return speed, known[inertia] if isinstance(inertia, str) else inertia
 
     def parameter_list(self) -> tuple[Parameter, ...]:
         """Return the parameters, in the order of ``p``."""
@@ -98,10 +137,13 @@ class Ode:
                 got=str(len(list(self.rhs))),
                 remedy="give rhs one expression for each state",
             )
-        x, u, p = ca.SX.sym("x", len(self.x)), ca.SX.sym("u", len(self.u)), ca.SX.sym("p", len(self.p))
+        order = self._order()
+        places = {name: place for place, name in enumerate(order)}
+        x, u, p = ca.SX.sym("x", len(order)), ca.SX.sym("u", len(self.u)), ca.SX.sym("p", len(self.p))
         t = ca.SX.sym("t")
         table: dict[Any, Any] = {self.t: t}
-        for symbols, column in ((self.x, x), (self.u, u), (self.p, p)):
+        table.update({symbol: x[places[str(symbol)]] for symbol in self.x})
+        for symbols, column in ((self.u, u), (self.p, p)):
             table.update({symbol: column[row] for row, symbol in enumerate(symbols)})
 
         def convert(expression: Any) -> Any:
@@ -110,29 +152,59 @@ class Ode:
         chosen: dict[str, Any] = self.outputs or {str(symbol): symbol for symbol in self.x}
         channels, rows = [], []
         for name, given in chosen.items():
-            expression, unit = given if isinstance(given, tuple) else (given, self.units.get(name, "1"))
+            expression, unit = given if isinstance(given, tuple) else (given, self._unit(name))
             channels.append(Channel(name, unit))
             rows.append(convert(expression))
+        slopes = {str(state): convert(row) for state, row in zip(self.x, self.rhs, strict=True)}
+        masses = [convert(inertia) for _, inertia in self.motions.values()]
+        n = len(masses)
+        coordinates = [
+            Coordinate(name, self._unit(name), "N m" if self._unit(name) == "rad" else "N", row, n + row, row)
+            for row, name in enumerate(self.motions)
+        ]
+        forces = [mass * slopes[speed] for mass, (speed, _) in zip(masses, self.motions.values(), strict=True)]
         return System(
             name=self.name,
-            inputs=tuple(Channel(str(symbol), self.units.get(str(symbol), "1")) for symbol in self.u),
+            inputs=tuple(Channel(str(symbol), self._unit(str(symbol))) for symbol in self.u),
             outputs=tuple(channels),
-            states=tuple(Channel(str(symbol), self.units.get(str(symbol), "1")) for symbol in self.x),
+            states=tuple(Channel(name, self._unit(name)) for name in order),
             parameters=self.parameter_list(),
             x=x,
             u=u,
             p=p,
             t=t,
             gravity=ca.SX.sym("gravity", 2),
-            mass_matrix=ca.SX(0, 0),
-            generalized_forces=ca.SX(0, 1),
-            rates=ca.vertcat(*(convert(row) for row in self.rhs)) if self.x else ca.SX(0, 1),
+            mass_matrix=ca.diag(ca.vertcat(*masses)) if masses else ca.SX(0, 0),
+            generalized_forces=ca.vertcat(*forces) if forces else ca.SX(0, 1),
+            rates=ca.vertcat(*(slopes[name] for name in order[2 * n :])) if order[2 * n :] else ca.SX(0, 1),
             h=ca.vertcat(*rows),
-            loads=ca.SX(0, 1),
+            coordinates=tuple(coordinates),
+            loads=ca.SX.zeros(n, 1),
             mechanism=self,
             process=self.process,
             starts=self.starts,
         )
+
+    def _order(self) -> list[str]:
+        """Return the names of the states: coordinates, their speeds, and all others as they were written."""
+        speeds = [speed for speed, _ in self.motions.values()]
+        slopes = {str(state): row for state, row in zip(self.x, self.rhs, strict=True)}
+        for coordinate, speed in zip(self.motions, speeds, strict=True):
+            if coordinate in slopes and str(slopes[coordinate]) != speed:
+                raise InputError(
+                    f"rate of {coordinate!r} of {self.name!r}",
+                    expected=f"{speed}, which is declared to be its speed",
+                    got=str(slopes[coordinate]),
+                    remedy="write its right-hand side so, or choose another name for the coordinate",
+                )
+        moving = [*self.motions, *speeds]
+        return [*moving, *(str(state) for state in self.x if str(state) not in moving)]
+
+    def _unit(self, name: str) -> str:
+        """Return the unit of a state, an input or an output; a coordinate's is that of its speed times seconds."""
+        if name in self.motions and name not in self.units:
+            return self.units[self.motions[name][0]].removesuffix("/s")
+        return self.units.get(name, "1")
 
     def __repr__(self) -> str:
         return f"Ode({self.name!r}, x={' '.join(map(str, self.x))!r}, u={' '.join(map(str, self.u))!r})"
