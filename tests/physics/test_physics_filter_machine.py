@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from harness.effects import builtin
+from harness.effects.compose import compose
+from harness.effects.effect import Placed
 from harness.fmi.build import compiler
 from harness.physics import load_model
 from harness.physics.compiled.kalman_pass import KalmanPass, Noise
@@ -16,7 +19,10 @@ DT = 0.01
 
 
 def record(model: str, intersample: str, holes: bool) -> tuple[object, Trajectory, np.ndarray, np.ndarray]:
-    system = load_model(model)
+    name, _, effect = model.partition("+")
+    system = load_model(name)
+    if effect:
+        system = compose(system, [Placed(builtin()[effect], "theta")])
     rng = np.random.default_rng(1)
     u = 0.3 * rng.normal(size=(40, system.nu))
     x0 = np.zeros(system.nx)
@@ -34,7 +40,13 @@ def record(model: str, intersample: str, holes: bool) -> tuple[object, Trajector
 @needs_compiler
 @pytest.mark.parametrize(
     ("model", "intersample", "holes"),
-    [("pendulum", "zoh", True), ("two-tanks", "smooth", False), ("drive", "foh", True)],
+    [
+        ("pendulum", "zoh", True),
+        ("two-tanks", "smooth", False),
+        ("drive", "foh", True),
+        ("pendulum+coulomb_friction", "zoh", False),
+        ("pendulum+coulomb_friction", "smooth", True),
+    ],
 )
 def test_both_ways_are_the_same_to_rounding(model: str, intersample: str, holes: bool) -> None:
     system, data, p, x0 = record(model, intersample, holes)

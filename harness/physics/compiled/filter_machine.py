@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -140,23 +140,33 @@ class FilterMachine:
 
         Finer steps, where a force changes its sign, cost so much that they are computed only where they are needed.
         """
-        functions = self.functions
+        functions, how = self.functions, (self.dt, substeps, foh)
+        finely = self._differentiated(functions.sample(*how)[0], lambda: functions.sample(*how, True)[0])
         if not functions.system.switches:
-            return self._differentiated(functions.sample(self.dt, substeps, foh)[0])
-        step, near = functions.coarse(self.dt, substeps, foh)
-        finely = self._differentiated(functions.sample(self.dt, substeps, foh)[0])
-        either = ca.Function.if_else("either", finely, self._differentiated(step))
+            return finely
+        step, self._near = functions.coarse(*how)
+        self._coarse = self._differentiated(step, lambda: functions.coarse(*how, True)[0])
+        either = ca.Function.if_else("either", finely, self._coarse)
         x, u, later, p, t = (ca.MX.sym("m", finely.size1_in(k)) for k in range(5))
         return ca.Function(
-            "row", [x, u, later, p, t], list(either(near(x, ca.vertcat(u, later), p, t), x, u, later, p, t))
+            "row", [x, u, later, p, t], list(either(self._near(x, ca.vertcat(u, later), p, t), x, u, later, p, t))
         )
 
-    def _differentiated(self, step: Any) -> Any:
-        """Return a step with its derivatives."""
+    def _differentiated(self, step: Any, sensitive: Callable[[], Any]) -> Any:
+        """Return a step with its derivatives: carried along the stages, a third to a half of the Jacobian's work.
+
+        ``sensitive`` makes the step of the state and its derivatives by (p, x0), if the inputs do not depend on p.
+        """
         x, u, p, t = (ca.SX.sym("a", argument.shape) for argument in self.functions.arguments)
         later = ca.SX.sym("v", u.shape)
-        after = step(x, ca.vertcat(u, later), p, t)
-        parts = [ca.jacobian(after, by) for by in (x, p, *((u, later) if self.delay_columns else ()))]
+        if self.delay_columns:
+            after = step(x, ca.vertcat(u, later), p, t)
+            parts = [ca.jacobian(after, by) for by in (x, p, u, later)]
+        else:
+            seed = np.hstack([np.zeros((self.nx, self.np)), np.eye(self.nx)])
+            found = sensitive()(ca.vertcat(x, ca.DM(seed.ravel())), ca.vertcat(u, later), p, t)
+            after, columns = found[: self.nx], ca.reshape(found[self.nx :], self.np + self.nx, self.nx).T
+            parts = [ca.sparsify(columns[:, self.np :]), ca.sparsify(columns[:, : self.np])]
         return ca.Function("row", [x, u, later, p, t], [after, *parts], {"cse": True})
 
     def _blocks(self, wanted: Wanted) -> list[Any]:
@@ -171,10 +181,27 @@ class FilterMachine:
         ]
 
     def _sample(self, wanted: Wanted) -> Any:
-        """Return the function (state, moving, constant) of a sample: next state, and what it tells."""
+        """Return the function (state, moving, constant) of a sample: next state, and what it tells.
+
+        Most samples need no finer steps: one flat function computes them, and whether they do.
+        """
+        if not self.functions.system.switches:
+            return self._flat(wanted, self._row, ca.SX.sym)
+        plainly, finely = (
+            self._flat(wanted, self._coarse, ca.SX.sym, self._near),
+            self._flat(wanted, self._row, ca.MX.sym),
+        )
+        given = [ca.MX.sym("g", plainly.size1_in(k)) for k in range(3)]
+        made = [ca.MX.sym("k", plainly.size_out(k)) for k in range(plainly.n_out() - 1)]
+        again = ca.Function("again", [*given, *made], finely(*given))
+        either = ca.Function.if_else("either", again, ca.Function("kept", [*given, *made], made))
+        *found, near = plainly(*given)
+        return ca.Function("sample", given, list(either(near, *given, *found)))
+
+    def _flat(self, wanted: Wanted, row: Any, symbol: Any, near: Any = None) -> Any:
+        """Return the function of a sample whose rows are advanced by ``row``; with ``near``, the last output."""
         read, spread = self._reading(wanted), self._spreading(wanted)
         nd, rows = len(self.delay_columns), self.every + 1
-        symbol: Any = ca.MX.sym if self.functions.system.switches else ca.SX.sym
         sizes = [self.nu] * rows + [self.nu * nd] * rows + [self.ny, self.ny, 1]
         state, moving = symbol("z", read.size1_in(0)), symbol("m", sum(sizes))
         parts = ca.vertsplit(moving, [0, *np.cumsum(sizes).tolist()])
@@ -183,13 +210,17 @@ class FilterMachine:
         p, r, noise = ca.vertsplit(constant, [0, self.np, self.np + self.ny, constant.shape[0]])
         now, *told = read(state, u[0], d[0], y, known, p, r, t)
         transition = symbol("T", 0) if not wanted.path else ca.DM(np.eye(self.nx).ravel())
+        finer = ca.SX(0)
         for k in range(self.every):
-            row = self._row(now[: self.nx], u[k], u[k + 1], p, t + k * self.dt)
-            now, transition = spread(now, transition, d[k], d[k + 1], noise, *row)
+            place = now[: self.nx], u[k], u[k + 1], p, t + k * self.dt
+            if near is not None:
+                finer = ca.logic_or(finer, near(place[0], ca.vertcat(u[k], u[k + 1]), p, place[4]))
+            now, transition = spread(now, transition, d[k], d[k + 1], noise, *row(*place))
         if wanted.path:
             told.insert(-2, transition)  # before gain and row
-        options = {} if self.functions.system.switches else {"cse": True}
-        return ca.Function("sample", [state, moving, constant], [now, *told], options)
+        outputs = [now, *told, *([finer] if near is not None else [])]
+        options = {"cse": True} if symbol is ca.SX.sym else {}
+        return ca.Function("sample", [state, moving, constant], outputs, options)
 
     def _reading(self, wanted: Wanted) -> Any:
         """Return the function (state, u, d, y, known, p, r, t) -> state after the outputs were seen, what they tell."""

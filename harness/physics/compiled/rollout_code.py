@@ -118,6 +118,7 @@ class Functions:
         start = ca.substitute(start, system.t, ca.SX(0.0))  # an input that a law of time disturbs: as at its beginning
         self.initial = dense("initial", [system.x, system.u, system.p], [system.upright(start)])
         self._machines: dict[Any, Any] = {}
+        self._maps: dict[tuple[int, int, bool], Any] = {}
 
     @functools.cached_property
     def output_jacobian(self) -> Any:
@@ -246,29 +247,36 @@ class Functions:
         whole = np.empty((n, start.shape[0]))
         whole[0] = start
         if n > 1:
-            whole[1:] = step.mapaccum(n - 1)(start, moving[:-1].T, p, times[:-1]).full().T
+            whole[1:] = self._repeated(step, n - 1, True)(start, moving[:-1].T, p, times[:-1]).full().T
+        found = self._repeated(look, n, False)(whole.T, moving.T, p, times)
         bad = ~np.isfinite(whole[:, :nx]).all(axis=1)
-        if bad.any():
-            whole = whole[: int(np.argmax(bad))]
-        rows = whole.shape[0]
-        if rows == 0:
-            return whole[:, :nx], np.empty((0, self.system.ny)), np.empty((0, 0))
-        found = look.map(rows)(whole.T, moving[:rows].T, p, times[:rows])
+        rows = int(np.argmax(bad)) if bad.any() else n
+        whole = whole[:rows, :nx]
         if not sensitivities:
-            return whole[:, :nx], found.full().T, np.empty((rows, 0))
-        return whole[:, :nx], found[0].full().T, found[1].full().T
+            return whole, found.full().T[:rows], np.empty((rows, 0))
+        return whole, found[0].full().T[:rows], found[1].full().T[:rows]
 
-    def sample(self, dt: float, substeps: int, foh: bool) -> tuple[Any, Any]:
-        """Return the functions (x, (u, next u), p, t) of one sample: next state, and outputs."""
-        return self._sample(dt, substeps, foh, False, ())
+    def _repeated(self, function: Any, n: int, following: bool) -> Any:
+        """Return a function for n samples, each beginning where the one before ended if ``following``."""
+        key = (id(function), n, following)
+        if key not in self._maps:
+            self._maps[key] = function.mapaccum(n) if following else function.map(n)
+        return self._maps[key]
 
-    def coarse(self, dt: float, substeps: int, foh: bool) -> tuple[Any, Any]:
+    def sample(self, dt: float, substeps: int, foh: bool, sensitivities: bool = False) -> tuple[Any, Any]:
+        """Return the functions (x, (u, next u), p, t) of one sample: next state, and outputs.
+
+        With ``sensitivities`` S follows x, row by row, and the derivatives of the outputs their values.
+        """
+        return self._sample(dt, substeps, foh, sensitivities, ())
+
+    def coarse(self, dt: float, substeps: int, foh: bool, sensitivities: bool = False) -> tuple[Any, Any]:
         """Return the functions of one sample without finer steps: the next state, and whether finer ones are needed."""
-        key = ("coarse", dt, substeps, foh)
+        key = ("coarse", dt, substeps, foh, sensitivities)
         if key not in self._machines:
             nears: list[Any] = []
             with _literally():
-                step, _ = self._sampled(dt, substeps, foh, False, (), nears)
+                step, _ = self._sampled(dt, substeps, foh, sensitivities, (), nears)
                 state, moving, p, t = (ca.SX.sym("c", step.size1_in(k)) for k in range(4))
                 new, near = step(state, moving, p, t)
                 arguments = [state, moving, p, t]
