@@ -63,6 +63,7 @@ _HOMES = {
     "compare": "api",
     "spectrum": "api",
     "order": "api",
+    "arx_orders": "api",
     "modes": "api",
     "analyse": "api",
     "check": "api",

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from harness.learned import LearnedResidual
     from harness.modal import Criteria, Modes
     from harness.models.analysis import Findings, Takes
+    from harness.models.arx_orders import ArxGrid
     from harness.scoring import Score
     from harness.scoring.predictive import ProbabilityScore
     from harness.vetting import Agreement, Vetting
@@ -52,6 +53,7 @@ __all__ = [
     "Identified",
     "agreement",
     "analyse",
+    "arx_orders",
     "bench",
     "bench_public",
     "calibrate",
@@ -1235,6 +1237,61 @@ def order(
     if orders:
         asked["orders"] = orders
     found = room.order_selection(data, options=options, seed=seed, **asked)
+    _draw(found.plot, out)
+    return found
+
+
+def arx_orders(
+    dataset: Any,
+    na: Sequence[int],
+    nb: Sequence[int],
+    nk: Sequence[int] = (1,),
+    *,
+    model: str | None = None,
+    validation: Any = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    force: bool = False,
+    note: Callable[[str], None] | None = None,
+    **signals: Unpack[Signals],
+) -> ArxGrid:
+    """Judge the ARX models of a whole grid of orders, from one QR factorisation of the data.
+
+    Parameters
+    ----------
+    dataset : path or table
+        As for ``identify``.
+    na, nb, nk : sequence of int
+        Past outputs, coefficients of each input, delays that are tried, each with each.
+    model, validation, undriven
+        As for ``identify``.
+    out : path, optional
+        Picture to write: ``.svg``, ``.png`` or ``.pdf``.
+    force : bool
+        Overwrite ``out`` if it exists.
+    note : callable, optional
+        Called with what is odd about the records (:func:`check_data`).
+    **signals : Signals
+        As for :func:`identify`.
+
+    Returns
+    -------
+    ArxGrid
+        ``best("bic")``, ``best("aic")`` and ``best("held-out")`` say what each prefers.
+
+    Raises
+    ------
+    InputError
+        If the data or the orders cannot be used.
+    """
+    from harness import comparison as room
+    from harness.data import load_dataset
+
+    _refuse_picture(out, force=force)
+    path = registry.dataset_path(dataset)
+    data = load_dataset(path, model=model, validation=validation, undriven=undriven, **signals).dataset
+    _note_oddities(data, note)
+    found = room.arx_orders(data, na, nb, nk)
     _draw(found.plot, out)
     return found
 

@@ -41,6 +41,7 @@ from harness.frequency import is_response
 
 if TYPE_CHECKING:
     from harness.data.recipe.chosen import Signals
+    from harness.models.arx_orders import ArxGrid
 
 __all__ = ["check_data", "compare", "export", "identify", "order", "spectrum"]
 
@@ -310,6 +311,24 @@ def export(
     print_written(api.export(source, out=out, fmi=fmi, force=force), as_json=as_json)
 
 
+def _span(text: str | None, flag: str) -> range:
+    """Return the orders that an option asks for."""
+    if text is None:
+        raise InputError(flag[2:], expected="both --na and --nb", got=f"no {flag}", remedy=f"write e.g. {flag} 1..4")
+    first, last = whole_range(text, flag)
+    return range(first, last + 1)
+
+
+def _print_grid(found: ArxGrid, *, as_json: bool) -> None:
+    """Print what the criteria prefer of a grid of ARX orders."""
+    rows = found.rows_of()
+    if as_json:
+        print_json({"orders": rows, "rows": found.rows, "rows_held_out": found.held_rows})
+        return
+    say(f"{found.losses[..., 0].size} ARX models on {found.rows} rows, judged on {found.held_rows} others")
+    print_rows(rows)
+
+
 @of_table
 def order(
     dataset: DatasetName,
@@ -321,6 +340,9 @@ def order(
         ),
     ] = None,
     orders: Annotated[str, typer.Option(metavar="A..B", help="orders A to B, both included")] = "1..12",
+    na: Annotated[str | None, typer.Option(metavar="A..B", help="of all ARX models: past outputs; needs --nb")] = None,
+    nb: Annotated[str | None, typer.Option(metavar="A..B", help="of all ARX models: coefficients of inputs")] = None,
+    nk: Annotated[str, typer.Option(metavar="A..B", help="of all ARX models: delays")] = "1",
     option: OptionPairs = None,
     model: ModelName = None,
     validation: Validation = None,
@@ -333,7 +355,28 @@ def order(
     force: Force = False,
     trust: Trust = None,
 ) -> None:
-    """Show which order a linear model needs: held-out errors by order, and singular values."""
+    """Show which order a linear model needs: held-out errors by order, and singular values.
+
+    With --na and --nb the ARX models of all these orders and delays, from one factorisation of the data.
+    """
+    if na is not None or nb is not None:
+        _print_grid(
+            api.arx_orders(
+                dataset,
+                *(_span(text, flag) for text, flag in ((na, "--na"), (nb, "--nb"), (nk, "--nk"))),
+                model=model,
+                validation=validation,
+                undriven=undriven or (),
+                out=out,
+                force=force,
+                note=noted,
+                **signals,
+            ),
+            as_json=as_json,
+        )
+        if out is not None and not as_json:
+            say(f"wrote {out}")
+        return
     first, last = whole_range(orders, "--orders")
     found = api.order(
         dataset,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from harness.comparison.models import Compared, Comparison, compare
-from harness.comparison.orders import OrderSelection, order_selection
+from harness.comparison.orders import OrderSelection, arx_orders, order_selection
 from harness.comparison.reports import ReportComparison, compare_reports
 from harness.comparison.residuals import Correlation, correlations
 from harness.comparison.responses import Response, response
@@ -17,6 +17,7 @@ __all__ = [
     "ReportComparison",
     "Response",
     "Spectrum",
+    "arx_orders",
     "compare",
     "compare_reports",
     "correlations",

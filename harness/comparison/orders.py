@@ -11,12 +11,13 @@ import numpy as np
 from harness import registry
 from harness.display import table
 from harness.errors import FitError, InputError
+from harness.models.arx_orders import ArxGrid, arx_order_grid
 from harness.protocols import Identifier
 from harness.rng import stream
 from harness.scoring import predict
 from harness.signals import Dataset, FloatArray, Trajectory, residual
 
-__all__ = ["IDENTIFIERS", "ORDERS", "OrderError", "OrderSelection", "order_selection"]
+__all__ = ["IDENTIFIERS", "ORDERS", "OrderError", "OrderSelection", "arx_orders", "order_selection"]
 
 IDENTIFIERS = ("arx", "n4sid", "ho-kalman")
 """One of each way to a linear model: lagged signals, a subspace of the data, the impulse response."""
@@ -254,6 +255,29 @@ def order_selection(
             remedy="record longer, excite more richly, or name other identifiers",
         )
     return OrderSelection(dataset.name, text, tuple(tried), singular)
+
+
+def arx_orders(dataset: Dataset, na: Sequence[int], nb: Sequence[int], nk: Sequence[int] = (1,)) -> ArxGrid:
+    """Return the losses of ARX models of all orders of a grid, on the records fitted and on those held out.
+
+    One QR factorisation of either serves the whole grid (:func:`harness.models.arx_orders.arx_order_grid`).
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Held out are its validation records; without any, the last third of every estimation record.
+    na, nb, nk : sequence of int
+        Past outputs, coefficients of each input, delays.
+
+    Raises
+    ------
+    InputError
+        If an order is negative or the grid empty.
+    FitError
+        If the records are too short.
+    """
+    records, judged, _ = _fitted_and_judged(dataset)
+    return arx_order_grid(records, na, nb, nk, held_out=judged)
 
 
 def _fitted_and_judged(dataset: Dataset) -> tuple[list[Trajectory], list[Trajectory], str]:

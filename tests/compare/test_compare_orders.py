@@ -86,3 +86,33 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "--orders" in capsys.readouterr().err
     with pytest.raises(InputError, match=r"ends in \.svg"):
         api.order(tmp_path / "dataset.toml", out=tmp_path / "order.txt")
+
+
+def test_a_grid_of_arx_orders_on_the_command_line_and_from_python(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng, y = np.random.default_rng(1), np.zeros(900)
+    u = rng.normal(size=900)
+    for k in range(4, 900):
+        y[k] = 1.3 * y[k - 1] - 0.6 * y[k - 2] + u[k - 3] + 0.4 * u[k - 4] + 0.2 * rng.normal()
+    table = np.column_stack([np.arange(900) * 0.1, u, y])
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="time [s],u [V],y [m]", comments="", fmt="%.17g")
+    files = [str(tmp_path / "run.csv"), "--input", "u", "--output", "y"]
+    arguments = ["order", *files, "--na", "0..4", "--nb", "1..4", "--nk", "1..5"]
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "-o", str(tmp_path / "grid.svg"), "--json"])
+    assert ended.value.code == 0
+    rows = json.loads(capsys.readouterr().out.rpartition("}")[0] + "}")["orders"]
+    (best,) = [row for row in rows if "best by bic" in row["note"]]
+    assert (best["na"], best["nb"], best["nk"]) == (2, 2, 3)
+    assert (tmp_path / "grid.svg").read_text().startswith("<?xml")
+    found = api.arx_orders(tmp_path / "run.csv", range(5), range(1, 5), range(1, 6), input="u", output="y")
+    assert found.best("bic") == {"na": 2, "nb": 2, "nk": 3}
+    near = found.values("held-out")
+    assert near[2, 1, 2] <= 1.02 * np.nanmin(near)
+    with pytest.raises(SystemExit) as ended:
+        main(arguments[:-4])
+    assert ended.value.code == 2
+    assert "both --na and --nb" in capsys.readouterr().err
+    with pytest.raises(InputError, match="from 0 on"):
+        api.arx_orders(tmp_path / "run.csv", [-1], [1], input="u", output="y")
