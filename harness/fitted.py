@@ -125,7 +125,7 @@ class Usable:
         return self._run(self._state(self._record(past)), inputs)
 
     def forecast_bands(self, past: Any, u: Any = None, *, steps: int | None = None, level: float = 0.95) -> Forecast:
-        """Return what follows a record, as :meth:`forecast`, with the bands that its noise leaves open.
+        """Return the forecast of a record, as :meth:`forecast`, with the bands that its noise leaves open.
 
         The bands are those of the innovations of the record: they grow as the model carries past disturbances on. What
         is uncertain about the model itself is not in them (:meth:`step_response` shows that).

@@ -107,7 +107,7 @@ def _listed(kind: Any) -> bool:
 
 
 def instead(unknown: Sequence[str], known: Iterable[str]) -> str:
-    """Return what may be meant by options that there are not.
+    """Return the remedy for unknown options: the known names nearest to them.
 
     Examples
     --------

@@ -125,7 +125,7 @@ class BatchTruth(Protocol):
     """Ability ``"batch-truth"``: a batch that brings the true states along; needs ``"batch"`` and ``"truth"``."""
 
     def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what ``rollout`` returns (N, ny), and the true states (N, nx) at the same instants."""
+        """Return the outputs (N, ny) of ``rollout``, and the true states (N, nx) at the same instants."""
         ...
 
 

@@ -28,7 +28,7 @@ def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
 
 
 def arm_model_of(urdf: str | Path | None, spec: PlantSpec) -> ArmModel:
-    """Return the same with the damping, friction and rotors that the URDF or MJCF states; see :func:`arm_of`."""
+    """Return the model of an arm with the damping, friction and rotors of its URDF or MJCF; see :func:`arm_of`."""
     from harness.physics.arms.arm import load_arm
 
     path = _path(urdf, spec)

@@ -14,7 +14,7 @@ KINDS = ("plants", "scenarios", "identifiers")
 
 
 def problem(axes: Mapping[str, Sequence[float]]) -> str:
-    """Return what is wrong with the axes of a group, or nothing.
+    """Return the first fault of the axes of a group in words; empty where there is none.
 
     Examples
     --------

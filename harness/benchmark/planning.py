@@ -104,7 +104,7 @@ def share(tasks: Sequence[Shared], shard: tuple[int, int] | None) -> tuple[Share
 def plan_of(
     tasks: Sequence[Task], done: set[str], timings: Sequence[Path], workers: int, declared: float | None = None
 ) -> Plan:
-    """Return what would run of these tasks.
+    """Return the plan of these tasks: cells to run, cells that are done, and the time that they take.
 
     Parameters
     ----------

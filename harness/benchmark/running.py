@@ -111,7 +111,7 @@ def plan(
     seeds: tuple[int, int] | Sequence[int] | None = None,
     shard: str | None = None,
 ) -> Plan:
-    """Return what :func:`bench` with the same arguments would run, and how long it would take; nothing is written.
+    """Return the cells that :func:`bench` with these arguments would run, and their time; nothing is written.
 
     Raises
     ------

@@ -88,7 +88,7 @@ def enough_pairs(others: int) -> int:
 
 
 def standings(scores: Mapping[str, Sequence[float | None]]) -> dict[str, Standing]:
-    """Return how each name stands against the one with the least median.
+    """Return the standing of each name against the one with the least median: best, tied, worse or undecided.
 
     Parameters
     ----------

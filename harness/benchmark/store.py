@@ -185,7 +185,7 @@ class Store:
         self.write([rows[cell[0]] for cell in cells if cell[0] in rows])
 
     def read_manifest(self) -> dict[str, Any]:
-        """Return what was asked for.
+        """Return the manifest: suite, cells and versions that were asked for.
 
         Raises
         ------

@@ -202,7 +202,7 @@ def _standings(
 
 
 def pairs_in_words(lines: Sequence[Summary]) -> str:
-    """Return what the marks of a table rest on, with the number of pairs and what they can tell.
+    """Return the test behind the marks of a table in words, with its number of pairs and its power.
 
     Examples
     --------

@@ -119,7 +119,7 @@ Runs = Annotated[
 
 
 def demands_of(fail_on: str | None, max_error: list[str] | None, max_share: float | None) -> Demands:
-    """Return what the options demand of a result."""
+    """Return the demands on a result that the options state."""
     from harness.scoring.acceptance import Demands
 
     words = [word.strip().replace("-", "_") for word in (fail_on or "").split(",")]

@@ -61,7 +61,7 @@ def fail(message: str, status: int) -> int:
 
 
 def completed(kind: str) -> Callable[[str], list[str]]:
-    """Return what completes the id of a part in a shell (``sysid --install-completion``)."""
+    """Return the function that completes the id of a part in a shell (``sysid --install-completion``)."""
 
     def begun(incomplete: str) -> list[str]:
         from harness import registry

@@ -105,7 +105,7 @@ def alike(first: Any, second: Any, data: Trajectory, *, tolerance: float = 0.0) 
 
 
 def global_state() -> dict[str, bytes]:
-    """Return what belongs to the whole process and nothing may touch, by what it is called in a verdict."""
+    """Return the state of the whole process that nothing may touch, by its name in a verdict."""
     return {
         "numpy's global random state": pickle.dumps(np.random.get_state()),  # noqa: NPY002 - the one that is global
         "the state of the module random": pickle.dumps(random.getstate()),

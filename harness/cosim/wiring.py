@@ -184,7 +184,7 @@ def check_wires(parts: Sequence[Part], connections: Sequence[Connection], extern
 
 
 def reader(slots: Sequence[int]) -> Callable[[list[float]], FloatArray]:
-    """Return what picks slots out of the common list into a new array; the fastest way for their number."""
+    """Return a function that picks slots out of the common list into a new array; the fastest for their number."""
     if len(slots) == 1:
         only = slots[0]
         return lambda signals: np.array((signals[only],))
@@ -195,7 +195,7 @@ def reader(slots: Sequence[int]) -> Callable[[list[float]], FloatArray]:
 
 
 def shower(taps: Sequence[tuple[int, Callable[[float], float] | None]]) -> Callable[[list[float]], FloatArray]:
-    """Return what makes the outputs of the whole: from the slot of each, and what is done to its number."""
+    """Return a function that makes the outputs of the whole from the slot of each and the transform of its number."""
     if all(transform is None for _, transform in taps):
         return reader([slot for slot, _ in taps])
     lines = [(slot, _same if transform is None else transform) for slot, transform in taps]

@@ -30,7 +30,7 @@ REMEDIES = {
 
 
 def refused_by_system(error: OSError, path: str | Path | None = None) -> InputError | None:
-    """Return what the operating system refused as something that a user can act on; None for any other fault.
+    """Return an error of the operating system with its remedy, where a user can act on it; else None.
 
     Examples
     --------

@@ -75,7 +75,7 @@ def compose(
 def recommended_substeps(
     system: System, parameters: Mapping[str, float] | None, dt: float, *, x: FloatArray | None = None
 ) -> int:
-    """Return how many Runge-Kutta steps one sample time needs to follow the fastest motion.
+    """Return the number of Runge-Kutta steps in a sample time that follow the fastest motion.
 
     Parameters
     ----------

@@ -175,7 +175,7 @@ class Dictionary:
         return rival.at == placed.at and placed.effect.name in {law.name for law in self.nested(rival.effect)}
 
     def family(self, effect: Effect) -> Confusions:
-        """Return what an effect is taken for, what others say of it included."""
+        """Return the names that an effect is easily confused with, by its own word and by theirs."""
         exact, limit = dict(effect.same_as), dict(effect.limits)
         own = (*effect.family, *effect.nests, *(name for name in exact if name in self._effects), *limit)
         near = dict.fromkeys(own)

@@ -204,7 +204,7 @@ class Effect:
         v: Any,
         **extras: Any,
     ) -> tuple[Any, list[Any]]:
-        """Return what the block computes and the derivatives of its hidden states.
+        """Return the output of the block and the derivatives of its hidden states.
 
         Parameters
         ----------
@@ -418,7 +418,7 @@ def effect(
 
 
 def port_units(kind: str, unit: str, force_unit: str = "") -> dict[str, str]:
-    """Return what the names in a unit template stand for at a port.
+    """Return the units at a port of the names in a unit template.
 
     Examples
     --------

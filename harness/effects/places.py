@@ -89,7 +89,7 @@ def port_of(system: System, placed: Placed) -> Port:
 
 
 def obstacle(system: System, effect: Effect, port: Port) -> str | None:
-    """Return why an effect of the right kind does not fit a port; None if it does."""
+    """Return the reason why an effect of the right kind does not fit a port; None if it does."""
     if port.kind == "input" and "coordinate" in effect.kinds and system.driven_by(port.name) is not None:
         return "it acts on the coordinate that this input drives"
     if port.kind in ("coordinate", "output") and effect.angles and port.unit != "rad":

@@ -99,7 +99,7 @@ class DelayLine:
         self._past = []
 
     def peek(self, x: float) -> float:
-        """Return what :meth:`step` would, without remembering ``x``."""
+        """Return the output of :meth:`step` without remembering ``x``."""
         past = self._past or [x]
         whole, fraction = _split(self.tau, self.dt)
         line = [*past, x] if self._past else [x]
@@ -115,7 +115,7 @@ class DelayLine:
         return delayed
 
     def get_state(self) -> tuple[float, ...]:
-        """Return what the line holds."""
+        """Return the samples on the line."""
         return tuple(self._past)
 
     def set_state(self, state: tuple[float, ...]) -> None:

@@ -232,7 +232,7 @@ class _Stage:
             self.line.reset()
 
     def get_state(self) -> Any:
-        """Return what the stage remembers."""
+        """Return the state of the stage: samples on its lines and hidden states."""
         line = None if self.line is None else self.line.get_state()
         return None if self.hidden is None else list(self.hidden), self.last, line
 

@@ -89,7 +89,7 @@ class Odd:
 
 
 def changes(rows: Sequence[Row]) -> list[Change]:
-    """Return where sizes change, the surest first; at most one shape for each machine and size, the likeliest.
+    """Return the changes of sizes, the surest first; at most one shape for each machine and size, the likeliest.
 
     Notes
     -----

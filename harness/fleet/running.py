@@ -76,7 +76,7 @@ class FleetResult:
         return trends(series_of(self.rows))
 
     def checks(self, demands: Demands) -> list[Check]:
-        """Return what is demanded of each record, and whether it holds; a record without an answer holds nothing.
+        """Return the checks of each record, passed or not; a record without an answer passes none.
 
         Parameters
         ----------

@@ -102,7 +102,7 @@ class FleetStore:
         return {job: row for job, row in self.rows().items() if job in wanted}
 
     def manifest(self) -> dict[str, Any]:
-        """Return what was asked for.
+        """Return the manifest: records, model and options that were asked for.
 
         Raises
         ------

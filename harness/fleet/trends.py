@@ -82,7 +82,7 @@ def series_of(rows: Sequence[Row]) -> list[Series]:
 
 
 def new_effects(rows: Sequence[Row]) -> list[New]:
-    """Return where effects begin: machine by machine over its dated records, the first of which only shows what is.
+    """Return the records in which effects begin, machine by machine; its first dated record only shows what is there.
 
     An effect that an earlier record was tied with is another name for the same thing, and not new. Records without an
     answer say nothing either way.

@@ -126,7 +126,7 @@ def _watch(folder: Path, batch: Batch) -> Path:
 
 
 def last_place(folder: Path, batch: Batch) -> str:
-    """Return where a lost worker was: the name of a job, or :data:`SHARED`."""
+    """Return the place at which a worker was lost: the name of a job, or :data:`SHARED`."""
     return _last(folder, batch)[1] or SHARED
 
 

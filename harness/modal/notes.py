@@ -22,7 +22,7 @@ TONE = 5e-4
 def notes_of(
     records: Sequence[Trajectory], shown: Ladder, identifier: str | None, passing: int, modes: Sequence[Mode]
 ) -> list[str]:
-    """Return what the data cannot tell, in sentences.
+    """Return sentences on inputs, lengths and modes that the records leave undetermined.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ class Modes:
         return shown + "".join(f"<p>{text}</p>" for text in self.words())
 
     def words(self) -> list[str]:
-        """Return what the data do not determine, in sentences."""
+        """Return the frequencies that the data do not determine, with the reasons, in sentences."""
         said = []
         for reason, text in REASONS.items():
             near = [f"{sum(one.band) / 2:.3g}" for one in self.undetermined if one.reason == reason]

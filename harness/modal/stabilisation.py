@@ -73,7 +73,7 @@ class Criteria:
         )
 
     def near(self, first: Pole, second: Pole) -> float | None:
-        """Return how far two poles are apart, None where they are not of one mode."""
+        """Return the relative difference of two frequencies plus 1 - MAC; None where the poles are not of one mode."""
         apart = abs(first.frequency - second.frequency) / max(first.frequency, second.frequency)
         likeness = mac(first.shape, second.shape)
         return apart + 1.0 - likeness if apart <= self.frequency and likeness >= self.mac else None

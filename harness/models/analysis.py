@@ -80,7 +80,7 @@ class Analysis(Protocol):
     takes: ClassVar[Takes]
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
-        """Return what was found.
+        """Return the findings.
 
         Raises
         ------

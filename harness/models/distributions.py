@@ -64,7 +64,7 @@ class Categories:
             return np.stack([np.log(np.maximum(chosen, 0.0)) for chosen in self._chosen(y)], axis=-1)
 
     def covered(self, y: FloatArray, level: float) -> FloatArray:
-        """Return how much of y's category lies in the set of the most probable ones that holds exactly ``level``.
+        """Return the share of y's category in the set of the most probable ones that holds exactly ``level``.
 
         The last category of the set belongs to it in part only (a randomised set), so that the mean over well
         calibrated predictions is ``level`` whatever the probabilities are.

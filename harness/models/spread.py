@@ -109,7 +109,7 @@ class Spread:
 
 
 def quantile(spread: Spread, level: float = 0.95) -> float:
-    """Return how many standard deviations an interval reaches to either side."""
+    """Return the half width of an interval in standard deviations."""
     from scipy.stats import t
 
     return float(t.ppf(0.5 + level / 2, spread.freedom))

@@ -111,7 +111,7 @@ def make_coupled(path: str, changes: dict[str, Any], trust: Sequence[str] = ()) 
 
 
 def describe_fmu(path: str | Path) -> dict[str, Any]:
-    """Return what is in an FMU: variables, units, abilities.
+    """Return the variables, units and abilities of an FMU.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def make_part(id: str, options: dict[str, Any]) -> Plant:
 
 
 def stream_key(id: str) -> str:
-    """Return what keys a plant's random streams: its id, or the content of its file however the path is spelt.
+    """Return the key of a plant's random streams: its id, or the content of its file however the path is spelt.
 
     Examples
     --------

@@ -23,7 +23,7 @@ OF_CLASS = re.compile(r"; options as of \w+\.")
 
 
 def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
-    """Return what is registered: for each kind the id, one line about it, and the distribution that brought it.
+    """Return the registered parts by kind: id, one line about it, and the distribution that brought it.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
 
 
 def describe_part(id: str, kind: str | None = None) -> dict[str, Any] | None:
-    """Return what a registered part is and which options it takes; None if there is none of this id.
+    """Return the description and the options of a registered part; None if there is none of this id.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ class Regret:
         return self.total / self.losses.size
 
     def slope(self, burn_in: int) -> float:
-        """Return how fast R[n] grows with ln n from ``burn_in`` samples on (least squares over the curve).
+        """Return the slope of R[n] over ln n from ``burn_in`` samples on (least squares over the curve).
 
         Raises
         ------

@@ -104,7 +104,7 @@ def cores() -> int:
 
 
 def death(error: BaseException) -> str:
-    """Return how a worker ended, from the exception of the future that it left behind.
+    """Return the end of a worker in words, from the exception of the future that it left behind.
 
     Examples
     --------

@@ -60,7 +60,7 @@ def _begun(plant: Any) -> FloatArray:
 
 
 def speed(options: Mapping[str, Any], samples: int, *, progress: Callable[..., None]) -> dict[str, float]:
-    """Return what instantiating, initialising and a sample take [s]."""
+    """Return the times [s] of instantiating, initialising and a sample."""
     begun = time.perf_counter()
     with _made(options) as plant:
         made = time.perf_counter() - begun
@@ -220,7 +220,7 @@ def serialised(options: Mapping[str, Any], samples: int, *, progress: Callable[.
 
 
 def instances(options: Mapping[str, Any], count: int, *, progress: Callable[..., None]) -> dict[str, float]:
-    """Return what so many instances, one after the other, leave behind: memory [KiB], descriptors, threads, each."""
+    """Return the memory [KiB], descriptors and threads that an instance leaves behind, of so many made in turn."""
     memory, files, threads = [], [], []
     for number in range(WARM + count):
         with _made(options) as plant:

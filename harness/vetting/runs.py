@@ -48,7 +48,7 @@ class Subject:
         return registry.create("plants", "isolated", plant="fmu", timeout=self.limit, **{**self.options, **more})
 
     def inside(self, work: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
-        """Return what a function of :mod:`harness.vetting.inside` finds."""
+        """Return the findings of a function of :mod:`harness.vetting.inside`, called in a child."""
         options = {**self.options, **more}
         return guarded(work, options, *arguments, what=self.path.name, silence=self.limit)
 

@@ -144,7 +144,7 @@ def refuse_collinear(
 
 
 def excited_lags(records: Sequence[Trajectory], most: int) -> int:
-    """Return how many lags of the inputs move independently, at most so many: the order of persistent excitation.
+    """Return the order of persistent excitation: lags of the inputs that move independently, at most so many.
 
     A constant is taken away first. m lines excite 2 m lags, a ramp one: the next lag follows from those. A smooth input
     excites each further lag less, in steps; that is no end, nor is rounding when it is reached that way (Ljung 1999,

@@ -180,7 +180,7 @@ class LagModel(ABC):
         return run_in_steps(self, x, u)
 
     def head(self, kind: str) -> dict[str, Any]:
-        """Return what the descriptions of all kinds have."""
+        """Return the entries that the descriptions of all kinds have."""
         return {
             "kind": kind,
             "spec": spec_to_dict(self.spec),

@@ -109,7 +109,7 @@ def coefficients_without(
 
 
 def steps_without(gradients: FloatArray, errors: FloatArray, groups: int = GROUPS) -> FloatArray | None:
-    """Return how parameters (G, k) at the minimum of a sum of squares move without one stretch of the errors each.
+    """Return the shifts of parameters (G, k) at the minimum of a sum of squares, one stretch of errors left out each.
 
     Parameters
     ----------

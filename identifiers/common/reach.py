@@ -113,7 +113,7 @@ class Reach:
         return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}
 
     def beyond(self, rows: FloatArray) -> FloatArray:
-        """Return how far scaled rows (..., p) lie beyond the data (...); 0 inside, NaN where a row is no number."""
+        """Return the distances (...) of scaled rows (..., p) beyond the data; 0 inside, NaN where a row has a NaN."""
         rows = np.asarray(rows, dtype=float)
         known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(rows).all(axis=-1))
         distance = self._tree.query(np.where(known[..., None], rows, 0.0))[0]

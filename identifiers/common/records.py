@@ -139,7 +139,7 @@ def filled(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
 def missing_notes(
     trajectories: Sequence[Trajectory], how: str, used: Sequence[Trajectory] | None = None
 ) -> dict[str, object]:
-    """Return what a model's notes say of missing readings; nothing where none is.
+    """Return the notes of a model on missing readings; empty where none is.
 
     Parameters
     ----------

@@ -87,7 +87,7 @@ def optimal_values(transition: FloatArray, reward: FloatArray, discount: float) 
 
 
 def value_error_bound(radius: FloatArray, values: FloatArray, discount: float) -> float:
-    """Return how far values of a policy on the identified process may be from those on the true one.
+    """Return a bound of the error of a policy's values on the identified process.
 
     ``discount max ||P - P_hat||_1 span(V) / (2 (1 - discount))``, where V are the values on either process (the
     simulation lemma, Kearns and Singh 2002, *Machine Learning* 49, lemma 4, with span for twice the largest value).

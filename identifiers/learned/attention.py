@@ -41,12 +41,12 @@ class AttentionModel(LagNetwork):
     heads: int
 
     def change(self, x: FloatArray) -> FloatArray:
-        """Return what the network adds (..., ny) at scaled rows (..., p), scaled."""
+        """Return the scaled addition (..., ny) of the network at scaled rows (..., p)."""
         found = _attend(np, [self.tables[name] for name in _TABLES], x.reshape(-1, x.shape[-1]), self.heads)
         return np.asarray(found.reshape(*x.shape[:-1], self.spec.ny))
 
     def attention(self, rows: FloatArray) -> FloatArray:
-        """Return how much each past sample weighs (n, heads, L), newest first, at regressors (n, p)."""
+        """Return the weights (n, heads, L) of the past samples, newest first, at regressors (n, p)."""
         tables = [self.tables[name] for name in _TABLES]
         return np.asarray(_weights(np, tables, _tokens(tables, self.scaling.rows(rows)), self.heads))
 

@@ -38,7 +38,7 @@ class LagNetwork(LagModel):
 
     @abstractmethod
     def change(self, x: FloatArray) -> FloatArray:
-        """Return what the network adds (..., ny) at scaled rows (..., p), scaled."""
+        """Return the scaled addition (..., ny) of the network at scaled rows (..., p)."""
 
     def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (..., ny) of the next output."""
@@ -49,7 +49,7 @@ class LagNetwork(LagModel):
         return mean, variance if self.reach is None else variance + self.reach.std(x) ** 2
 
     def head(self, kind: str) -> dict[str, Any]:
-        """Return what the descriptions of all networks have."""
+        """Return the entries that the descriptions of all networks have."""
         return {
             **super().head(kind),
             "affine": self.affine.tolist(),

@@ -60,7 +60,7 @@ class Form:
     mass: tuple[float, ...]
 
     def features(self, library: Any, q: Any) -> tuple[Any, Any]:
-        """Return what the energies see of q (..., n): (..., 2 n), and its derivative by each coordinate (..., 2 n)."""
+        """Return the features (..., 2 n) of q (..., n), and their derivatives by each coordinate (..., 2 n)."""
         values, derivatives = [], []
         for i, (angle, size) in enumerate(zip(self.periodic, self.size, strict=True)):
             x = q[..., i] / size

@@ -32,7 +32,7 @@ class NetworkModel(LagNetwork):
     layers: Layers
 
     def change(self, x: FloatArray) -> FloatArray:
-        """Return what the network adds (..., ny) at scaled rows (..., p), scaled."""
+        """Return the scaled addition (..., ny) of the network at scaled rows (..., p)."""
         for weight, bias in self.layers[:-1]:
             x = np.tanh(x @ weight + bias)
         weight, bias = self.layers[-1]

@@ -51,7 +51,7 @@ class Problem:
 
     @staticmethod
     def cut_of(samples: int) -> int:
-        """Return how many samples of a record are learned from."""
+        """Return the number of samples of a record that are learned from."""
         return samples - samples // _HELD_OUT
 
     @property

@@ -81,7 +81,7 @@ class VolterraModel:
         return np.asarray(self._window(x, u)[..., : (self.memory - 1) * self.spec.nu])
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the same state (..., nx)."""
+        """Return the state (..., nx) unchanged: a reading corrects nothing."""
         return x
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:

@@ -137,7 +137,7 @@ class Lumped:
     def estimated(
         self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator
     ) -> tuple[GreyBoxModel, list[Trajectory]]:
-        """Return what :meth:`fit` does, its filter not tuned yet, and the records that were used."""
+        """Return the model of :meth:`fit` before its filter is tuned, and the records that were used."""
         what = f"lumped-{self.form}"
         records, spec = usable(trajectories, samples=12, what=what)
         real_signals(spec, what)

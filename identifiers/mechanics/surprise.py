@@ -63,7 +63,7 @@ class Surprise:
 
     @classmethod
     def none(cls, ny: int) -> Self:
-        """Return what is known before any output."""
+        """Return the state before any output."""
         nothing = np.full(ny, np.nan)
         return cls(np.full((4, ny), np.nan), np.zeros((2, ny)), nothing, nothing, np.nan, 0, 0)
 

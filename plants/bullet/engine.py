@@ -183,7 +183,7 @@ def explicit_urdf(
 
 
 def stated(source: str | Path, locked: Sequence[str] = ()) -> tuple[list[float], ...]:
-    """Return what a URDF states of the joints that move.
+    """Return the damping, friction, effort and velocity that a URDF states of the joints that move.
 
     Parameters
     ----------

@@ -158,7 +158,7 @@ class Joints:
 
 
 def joints_of(urdf: str | Path, options: ArmOptions) -> Joints:
-    """Return what a URDF and the options say of its moving joints.
+    """Return the moving joints of a URDF with their damping, friction, ranges and motors.
 
     Raises
     ------

@@ -134,7 +134,7 @@ class LinearPlant:
         return self.rollout_truth(inputs)[0]
 
     def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what ``rollout`` returns (N, ny), and the true states (N, nx) at the same instants."""
+        """Return the outputs (N, ny) of ``rollout``, and the true states (N, nx) at the same instants."""
         self._need_open()
         rows = checked_inputs(inputs, self.spec)
         drawn = self._rng.standard_normal((len(rows), len(self._x) + len(self._seen)))

@@ -136,7 +136,7 @@ def with_noise(system: System) -> tuple[System, int]:
 
 
 def needed_substeps(system: System, dt: float) -> int:
-    """Return how many Runge-Kutta steps a sample needs, from its eigenvalues at rest and in contact."""
+    """Return the number of Runge-Kutta steps of a sample, from the eigenvalues at rest and in contact."""
     from harness.effects import recommended_substeps
     from harness.physics.compiled.simulator import default_substeps
 

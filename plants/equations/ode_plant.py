@@ -241,7 +241,7 @@ class OdePlant:
         return self.rollout_truth(inputs)[0]
 
     def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what ``rollout`` returns (N, ny), and the true states (N, nx) at the same instants."""
+        """Return the outputs (N, ny) of ``rollout``, and the true states (N, nx) at the same instants."""
         self._need_open()
         given = checked_inputs(inputs, self._spec)
         n = given.shape[0]

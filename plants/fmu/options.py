@@ -49,7 +49,7 @@ def default(file: FmuFile, name: str) -> float | None:
 
 
 def count_substeps(file: FmuFile, sample_time: float, step: float | None) -> int:
-    """Return how many communication steps make a sample."""
+    """Return the number of communication steps in a sample."""
     if step is None:
         return 1
     ratio = sample_time / step if step > 0 else 0.0
@@ -60,7 +60,7 @@ def count_substeps(file: FmuFile, sample_time: float, step: float | None) -> int
 
 
 def complaints(file: FmuFile, kind: Kind, step: float, units: Sequence[str], *, told: bool) -> tuple[str, ...]:
-    """Return what a user should know about the FMU, and log it.
+    """Return the complaints about the FMU that a user should know, and log them.
 
     Parameters
     ----------

@@ -256,7 +256,7 @@ class FmuPlant(Beyond):
         return self._rolled(self._engine, inputs)
 
     def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what ``rollout`` returns (N, ny), and the true states (N, nx); for co-simulation.
+        """Return the outputs (N, ny) of ``rollout``, and the true states (N, nx); for co-simulation.
 
         Raises
         ------
@@ -293,7 +293,7 @@ class FmuPlant(Beyond):
         return outputs
 
     def native_step(self) -> NativeStep | None:
-        """Return what a loop in C needs to step this plant after a reset; None where steps are made in Python."""
+        """Return the pointers with which a loop in C steps this plant after a reset; None where Python steps it."""
         self._check_open()
         self._leave_record()
         return self._engine.native_step()

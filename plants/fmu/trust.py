@@ -76,7 +76,7 @@ class FirstRun:
     def way_back(
         self, begin: Callable[[Mapping[str, Any]], None], renew: Callable[[], None], *, once: bool
     ) -> tuple[str, float]:
-        """Return what brings the FMU back to where it began, and the largest difference that its reset left.
+        """Return the way that brings the FMU back to its start, and the largest difference that its reset left.
 
         Parameters
         ----------

@@ -64,7 +64,7 @@ class Conversion:
 
 
 def si_conversion(text: str | None, definition: Any = None) -> Conversion:
-    """Return how values in a unit of an FMU become SI.
+    """Return the scale and the offset that turn values in a unit of an FMU into SI.
 
     Parameters
     ----------

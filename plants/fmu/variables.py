@@ -196,7 +196,7 @@ def feeds_through(file: FmuFile, inputs: Sequence[Port], outputs: Sequence[Port]
 
 
 def describe(path: str | Path) -> dict[str, Any]:
-    """Return what is in an FMU, for a person or for JSON.
+    """Return the description of an FMU, for a person or for JSON.
 
     Parameters
     ----------

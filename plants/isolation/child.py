@@ -140,7 +140,7 @@ def _maker(factory: str | Callable[..., Plant]) -> Callable[..., Plant]:
 
 
 def registered(id: str) -> importlib.metadata.EntryPoint:
-    """Return where a registered plant lives.
+    """Return the module and attribute of a registered plant.
 
     Raises
     ------

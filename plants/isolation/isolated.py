@@ -160,7 +160,7 @@ class IsolatedPlant:
         return self._rolled("rollout", inputs)[0]
 
     def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what ``rollout`` returns (N, ny), and the true states (N, nx), where the plant declares the truth."""
+        """Return the outputs (N, ny) of ``rollout``, and the true states (N, nx), where they are declared."""
         return self._rolled("rollout_truth", inputs)
 
     def _rolled(self, order: str, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -245,7 +245,7 @@ class MujocoPlant:
         return self._rolled(inputs)[0]
 
     def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what ``rollout`` returns (N, ny), and the true states (N, nx) at the same instants."""
+        """Return the outputs (N, ny) of ``rollout``, and the true states (N, nx) at the same instants."""
         return self._rolled(inputs)
 
     def output(self, u: FloatArray) -> FloatArray:

@@ -99,7 +99,7 @@ class _Column:
     attribute: str = ""
 
     def text(self, line: Summary, *, quartiles: bool = True) -> str:
-        """Return what stands in the cell of a line."""
+        """Return the text of a line's cell."""
         if not self.attribute:
             return figure(line.over_best.median) if line.over_best else ""
         value = getattr(line, self.attribute)
@@ -108,7 +108,7 @@ class _Column:
         return _shown(value) if quartiles or value is None else figure(value.median)
 
     def style(self, line: Summary) -> str:
-        """Return how the cell of a line stands out."""
+        """Return the style of a line's cell: that of the leading where it leads, else none."""
         return LEADING if self is _SIMULATION and line.leading else ""
 
 

@@ -12,7 +12,7 @@ __all__ = ["Describe", "describe_structure"]
 
 
 def describe_structure(path: str | Path, describe: Describe, *, within: str | Path | None = None) -> dict[str, Any]:
-    """Return what is in a system of FMUs.
+    """Return the components, connections, values and experiment of a system of FMUs.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ MOST = 10_000
 
 
 def read_osp(package: FolderPackage, name: str) -> Description:
-    """Return what an OSP system structure says.
+    """Return the structure that an OSP system file declares.
 
     The file's algorithm, if it is another than ``fixedStep``, and its power bonds are passed over with a note.
 

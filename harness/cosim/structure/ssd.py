@@ -47,7 +47,7 @@ class SsdReader:
     enumerations: dict[str, dict[str, int]] = field(default_factory=dict)
 
     def read(self) -> Description:
-        """Return what the file says.
+        """Return the structure that the file declares.
 
         Raises
         ------

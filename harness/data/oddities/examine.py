@@ -67,7 +67,7 @@ def examined(dataset: Dataset) -> Dataset:
 
 
 def lines(oddities: Sequence[Oddity], names: Sequence[str] = (), *, faults: bool = True) -> list[str]:
-    """Return what was found, a line each; only what is a fault unless asked otherwise.
+    """Return the oddities as text, a line each; faults alone unless asked otherwise.
 
     Parameters
     ----------

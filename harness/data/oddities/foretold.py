@@ -53,7 +53,7 @@ class Foretold:
         return np.concatenate([[1.0], -self.own])
 
     def answer(self, change: FloatArray) -> FloatArray:
-        """Return what a change of the inputs (N, nu) changes in the prediction (N,)."""
+        """Return the change (N,) of the prediction by a change of the inputs (N, nu)."""
         return np.asarray(sum(lfilter(self.other[:, k], [1.0], change[:, k]) for k in range(change.shape[1])))
 
 

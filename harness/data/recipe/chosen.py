@@ -67,7 +67,7 @@ class Chosen:
 
     @classmethod
     def of(cls, signals: Signals) -> Chosen:
-        """Return what the caller's words amount to.
+        """Return the columns, units and uses that the caller's words choose.
 
         Raises
         ------

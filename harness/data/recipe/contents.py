@@ -111,7 +111,7 @@ class Contents:
 
 
 def contents_of(path: str | Path) -> Contents:
-    r"""Return what is inside a file of data.
+    r"""Return the columns, units, sampling and notes of a file of data.
 
     Parameters
     ----------

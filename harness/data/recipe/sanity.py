@@ -36,7 +36,7 @@ def check_run(
     inverse_dynamics: bool = False,
     fitted: bool = True,
 ) -> list[str]:
-    """Return what is to be said about one run, and refuse what cannot be used.
+    """Return the warnings about one run, and refuse one that cannot be used.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def _refuse_other_categories(channel: Channel, values: FloatArray) -> None:
 
 
 def check_runs(runs: Sequence[Run]) -> list[str]:
-    """Return what is to be said about runs beside each other, and refuse data that are used twice.
+    """Return the warnings about runs beside each other, and refuse data that are used twice.
 
     Raises
     ------

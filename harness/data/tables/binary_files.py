@@ -101,7 +101,7 @@ class _Variables:
         self.titles = list(variables)
 
     def resolve(self, value: Any) -> Any:
-        """Return what a cell holds."""
+        """Return the content of a cell, references followed."""
         return value
 
     def values(self, title: str) -> FloatArray:
@@ -116,7 +116,7 @@ class _Variables:
         return _inside(title, np.asarray(self._variables[title]), self.resolve)
 
     def select(self, text: str) -> FloatArray | None:
-        """Return what a selector finds; None if its variable is not there."""
+        """Return the values that a selector picks; None if its variable is not there."""
         selector = parse_selector(text)
         if selector.variable not in self._variables:
             return None

@@ -32,7 +32,7 @@ class Source(Protocol):
         ...
 
     def select(self, text: str) -> FloatArray | None:
-        """Return what a selector finds, or None if the format has no selectors."""
+        """Return the values that a selector picks, or None if the format has no selectors."""
         ...
 
     def unit(self, title: str) -> str | None:

@@ -13,7 +13,7 @@ __all__ = ["joint_places"]
 
 
 def joint_places(arm: Arm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where the frames of all joints are, and how they are turned, in the frame of the base.
+    """Return the origins and the rotation matrices of all joints' frames, in the frame of the base.
 
     Parameters
     ----------

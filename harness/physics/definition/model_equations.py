@@ -236,7 +236,7 @@ _EXPRESSIONS = ("mass_matrix", "generalized_forces", "rates", "h", "loads", "ini
 
 
 def index_of(name: str, names: Sequence[str], what: str) -> int:
-    """Return where a name stands, or refuse it."""
+    """Return the index of a name, or refuse it."""
     if name not in names:
         raise InputError(
             f"unknown {what}",

@@ -140,7 +140,7 @@ def first_noises(model: NoiseModel, sensors: FloatArray, dt: float) -> list[Nois
 
 
 def first_state(system: System, record: Trajectory, p: FloatArray, intersample: Intersample) -> FloatArray:
-    """Return what the beginning of a record tells about its initial state (nx,); hidden states where effects say."""
+    """Return the initial state (nx,) from the beginning of a record; hidden states where effects say."""
     simulator = system.simulator(record.spec.sample_time, intersample=intersample)
     found = data_states(simulator, record[: min(len(record), FIRST)], p)[0][0]
     return np.asarray(np.where(np.isfinite(found), found, 0.0))

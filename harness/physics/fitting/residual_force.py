@@ -188,7 +188,7 @@ class ResidualForce:
 
 
 def argument_columns(system: System, arguments: Sequence[str]) -> list[int]:
-    """Return where the arguments stand in [x, u]."""
+    """Return the columns of the arguments in [x, u]."""
     names = [channel.name for channel in (*system.states, *system.inputs)]
     unknown = [name for name in arguments if name not in names]
     if unknown or not arguments:

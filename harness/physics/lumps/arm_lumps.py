@@ -89,7 +89,7 @@ class ArmLumps:
         }
 
     def wide(self, form: Form, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return what all parameters of the mechanism are multiplied by in a form, (N, rows, np)."""
+        """Return the regressor (N, rows, np) of all parameters of the mechanism in a form."""
         if form not in self._by_form:
             self._by_form[form] = ArmRegressor(self.mechanism.arm.arm.joints, form)
         gravity = (0.0, 0.0, -self.mechanism.g)

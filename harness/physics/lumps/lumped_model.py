@@ -227,7 +227,7 @@ class LumpedModel:
     def force(
         self, q: FloatArray, v: FloatArray, u: FloatArray | None = None, t: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what drives the momenta: dL_k/dq + Q_k (N, n, k), and the known dL_0/dq + Q_0 (N, n)."""
+        """Return the rates of the momenta: dL_k/dq + Q_k (N, n, k), and the known dL_0/dq + Q_0 (N, n)."""
         q, v, u, t, _ = self._arrays(q, v, u, t, None)
         own, known = self._function("force")(q, v, u, t[:, None])
         return self._widened(own.reshape(q.shape[0], self.n, -1), 1.0, q, v, u, t), known

@@ -67,7 +67,7 @@ def mass_chain(
 def chain_modes(
     masses: int = 3, mass: float = 1.0, stiffness: float = 40.0, damping: float = 0.08, coupling: float = 1.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what is exact of a chain: natural frequencies (n,) [Hz], damping ratios (n,), shapes (n, n) in rows.
+    """Return the exact natural frequencies (n,) [Hz], damping ratios (n,) and shapes (n, n), in rows, of a chain.
 
     ``K phi = omega^2 M phi``; with ``C = (damping / stiffness) K`` the ratio is ``omega damping / (2 stiffness)``. Each
     shape has length 1.

@@ -43,7 +43,7 @@ def model_names() -> tuple[str, ...]:
 
 
 def model_of(name: str) -> Callable[..., Any] | None:
-    """Return what makes a registered model; None if there is none of this name.
+    """Return the function that makes a registered model; None if there is none of this name.
 
     Raises
     ------

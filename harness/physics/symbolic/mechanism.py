@@ -159,7 +159,7 @@ class Mechanism:
         )
 
     def parameters(self, known: Mapping[str, Any] | None = None, **more: Any) -> None:
-        """Say what is known of parameters: unit, value, bounds.
+        """Set the unit, the value and the bounds of parameters.
 
         Parameters
         ----------
