@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib.util
+import importlib
 import json
 import os
 import secrets
@@ -36,7 +36,6 @@ from harness.errors import HarnessError, InputError
 __all__ = ["Session", "application", "serve"]
 
 STATIC = Path(__file__).with_name("static")
-PLOTLY = "package_data/plotly.min.js"
 PARTS = ("page.css", "page.js", "plot.js", "runs.js", "ask.js")
 FIRST, CLOSED = 300.0, 30.0
 """Seconds to wait for the first page, and after the last one was closed."""
@@ -83,7 +82,6 @@ def application(session: Session) -> Starlette:
     routes = [
         Route("/", asked.page),
         Route("/static/{name}", asked.static),
-        Route("/plotly.js", asked.plotly),
         Route("/session", asked.session_told),
         Route("/parts", asked.parts),
         Route("/upload", asked.upload, methods=["PUT"]),
@@ -131,11 +129,6 @@ class _Asked:
     async def static(self, request: Request) -> Response:
         name = request.path_params["name"]
         return FileResponse(STATIC / name) if name in PARTS else Response(status_code=404)
-
-    async def plotly(self, _request: Request) -> Response:
-        return FileResponse(
-            _plotly(), media_type="text/javascript", headers={"cache-control": "private, max-age=86400"}
-        )
 
     async def session_told(self, _request: Request) -> Response:
         opened = self.reach.opened
@@ -379,24 +372,6 @@ def _written(task: str) -> list[str]:
     ]
     names = (f"{stem}{'' if number == 1 else f'-{number}'}{suffix}" for number in range(1, 10_000))
     return ["--out", next(name for name in names if not Path(name).exists())]
-
-
-def _plotly() -> Path:
-    """Return Plotly's script in its installed package, which is not imported for it.
-
-    Raises
-    ------
-    InputError
-        If it is not there.
-    """
-    found = importlib.util.find_spec("plotly")
-    path = Path(found.origin if found is not None and found.origin is not None else "").parent / PLOTLY
-    if not path.is_file():
-        raise InputError(
-            "a plot needs the package plotly", expected=PLOTLY, got="no such file",
-            remedy="pip install 'sysid-harness[app]'",
-        )  # fmt: skip
-    return path
 
 
 class _Server(uvicorn.Server):

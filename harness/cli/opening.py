@@ -13,7 +13,7 @@ from harness.errors import InputError
 
 __all__ = ["open_page"]
 
-NEEDED = ("starlette", "uvicorn", "plotly")
+NEEDED = ("starlette", "uvicorn")
 """What the extra ``app`` brings."""
 
 

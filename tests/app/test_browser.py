@@ -81,7 +81,7 @@ def test_from_a_dropped_log_to_a_fit_and_its_command(
     browser: Any, address: str, folder: Path, width: int, scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page, faults = _page(browser, address, width, scheme)
-    page.wait_for_selector("#plot .main-svg")  # the one log of the folder is opened at once
+    page.wait_for_selector("#plot path")  # the one log of the folder is opened at once
     page.evaluate(DROP, ["dropped.csv", (folder / "log.csv").read_text()])
     page.wait_for_selector("#facts:has-text('dropped.csv: 400 rows, 2 channels')")
     page.wait_for_selector("#table select")
@@ -109,6 +109,26 @@ def test_from_a_dropped_log_to_a_fit_and_its_command(
     shutil.copyfile(folder / "log.csv", folder / "dropped.csv")  # an upload is called by its name
     assert run(shlex.split(command)[1:], Interrupts()) == 0
     assert (folder / "model.json").is_file()
+
+
+def test_a_part_of_the_plot_is_chosen_by_dragging_and_gaps_stay_open(browser: Any, address: str, folder: Path) -> None:
+    page, faults = _page(browser, address, 1200, "dark")
+    rows = (folder / "log.csv").read_text().splitlines()
+    rows[100:120] = [f"{row.split(',')[0]},," for row in rows[100:120]]
+    page.set_input_files("#upload", {"name": "holes.csv", "mimeType": "x", "buffer": "\n".join(rows).encode()})
+    page.wait_for_selector("#plot-told:has-text('400 rows')")
+    paths = [page.locator("#plot path").nth(k).get_attribute("d") for k in (0, 1)]
+    assert [path.count("M") for path in paths] == [2, 2]  # the pen is lifted over the hole
+    box = page.locator("#plot").bounding_box()
+    page.mouse.move(box["x"] + 200, box["y"] + 50)
+    assert " at " in page.text_content("#plot .reading")
+    page.mouse.down()
+    page.mouse.move(box["x"] + 300, box["y"] + 90, steps=3)
+    page.mouse.up()
+    page.wait_for_selector("#plot-told:not(:has-text('400 rows'))")
+    page.mouse.dblclick(box["x"] + 250, box["y"] + 50)
+    page.wait_for_selector("#plot-told:has-text('400 rows')")
+    assert faults == []
 
 
 def test_a_bad_upload_is_said_aloud_in_one_line(browser: Any, address: str) -> None:

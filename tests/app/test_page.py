@@ -49,7 +49,6 @@ def test_the_page_and_its_parts_are_served_and_nothing_else(inside: Inside) -> N
             assert (await client.get(f"static/{name}")).status_code == 200
         for name in ("page.html", "..%2fserver.py", "%2e%2e/server.py"):
             assert (await client.get(f"static/{name}")).status_code == 404
-        assert len((await client.get("plotly.js")).content) > 1 << 20
 
     inside(work)
 
