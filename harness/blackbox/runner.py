@@ -42,9 +42,19 @@ class Runner:
                 sample_time=self.sample_time,
                 inputs=[channel.name for channel in self.nominal.inputs],
                 outputs=list(self.nominal.variables),
+                **self._settings(),
             )
             self._owner, self._set = os.getpid(), {}
         return self._plant
+
+    def _settings(self) -> dict[str, float]:
+        """Return the step and the tolerance that the system asks for."""
+        system, given = self.nominal, {}
+        if system.step is not None and system.step < self.sample_time:
+            given["step"] = self.sample_time / int(np.ceil(self.sample_time / system.step - 1e-9))
+        if system.tolerance is not None:
+            given["tolerance"] = system.tolerance
+        return given
 
     def start(self, values: dict[str, float], x0: dict[str, float]) -> FloatArray:
         """Set parameters, reset; returns the first row of the variables."""

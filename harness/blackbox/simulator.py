@@ -14,10 +14,13 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.blackbox.runner import Runner
+from harness.blackbox.sums import Asked, summed
 from harness.blackbox.system import FmuSystem
 from harness.errors import HarnessError
+from harness.physics.compiled.rollout_call import Sums
 from harness.physics.compiled.sampled import SampledBlocks
 from harness.signals import FloatArray, PlantSpec
 
@@ -25,7 +28,7 @@ __all__ = ["STEP", "FmuSimulator"]
 
 STEP = 1e-3
 """Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration."""
-KEPT = 8
+KEPT = 64
 """Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps."""
 
 
@@ -131,6 +134,38 @@ class FmuSimulator:
                 x[k], y[k], s[k] = self._differences(p[k], x0[k], u[k], late, float(t0[k]))
         y, s = self.sampled.outputs(y, s, p)
         return x, y, s
+
+    def sums(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        u: FloatArray,
+        input_jacobian: FloatArray | None,
+        t0: FloatArray,
+        data: tuple[FloatArray, FloatArray, FloatArray],
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        limits: FloatArray | None = None,
+        budget: float = np.inf,
+        keep: bool = False,
+        sensitivities: bool = False,
+    ) -> Sums:
+        """Return the normal equations of windows of one length; see :func:`harness.blackbox.sums.summed`."""
+
+        def run(k: int) -> tuple[FloatArray, FloatArray]:
+            x, y = self.kept_run(p[k], x0[k], u[k], float(t0[k]))
+            return x, self.sampled.outputs(y[None], None, p[k : k + 1])[0][0]
+
+        def slopes(k: int, chosen: npt.NDArray[np.intp] | None) -> FloatArray:
+            late = None if input_jacobian is None else input_jacobian[k]
+            with self.deriving(range(self.np + self.nx) if chosen is None else chosen.tolist()):
+                _, y, s = self._differences(p[k], x0[k], u[k], late, float(t0[k]))
+            found = self.sampled.outputs(y[None], s[None].copy(), p[k : k + 1])[1]
+            assert found is not None
+            return np.asarray(found[0])
+
+        asked = Asked(data, columns, limits, budget, keep, sensitivities)
+        return summed(run, slopes, asked, nx=self.nx, unknowns=self.np + self.nx)
 
     def run(
         self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float = 0.0, extra: FloatArray | None = None

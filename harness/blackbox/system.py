@@ -68,6 +68,10 @@ class FmuSystem(Dimensions):
     sampled : tuple of SampledBlock
         Delays and quantisers.
     effects : tuple of Placed
+    step, tolerance : float or None
+        Longest communication step [s] and relative tolerance that it is run with; None: the records' step, its own.
+    notes : tuple of str
+        What is to be said about how it is run.
     around : Around or None
         The effects as functions.
     nominal : FmuSystem or None
@@ -86,6 +90,9 @@ class FmuSystem(Dimensions):
     hidden: tuple[Channel, ...] = ()
     sampled: tuple[SampledBlock, ...] = ()
     effects: tuple[Placed, ...] = ()
+    step: float | None = None
+    tolerance: float | None = None
+    notes: tuple[str, ...] = ()
     around: Around | None = field(default=None, repr=False)
     nominal: FmuSystem | None = field(default=None, repr=False)
 
@@ -109,7 +116,15 @@ class FmuSystem(Dimensions):
         }  # fmt: skip
         channels = [str(channel) for group in (self.inputs, self.outputs, self.states) for channel in group]
         return fingerprint(
-            self.digest, channels, self.parameters, self.coordinates, dict(self.shown), self.sampled, around
+            self.digest,
+            channels,
+            self.parameters,
+            self.coordinates,
+            dict(self.shown),
+            self.sampled,
+            around,
+            self.step,
+            self.tolerance,
         )
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.calibration.calibration import Calibration, Errors
 from harness.calibration.runs import FreeModel, FreeRuns
-from harness.calibration.search import best_fit, drawn, estimated_starts
+from harness.calibration.search import beginnings, best_fit, drawn, estimated_starts
 from harness.calibration.starts import Told, told_states
 from harness.calibration.variables import Contents, contents_of, free_parameters, start_values
 from harness.errors import InputError, PlantError
@@ -103,8 +103,7 @@ def calibrate(
         sigma = np.maximum(np.std(np.vstack([one.y for one in records["estimation"]]), axis=0), 1e-12)
         was = {use: _errors(runs, own, before, x0[use], sigma) for use, own in records.items()}
         guesses = drawn(
-            runs,
-            records["estimation"],
+            beginnings(runs, records["estimation"]),
             parameters,
             starts,
             x0["estimation"],

@@ -13,6 +13,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
+from harness.blackbox.sums import Asked, summed
 from harness.errors import HarnessError, InputError
 from harness.physics.compiled.rollout_call import Sums
 from harness.physics.compiled.sampled import SampledBlocks
@@ -182,40 +183,14 @@ class FreeRuns:
         sensitivities: bool = False,
     ) -> Sums:
         """Return the normal equations of records; what costs too much is not differentiated, for that is the work."""
-        measured, sigma, period = data
-        m, n, ny, ns = *u.shape[:2], self.system.ny, self.np + self.nx
-        found = Sums(np.zeros(m), np.zeros(ny), np.zeros((m, ns, ns)), np.zeros((m, ns)), budget, None, None, None)
-        y = np.full((m, n, ny), np.nan)
-        for k in range(m):
-            if limits is None or limits[k] >= 0:
-                y[k] = self.run(p[k], x0[k], u[k])
-        r = measured - y
-        wraps = period > 0
-        r[..., wraps] = (r[..., wraps] + period[wraps] / 2) % period[wraps] - period[wraps] / 2
-        with np.errstate(over="ignore", invalid="ignore"):
-            costs = 0.5 * (np.sum((r / sigma) ** 2, axis=(1, 2)) + n * ny * EXACT**2)
-        costs[~np.isfinite(costs)] = np.inf
-        if limits is not None:
-            costs[costs > limits] = np.inf
-        if np.sum(costs) > budget:
-            costs[:] = np.inf
-        found.costs, found.budget = costs, budget - float(np.sum(costs)) if np.isfinite(budget) else budget
-        s = np.full((m, n, ny, ns), np.nan) if sensitivities else None
-        chosen = None if sensitivities else columns
-        for k in np.flatnonzero(np.isfinite(costs)).tolist():
-            by = self._derivatives(p[k], x0[k], u[k], y[k], chosen)
-            if not np.isfinite(by).all():
-                found.costs[k] = np.inf
-                continue
-            j = (by / sigma[:, None]).reshape(-1, ns)
-            found.squares += np.sum(r[k] ** 2, axis=0)
-            found.gram[k], found.gradient[k] = j.T @ j, (r[k] / sigma).ravel() @ j
-            if s is not None:
-                s[k] = by
-        found.sensitivities = s
-        if keep:
-            found.states, found.residuals = np.full((m, n, self.nx), np.nan), r
-        return found
+        return summed(
+            lambda k: (np.full((u.shape[1], self.nx), np.nan), self.run(p[k], x0[k], u[k])),
+            lambda k, chosen: self._derivatives(p[k], x0[k], u[k], self.run(p[k], x0[k], u[k]), chosen),
+            Asked(data, columns, limits, budget, keep, sensitivities),
+            nx=self.nx,
+            unknowns=self.np + self.nx,
+            floor=EXACT,
+        )
 
     def _derivatives(
         self, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, columns: Sequence[int] | Any

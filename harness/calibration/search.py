@@ -17,7 +17,7 @@ from harness.physics.fitting.fit_result import OutputErrorFit, Result, finish, o
 from harness.physics.fitting.levenberg import minimise, minimise_states
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["best_fit", "drawn", "estimated_starts"]
+__all__ = ["beginnings", "best_fit", "drawn", "estimated_starts"]
 
 PARTS = (8, 3)
 """A record's beginnings that are fitted first are so many times shorter."""
@@ -158,27 +158,39 @@ def _followed(
 
 
 def drawn(
-    runs: FreeRuns,
-    records: Sequence[Trajectory],
+    windows: Windows,
     parameters: Sequence[Parameter],
     count: int,
     x0: FloatArray,
     hidden: Sequence[bool],
     rng: np.random.Generator,
+    *,
+    spread: float = 1.0,
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return so many starts: the declared one, and for each other the best of some drawn within the bounds.
 
-    Starts of states that no output shows (``hidden``) are drawn by a factor, too.
+    Parameters
+    ----------
+    windows : Windows
+        What the draws are compared on: the :func:`beginnings` of records, or short windows.
+    parameters : sequence of Parameter
+        All of the model; fixed ones stay.
+    count : int
+    x0 : array (W, nx)
+        Where the states start.
+    hidden : sequence of bool (nx,)
+        States that no output shows: their starts are drawn by a factor, too.
+    rng : Generator
+    spread : float
+        Standard deviation of the logarithm of what is drawn around a declared value.
     """
     plain = np.array([parameter.value for parameter in parameters])
-    sigma = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
-    windows = _windows(runs, records, _path(records)[0], sigma)
     nothing = np.zeros(0, dtype=np.intp)
     found = [(plain, x0)]
     for _ in range(count - 1):
         draws = [
             (
-                np.array([_draw(parameter, rng) for parameter in parameters]),
+                np.array([p.value if p.fixed else _draw(p, rng, spread) for p in parameters]),
                 np.where(np.array(hidden, dtype=bool), x0 * np.exp(rng.normal(size=x0.shape)), x0),
             )
             for _ in range(DRAWS)
@@ -188,13 +200,19 @@ def drawn(
     return found
 
 
-def _draw(parameter: Parameter, rng: np.random.Generator) -> float:
+def beginnings(runs: FreeRuns, records: Sequence[Trajectory]) -> Windows:
+    """Return the first beginnings of records that are fitted, weighed by the deviation of their outputs."""
+    sigma = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
+    return _windows(runs, records, _path(records)[0], sigma)
+
+
+def _draw(parameter: Parameter, rng: np.random.Generator, spread: float) -> float:
     """Return a value within the bounds: spread over all of them where both are given, else around the declared one."""
     low, high, value = parameter.minimum, parameter.maximum, parameter.value
     if low > 0 and np.isfinite(high):
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
     if parameter.positive:
-        return float(np.clip(value * np.exp(rng.normal()), low, high))
+        return float(np.clip(value * np.exp(spread * rng.normal()), low, high))
     if np.isfinite(low) and np.isfinite(high):
         return float(rng.uniform(low, high))
     return float(np.clip(value + max(abs(value), 1e-3) * rng.normal(), low, high))

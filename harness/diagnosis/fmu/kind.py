@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from harness.diagnosis.fmu.runs import FmuRuns
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.horizon import Horizon
-from harness.diagnosis.records.thinning import Thinned
+from harness.diagnosis.records.thinning import Thinned, thinned_dataset
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.errors import HarnessError
@@ -27,12 +28,13 @@ class BlackBox:
     """See :class:`harness.diagnosis.kinds.Kind`."""
 
     def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
-        """Return the data, whose columns nothing doubts."""
-        return dataset, []
+        """Return the data, whose columns nothing doubts, with what is to be said about how the FMU is run."""
+        assert isinstance(system, FmuSystem)
+        return replace(dataset, warnings=(*dataset.warnings, *system.notes)), []
 
     def thinned(self, dataset: Dataset) -> Thinned:
-        """Return the data as they are: an FMU steps at the rate of its records."""
-        return Thinned.not_at_all(dataset)
+        """Return the data at the rate that their motion needs, inputs held: the FMU's steps are the work."""
+        return thinned_dataset(dataset, held=True)
 
     def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
         """Return how far a free run is compared, from how an error of the start grows."""

@@ -5,21 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from harness.blackbox.accuracy import settled
 from harness.blackbox.reader import fmu_system
 from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.blackbox.system import FmuSystem
+from harness.calibration.search import drawn
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.horizon import Horizon, short_window
+from harness.diagnosis.records.thinning import thinned_dataset
 from harness.errors import InputError
+from harness.parts.files import describe_fmu
 from harness.physics.compiled.windows import Evaluation, Windows
-from harness.physics.fitting.levenberg import minimise, minimise_states
+from harness.physics.fitting.levenberg import Solution, minimise, minimise_states
+from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.physics.fitting.smoothing import smooth
+from harness.rng import stream
 from harness.signals import Dataset, FloatArray, Trajectory
 
 if TYPE_CHECKING:
@@ -27,6 +32,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FmuWindows", "choose_horizon", "measured_states", "nominal_fmu", "rough_values", "sizes_of"]
 
+STARTS, SPREAD = 4, 2.0
+"""Starts of the rough fit, and how far (deviation of the logarithm) those beside the declared one lie off."""
 ROUGH = 40
 """Iterations of the rough fit."""
 DECREASE = 1e-5
@@ -35,6 +42,8 @@ DECREASE = 1e-5
 
 def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any] | None = None) -> FmuSystem:
     """Return an FMU as the nominal model of a data set; parameters that do not move its outputs are kept fixed.
+
+    It gets the step and the tolerance at which finer ones change less than the noise of the readings that are judged.
 
     Raises
     ------
@@ -65,22 +74,36 @@ def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any
         else parameter
         for k, parameter in enumerate(system.parameters)
     )
-    return replace(system, parameters=kept)
+    system = replace(system, parameters=kept)
+    judged = thinned_dataset(dataset, held=True).dataset.estimation
+    noise = sensor_noise([record.measured() for record in judged])
+    told = describe_fmu(path)["experiment"]["tolerance"]
+    return settled(system, judged[0].measured(), noise, x0, told)
 
 
 def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[str, float] | None:
-    """Return the parameters fitted over windows of a few periods of the motion; None if the simulation diverges."""
+    """Return the parameters fitted over windows of a few periods of the motion; None if the simulation diverges.
+
+    The best of fits from several starts: the declared values may be far off, and over a long window an error of the
+    period has many minima.
+    """
     simulator, p = FmuSimulator(system, runner), system.vector()
     records = [run.measured() for run in dataset.estimation]
     windows = FmuWindows(simulator, records, short_window(dataset), _spread(dataset))  # type: ignore[arg-type]
-    starts = windows.starts_from([measured_states(system, simulator, record, p)[0] for record in records])
+    told = [measured_states(system, simulator, record, p) for record in records]
+    hidden = [not all(known) for known in zip(*(known for _, known in told), strict=True)]
+    begun = windows.starts_from([states for states, _ in told])
+    rng = stream("nominal FMU", system.digest)
     free = np.array([not parameter.fixed for parameter in system.parameters], dtype=bool)
-    with simulator.deriving(simulator.state_columns):
-        x0 = minimise_states(windows, p, starts, 8)
-    solution = minimise(windows, p, x0, free, ROUGH, decrease=DECREASE)
-    if not np.isfinite(solution.evaluation.cost):
+    best: Solution | None = None
+    for start, states in drawn(windows, system.parameters, STARTS, begun, hidden, rng, spread=SPREAD):
+        x0 = minimise_states(windows, start, states, 8)
+        solution = minimise(windows, start, x0, free, ROUGH, decrease=DECREASE)
+        if best is None or solution.evaluation.cost < best.evaluation.cost:
+            best = solution
+    if best is None or not np.isfinite(best.evaluation.cost):
         return None
-    return system.values(dict(zip(system.parameter_names, map(float, solution.p), strict=True)))
+    return system.values(dict(zip(system.parameter_names, map(float, best.p), strict=True)))
 
 
 def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Dataset, runner: Runner) -> Horizon:
@@ -133,52 +156,11 @@ def sizes_of(system: FmuSystem, moved: Sequence[Moved]) -> dict[str, dict[str, f
 
 
 class FmuWindows(Windows):
-    """Windows of an FMU: simulated once for the cost, once for every column of the Jacobian."""
+    """Windows of an FMU: a plain evaluation is not differentiated, for every column costs a run."""
 
     def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False, jacobian: bool = False) -> Evaluation:
-        """Simulate all windows; the normal equations follow on demand."""
-        simulator = cast(FmuSimulator, self.simulator)
-        if simulator.wanted is not None or jacobian:
-            return super().evaluate(p, x0, keep=keep, jacobian=jacobian)
-        with simulator.deriving(()):
-            plain = super().evaluate(p, x0, keep=keep)
-        return _Lazy(plain, self, p, x0)
-
-    def trial(
-        self,
-        p: FloatArray,
-        x0: FloatArray,
-        *,
-        columns: npt.NDArray[np.intp] | None = None,
-        limits: FloatArray | None = None,
-        budget: float = np.inf,
-        keep: bool = False,
-    ) -> Evaluation:
-        """Simulate all windows but those that nothing is asked of: their cost is infinite."""
-        if limits is not None and (limits < 0).any():
-            x0 = np.where((limits < 0)[:, None], np.nan, x0)  # what starts nowhere is not simulated
-        return self.evaluate(p, x0, keep=keep)
-
-    def complete(self, p: FloatArray, x0: FloatArray) -> Evaluation:
-        """Simulate with all derivatives."""
-        return super().evaluate(p, x0)
-
-
-class _Lazy(Evaluation):
-    """An evaluation whose normal equations are computed when they are asked for: a step that is rejected needs none."""
-
-    def __init__(self, plain: Evaluation, windows: FmuWindows, p: FloatArray, x0: FloatArray) -> None:
-        self.__dict__.update({k: v for k, v in plain.__dict__.items() if k not in ("gram", "slope")})
-        self._ask = windows, p.copy(), x0.copy()
-        self._full: Evaluation | None = None
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in ("gram", "slope"):
-            raise AttributeError(name)
-        if self._full is None:
-            windows, p, x0 = self._ask
-            self._full = windows.complete(p, x0)
-        return getattr(self._full, name)
+        """Simulate all windows; ``gram`` and ``gradient`` are 0 unless the Jacobian is asked for."""
+        return self._evaluated(p, x0, keep, jacobian, None if jacobian else np.zeros(0, dtype=np.intp))
 
 
 def measured_states(

@@ -61,10 +61,8 @@ class FmuRuns(FreeRunForm):
         return FmuWindows(simulator, records, horizon, self.weights)
 
     def fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
-        """Return fitted initial states (W, nx); no derivative by a parameter is needed for that."""
-        simulator = cast(FmuSimulator, windows.simulator)
-        with simulator.deriving(simulator.state_columns):
-            return minimise_states(windows, p, x0, most)
+        """Return fitted initial states (W, nx)."""
+        return minimise_states(windows, p, x0, most)
 
     def from_data(self, simulator: Simulator, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
         """Return smoothed measurements for states that are outputs, their derivatives for rates, else 0."""
