@@ -105,7 +105,7 @@ def describe_file(path: str | Path) -> dict[str, Any]:
     Parameters
     ----------
     path : path
-        Data in any format that is read, a URDF, an MJCF, or a ``model.json``.
+        Data in any format that is read, a URDF, an MJCF, equations (``.eqs``), or a ``model.json``.
 
     Returns
     -------
@@ -134,6 +134,8 @@ def describe_file(path: str | Path) -> dict[str, Any]:
         }
     if suffix == ".json":
         return _described_model(path)
+    if suffix == ".eqs":
+        return _described_equations(path)
     found = contents_of(path)
     numbers = ("minimum", "maximum", "mean", "deviation")
     sizes = [{key: getattr(channel, key) for key in numbers} for channel in found.channels]
@@ -150,6 +152,21 @@ def describe_file(path: str | Path) -> dict[str, Any]:
         for channel, size in zip(found.channels, sizes, strict=True)
     ]
     return {"facts": found.facts(), "tables": {"channels": rows}, "content": found.to_dict()}
+
+
+def _described_equations(path: Path) -> dict[str, Any]:
+    """Return the equations of a file of text, its inputs, outputs and parameters."""
+    from harness.physics import load_model
+    from harness.physics.symbolic.equation_text import equations
+
+    system = load_model(str(path))
+    groups = {"inputs": system.inputs, "outputs": system.outputs, "states": system.states}
+    tables = {name: [{name[:-1]: one.name, "unit": one.unit} for one in channels] for name, channels in groups.items()}
+    tables["parameters"] = [
+        {"parameter": one.name, "unit": one.unit, "start": f"{one.value:g}"} for one in system.parameters
+    ]
+    facts = [f"{path.name}: {system}", *equations(system.mechanism)]
+    return {"facts": facts, "tables": tables, "content": {"equations": facts[1:], **tables}}
 
 
 def _described_model(path: Path) -> dict[str, Any]:

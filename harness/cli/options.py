@@ -55,7 +55,7 @@ Seed = Annotated[int, typer.Option(help="keys every random number")]
 ModelName = Annotated[
     str | None,
     typer.Option(
-        help="nominal model: NAME, FILE.fmu, FILE.urdf, FILE.xml (MJCF) or FILE.py:NAME",
+        help="nominal model: NAME, FILE.fmu, FILE.urdf, FILE.xml (MJCF), FILE.eqs (equations as text) or FILE.py:NAME",
         autocompletion=completed("models"),
     ),
 ]

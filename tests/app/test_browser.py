@@ -131,6 +131,24 @@ def test_a_part_of_the_plot_is_chosen_by_dragging_and_gaps_stay_open(browser: An
     assert faults == []
 
 
+def test_equations_are_typed_and_taken_by_keyboard(browser: Any, address: str) -> None:
+    page, faults = _page(browser, address, 400, "dark")
+    page.wait_for_selector("#plot path")
+    page.focus("#typing summary")
+    page.keyboard.press("Enter")
+    page.keyboard.press("Tab")
+    page.keyboard.type("input u [V]\nT = 1 s\nk = 1 m/V\ny' = (k*u - y)/ T\nstate y [m]\n", delay=0)
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#command:has-text('typed.eqs')")
+    assert page.locator("#table select").nth(2).input_value() == "output:y"
+    page.fill("#equations", "y' = k*u")
+    page.click("#take")
+    page.wait_for_selector("[role=alert]:has-text('line 1'):has-text('unknown name k')")
+    assert page.evaluate("() => document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    assert faults == []
+
+
 def test_a_bad_upload_is_said_aloud_in_one_line(browser: Any, address: str) -> None:
     page, faults = _page(browser, address, 700, "light")
     page.set_input_files("#upload", {"name": "run.exe", "mimeType": "x", "buffer": b"MZ"})

@@ -28,7 +28,7 @@ async function upload(file, after) {
   }
 }
 
-const isModel = (name) => /\.(urdf|fmu)$/i.test(name);
+const isModel = (name) => /\.(urdf|fmu|eqs)$/i.test(name);
 const dropped = said(async (file) => upload(file, isModel(file.name) ? chooseModel : openLog));
 
 function fillPicks() {
@@ -259,6 +259,7 @@ for (const id of ["upload", "model-upload"]) {
   at(id).addEventListener("focus", () => label.classList.toggle("focused", at(id).matches(":focus-visible")));
   at(id).addEventListener("blur", () => label.classList.remove("focused"));
 }
+at("take").addEventListener("click", () => dropped(new File([at("equations").value], "typed.eqs", { type: "text/plain" })));
 at("pick").addEventListener("change", said((event) => openLog(event.target.value)));
 at("model-pick").addEventListener("change", said((event) => chooseModel(event.target.value)));
 at("go").addEventListener("click", said(go));

@@ -150,7 +150,7 @@ def located_model(model: str, folder: Path) -> str:
     'pendulum'
     """
     name, colon, attribute = model.rpartition(":") if ".py:" in model else (model, "", "")
-    if not name.endswith((".py", ".fmu", ".urdf", ".xml", ".mjcf")):
+    if not name.endswith((".py", ".fmu", ".urdf", ".xml", ".mjcf", ".eqs")):
         return model
     beside = folder / name
     return f"{beside if beside.is_file() else Path(name)}{colon}{attribute}"

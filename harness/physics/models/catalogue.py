@@ -23,6 +23,7 @@ from harness.physics.models.plug_ins import model_names, model_of
 from harness.physics.models.tanks import two_tanks
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.physics.symbolic.ode import Ode
+from harness.physics.symbolic.typed import SUFFIX, typed_model
 
 __all__ = [
     "BUILT_IN",
@@ -266,8 +267,8 @@ def load_model(name: str, **options: Any) -> System:
     ----------
     name : str
         A built-in model (``"pendulum"``), an arm (``"iiwa"``, ``"FILE.urdf"``), one that another distribution
-        registers, or ``FILE.py:FUNCTION`` where the function returns a :class:`Mechanism`, an :class:`Ode` or a
-        :class:`System`.
+        registers, equations typed as text (``FILE.eqs``: :func:`harness.physics.symbolic.typed.read_equations`), or
+        ``FILE.py:FUNCTION`` where the function returns a :class:`Mechanism`, an :class:`Ode` or a :class:`System`.
     **options
         Passed to the model's function (``order=4`` of ``linear``, ``passive=["pole"]`` of an arm).
 
@@ -286,6 +287,8 @@ def load_model(name: str, **options: Any) -> System:
     if ".py:" in name or name.endswith(".py"):
         path, _, attribute = name.rpartition(":") if ".py:" in name else (name, "", "")
         maker, where = _from_file(Path(path), attribute)
+    elif name.endswith(SUFFIX):
+        maker, where = functools.partial(typed_model, Path(name)), Path(name)
     elif is_arm(name):
         maker, where = functools.partial(arm_mechanism, name), None
     elif name in BUILT_IN:

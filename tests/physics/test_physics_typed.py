@@ -1,0 +1,99 @@
+"""Equations typed as text: the same model as in Python, and nothing but equations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.errors import InputError
+from harness.physics import load_model
+from harness.physics.symbolic.typed import read_equations
+
+PENDULUM = """
+# a pendulum, hanging down
+input u [N m]
+state theta [rad], w [rad/s]
+motion theta: w, J
+J = 0.05 kg m^2 >= 0
+b = 0.02 N m s/rad   # viscous
+mgl = 1 N m
+theta' = w
+w' = (u - b*w - mgl*sin(theta)) / J
+output theta
+output energy = J*w^2/2 - mgl*cos(theta) [J]
+"""
+
+
+def test_a_typed_pendulum_is_the_one_of_the_catalogue(tmp_path: Path) -> None:
+    file = tmp_path / "swing.eqs"
+    file.write_text(PENDULUM, encoding="utf-8")
+    typed, known = load_model(str(file)), load_model("pendulum")
+    assert str(typed) == "swing: u [N m] -> theta [rad], energy [J]"
+    first = typed.parameters[0]
+    assert (first.unit, first.value, first.minimum) == ("kg m^2", 0.05, 0.0)
+    p, x0, u = np.array([0.05, 0.02, 1.0]), np.array([0.3, 0.0]), np.sin(np.arange(50.0))[:, None]
+    ours = typed.simulator(0.01, backend="casadi").states(p, x0, u)
+    assert np.allclose(ours, known.simulator(0.01, backend="casadi").states(p, x0, u), rtol=1e-12, atol=1e-14)
+    assert [port.name for port in typed.ports if port.kind == "coordinate"] == ["theta"]
+
+
+NUMBERS = st.floats(0.1, 9.0).map(lambda value: f"{value:.3f}")
+TEXTS = st.recursive(
+    st.one_of(NUMBERS, st.sampled_from(["x", "k", "u"])),
+    lambda inner: st.one_of(
+        st.tuples(inner, st.sampled_from(["+", "-", "*"]), inner).map(lambda two: f"({two[0]} {two[1]} {two[2]})"),
+        st.tuples(st.sampled_from(["sin", "cos", "tanh", "abs"]), inner).map(lambda two: f"{two[0]}({two[1]})"),
+        inner.map(lambda text: f"-{text}"),
+        inner.map(lambda text: f"({text})^2"),
+    ),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(TEXTS, st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
+def test_text_means_what_it_says(text: str, x: float, u: float) -> None:
+    """Beside Python's own arithmetic with the same text."""
+    system = read_equations(f"input u\nk = 1.5\nx' = {text}").system()
+    found = ca.Function("f", [system.x, system.u, system.p, system.t], [system.f])(x, u, 1.5, 0.0)
+    names = {"x": x, "u": u, "k": 1.5, "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "abs": abs}
+    wanted = eval(text.replace("^", "**"), {"__builtins__": {}}, names)
+    assert float(found) == pytest.approx(float(wanted), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("x' = __import__('os').system('true')", "line 2"),
+        ("x' = (lambda: 1)()", "line 2"),
+        ("x' = x.real", "Attribute"),
+        ("x' = [x]", "List"),
+        ("x' = 9^9^9^9", "too large"),
+        ("x' = 2x", "products"),
+        ("x' = y", "unknown name y"),
+        ("x' = sin(x, x, x)", "expression"),
+        ("x' = 1/0", "line 2"),
+        ("x' = x\nx' = u", "twice"),
+        ("x' = x\nk = 1 furlongs_of_mine", "unknown unit"),
+        ("x' = x\nstate x [m", "no part of a model"),
+        ("x' = x\nlevel h [m]", "state without an equation"),
+        ("x' = x\nmotion phi: w, k", "state without an equation"),
+        ("something else", "no part of a model"),
+        ("k = 2", "at least|a line x'"),
+        ("x' = " + "(" * 3000 + "x" + ")" * 3000, "line 2"),
+    ],
+)
+def test_what_is_no_equation_is_refused_with_its_line(line: str, words: str) -> None:
+    with pytest.raises(InputError, match=words) as refusal:
+        read_equations(f"input u\n{line}").system()
+    assert "; remedy: " in str(refusal.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file of equations"):
+        load_model(str(tmp_path / "none.eqs"))
