@@ -381,6 +381,24 @@ class ArmPolicy:
         "residual of free bodies over that of the effects that were found, up to which they explain a joint as well",
         "a wrong gain of one joint, which bodies cannot be, leaves many times its noise",
     )
+    far_better: float = _number(
+        0.5,
+        "residual of free bodies over that of one effect that leaves something, from which on bodies are wrong",
+        "bodies can be any one payload or link: they leave what it leaves",
+        "a two-link URDF with masses halved whose payload left 3.5 % of the variance",
+    )
+    drive: float = _number(
+        1.3,
+        "factor on a joint's torque beyond which, at two joints, the bodies are wrong and not the drives",
+        "torque constants are off by a tenth, lengths and masses of another arm by more",
+        "URDFs with masses halved or lengths times 0.7: gains of .43 to .6",
+    )
+    by_itself: float = _number(
+        0.7,
+        "the same over that of every joint's own friction and rotor, above which joints explain themselves",
+        "bodies that mend half of the power do what no rotor does",
+        "rotors hidden at joints: 0.9 and more; wrong URDFs: below 0.3",
+    )
     sure: float = _number(3.0, "standard errors of a noise level that are allowed for", "99.7 %")
     silent: float = _number(
         0.001, "largest torque of an effect over the error below which it shows nothing", "a thousandth of the noise"
@@ -394,6 +412,12 @@ class ArmPolicy:
     )
     often: float = _number(0.1, "share of the time in which it must do so", "a stretch of noise rarely looks like it")
     calm: float = _number(2.0, "corner of the calm motion over the band of the motion", "an octave")
+    clear: float = _number(
+        100.0,
+        "power of a position or rate over its noise up to which the calm motion goes beyond that",
+        "its noise takes a hundredth of an inertia there; a fast torque lies where its motion is small",
+        "rotors of .01 to .2 kg m^2 at joints on multisine torques of 8 Hz",
+    )
     still: float = _number(0.1, "speed over its rms below which a joint stands still", "a tenth of its motion")
 
 

@@ -61,3 +61,17 @@ def test_an_arm_whose_mjcf_lacks_its_friction(tmp_path: Path, friction: tuple[fl
     for joint, value in zip(("q1", "q2"), friction, strict=True):
         assert found["coulomb_friction", joint]["Fc"]["value"] == pytest.approx(value, rel=0.03)
     assert load_arm(tmp_path / "out" / "repaired.xml").friction == pytest.approx(friction, rel=0.03)
+
+
+@pytest.mark.parametrize("rotors", [(0.02, 0.08), (0.08, 0.02), (0.12, 0.12)])
+def test_rotors_that_mujoco_hid_are_named_and_no_other_arm(tmp_path: Path, rotors: tuple[float, float]) -> None:
+    """A fast torque on a joint that hardly follows it: a rotor of .06 at the elbow was called another arm."""
+    nominal = tmp_path / "two.xml"
+    nominal.write_text(TWO, encoding="utf-8")
+    options = {"model": str(nominal), "sample_time": 0.002, "substeps": 2, "integrator": "rk4", "armature": rotors}
+    report = closed(tmp_path, "mjcf", str(nominal), options, {"duration": 10.0, "noise": 2e-4, "amplitude": 4.0})
+    found = {(e["name"], e["at"]): e["parameters"]["J"]["value"] for e in report["effects"]}
+    hidden = {("rotor_inertia", f"q{k + 1}"): J - 0.02 for k, J in enumerate(rotors) if J > 0.02}
+    assert report["verdict"] == "effects_found", report["summary"]
+    assert found == {place: pytest.approx(J, rel=0.02) for place, J in hidden.items()}
+    assert load_arm(tmp_path / "out" / "repaired.xml").motor_inertia == pytest.approx(rotors, rel=0.02)

@@ -16,12 +16,14 @@ from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.joint import JointRegression, joint_dictionary, white_noise
 from harness.diagnosis.arm.misfit import likely_mistake, misfit_reasons
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
-from harness.diagnosis.arm.other_arm import free_bodies, look_like_another_arm, other_arm_reasons
+from harness.diagnosis.arm.other_arm import free_bodies, look_like_another_arm, other_arm_reasons, unlikely_gains
 from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.rotor import ROTOR
 from harness.diagnosis.arm.simpler import with_simpler_laws
 from harness.diagnosis.arm.wide import WideResult, wide_search
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.records.prepare import checked
+from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.search import search
 from harness.effects.effect import Effect
@@ -133,11 +135,14 @@ def _misfit(found: ArmDiagnosis, policy: ArmPolicy) -> tuple[str, ...]:
     judged = [joint.joint for joint in found.joints]
     mistake = likely_mistake(found.dataset, found.arm, found.runs, judged, found.policy) if reasons else ()
     alike = look_like_another_arm(found.wide, found.joints)
-    if not mistake and found.arm.inertia == "fixed" and (reasons or len(alike) >= SEVERAL):
+    if not mistake and found.arm.inertia == "fixed" and (reasons or alike):
         directions = _inertial_directions(found.arm, found.runs["estimation"])
         free = free_bodies(found.arm, found.runs, found.joints, found.wide, directions, policy)
         named = [] if reasons else alike
-        if free is not None and (other := other_arm_reasons(free, named, found.policy, policy)):
+        unlikely = len(unlikely_gains(found.joints, policy)) >= SEVERAL
+        if free is not None and not reasons and len(alike) < SEVERAL and free.beside > policy.far_better:
+            return ()  # one payload, say: bodies explain what it leaves no better
+        if free is not None and (other := other_arm_reasons(free, named, found.policy, policy, unlikely=unlikely)):
             return other
     return (*reasons, *mistake)
 
@@ -175,7 +180,7 @@ def _with_bodies(
         regression = JointRegression(arm, joint.joint, own, known)
         fit = RegressionForm(regression, joint.policy).fit(joint.final.effects, [joint.final.values], joint.final)
         if fit is not None:
-            joint.closed = regression, fit
+            joint.closed = regression, fit = _on_the_true_motion(arm, own, known, (regression, fit), joint.policy)
             joint.leftover = left_over(RegressionForm(regression, joint.policy), fit)
     return wide, joints, bodies
 
@@ -229,7 +234,9 @@ def _joint(
     """Search one joint."""
     known = {use: [wide.torque(run)[:, k] for run in parts] for use, parts in runs.items()}
     free = _free_columns(calibrated, k) if calibrated else None
-    regression = JointRegression(arm, k, runs, known, free)
+    fast = {use: [wide.fast(run, k) for run in parts] for use, parts in runs.items()}
+    needed = {use: [a + b for a, b in zip(known[use], fast[use], strict=True)] for use in runs}
+    regression = JointRegression(arm, k, runs, needed, free)
     form = RegressionForm(regression, arm_policy)
     nominal = form.fit((), [{}], None)
     if nominal is None:
@@ -250,9 +257,29 @@ def _joint(
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))
-    return JointDiagnosis(
-        k, regression, outcome, left_over(form, outcome.model, policy), tuple(noisy), noise, arm_policy
-    )
+    closed = _on_the_true_motion(arm, runs, known, (regression, outcome.model), arm_policy)
+    left = left_over(RegressionForm(closed[0], arm_policy), closed[1], policy)
+    return JointDiagnosis(k, regression, outcome, left, tuple(noisy), noise, arm_policy, closed)
+
+
+def _on_the_true_motion(
+    arm: ArmModel,
+    runs: dict[str, tuple[ArmRun, ...]],
+    known: Mapping[str, Sequence[FloatArray]],
+    found: tuple[JointRegression, Fit],
+    policy: ArmPolicy,
+) -> tuple[JointRegression, Fit]:
+    """Return a joint and its fit, its rotor on the motion that the bodies have: then the rest is what is left.
+
+    A rotor is estimated on the calm acceleration, without noise. Of a fast torque that leaves out most of what it does.
+    """
+    regression, fit = found
+    if fit.own or not any(placed.effect.name == ROTOR for placed in fit.effects):
+        return found  # beside free inertial parameters, whose columns are calm, it stays calm
+    sharp = {use: [run.sharp for run in parts] for use, parts in runs.items()}
+    on_it = JointRegression(arm, regression.joint, sharp, known)
+    there = RegressionForm(on_it, policy).at(fit)
+    return found if there is None else (on_it, there)
 
 
 def _inertial_directions(arm: ArmModel, runs: Sequence[ArmRun]) -> list[FloatArray]:

@@ -45,6 +45,11 @@ class ArmRun:
     rigid: FloatArray
     corner: float
 
+    @property
+    def sharp(self) -> ArmRun:
+        """The record with its true motion in the place of the calm one: what a known inertia needs there."""
+        return replace(self, calm=replace(self.motion, u=self.calm.u))
+
     def calmed(self, values: FloatArray) -> FloatArray:
         """Return columns (N,) or (N, k) filtered as the calm motion is."""
         return _low_passed(values, self.corner, self.motion.sample_time)
@@ -106,16 +111,23 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
     for k, position in enumerate(arm.positions):
         rate = f"{position.name}_rate"
         columns[position.name] = (k, names.index(rate) if rate in names else None)
-    motion = smooth_motion(record, columns, intersample)
+    motion = smooth_motion(record, columns, intersample, by_rates=True)
     rigid = arm.torques(motion.q, motion.v, motion.a) + arm.damped(motion.v)
     band = max(motion_band(record.y[:, k], motion.sample_time)[0] for k in range(arm.n))
     still = np.abs(motion.v) <= ARM_POLICY.still * np.sqrt(np.mean(motion.v[motion.inside] ** 2, axis=0))
     motion = replace(motion, counts=1.0 - still)
-    corner = ARM_POLICY.calm * band
+    corner = max(ARM_POLICY.calm * band, _clear(record, columns, motion))
     calm = _calmed(motion, corner)
     dt = motion.sample_time
     first = np.gradient(calm.u, dt, axis=0)
     return ArmRun(motion, calm, first, np.gradient(first, dt, axis=0), rigid, corner)
+
+
+def _clear(record: Trajectory, columns: dict[str, tuple[int | None, int | None]], motion: Motion) -> float:
+    """Return up to where all accelerations are free of noise [Hz], within what the decimated residual holds."""
+    parts = [record.y[:, position if rate is None else rate] for position, rate in columns.values()]
+    clear = min(motion_band(part, record.spec.sample_time, ARM_POLICY.clear)[1] for part in parts)
+    return min(clear, 0.5 / (motion.factor * motion.sample_time))
 
 
 def _calmed(motion: Motion, corner: float) -> Motion:

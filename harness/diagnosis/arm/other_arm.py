@@ -21,7 +21,10 @@ from harness.diagnosis.policy import ArmPolicy, Policy
 from harness.physics.arms.arm import ArmModel
 from harness.signals import FloatArray
 
-__all__ = ["FreeBodies", "free_bodies", "look_like_another_arm", "other_arm_reasons"]
+__all__ = ["FreeBodies", "free_bodies", "look_like_another_arm", "other_arm_reasons", "unlikely_gains"]
+
+MANY = 2.0
+"""Distance from which on it is not given in percent: friction and rotors of joints balance some of it."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +41,14 @@ class FreeBodies:
     beside : float
         Rms residual over that of the effects on the whole arm that were found beside the same friction, at the joint
         where it is largest.
+    own : float
+        The same over that of what every joint has by itself (friction, its rotor), at the joint where it is smallest.
     """
 
     distance: float
     share: float
     beside: float
+    own: float
 
 
 def look_like_another_arm(wide: WideResult, joints: Sequence[JointDiagnosis]) -> list[str]:
@@ -52,6 +58,18 @@ def look_like_another_arm(wide: WideResult, joints: Sequence[JointDiagnosis]) ->
         str(known.placed) for joint in joints for known in joint.outcome.accepted if known.placed.effect.name == GAIN
     ]
     return whole + gains
+
+
+def unlikely_gains(joints: Sequence[JointDiagnosis], policy: ArmPolicy) -> list[str]:
+    """Return the joints' torque gains that are off by more than torque constants are, by name and place."""
+    found = []
+    for joint in joints:
+        for known in joint.outcome.accepted:
+            if known.placed.effect.name == GAIN:
+                factor = joint.final.values[known.placed.name("gain")]
+                if not 1 / policy.drive < factor < policy.drive:
+                    found.append(str(known.placed))
+    return found
 
 
 def free_bodies(
@@ -84,25 +102,38 @@ def free_bodies(
     equation = regression.equation(())
     p = np.array([fit.values[name] for name in equation.system.parameter_names])
     counts = np.concatenate(regression.counts["validation"])
+    sharp = {use: [run.sharp for run in parts] for use, parts in runs.items()}  # what is left, of the true motion
+    true = WideRegression(arm, sharp, places, directions, policy).equation(())
+    alone = WideRegression(arm, sharp, places, (), policy).equation(())
+    by_joint = np.array([wide.outcome.nominal.values[name] for name in alone.system.parameter_names])
 
     def rms(residual: Sequence[FloatArray]) -> FloatArray:
         squares = np.sum(np.concatenate(residual) ** 2 * counts, axis=0)
         return np.asarray(np.sqrt(squares / np.maximum(counts.sum(axis=0), 1)))
 
-    left = rms([r for r, _ in equation.residual(p, "validation")])
+    left = rms([r for r, _ in true.residual(p, "validation")])
+    without = rms([r for r, _ in alone.residual(by_joint, "validation")])
     found = rms(wide.fit.detail.residual["validation"])
     own = [k for k, name in enumerate(equation.system.parameter_names) if name in regression.own]
     moved = np.concatenate([columns[:, :, own] @ p[own] for _, columns in equation.residual(p, "estimation")])
     rigid = np.concatenate([run.slim(run.rigid[:, places], places) for run in runs["estimation"]])
     distance = float(np.sqrt(np.sum(moved**2) / max(float(np.sum(rigid**2)), 1e-300)))
     sizes = np.array([max(joint.torque, 1e-300) for joint in joints])
-    return FreeBodies(distance, 1.0 - float(np.max(left / sizes)) ** 2, float(np.max(left / np.maximum(found, 1e-300))))
+    return FreeBodies(
+        distance,
+        1.0 - float(np.max(left / sizes)) ** 2,
+        float(np.max(left / np.maximum(found, 1e-300))),
+        float(np.min(left / np.maximum(without, 1e-300))),
+    )
 
 
-def other_arm_reasons(free: FreeBodies, alike: Sequence[str], policy: Policy, arm_policy: ArmPolicy) -> tuple[str, ...]:
+def other_arm_reasons(
+    free: FreeBodies, alike: Sequence[str], policy: Policy, arm_policy: ArmPolicy, *, unlikely: bool = False
+) -> tuple[str, ...]:
     """Return that the URDF is another arm's, and what to do; nothing where free inertial parameters do not say so.
 
-    They have to be far from the URDF's, and to explain every joint, as well as all that was found does.
+    They have to be far from the URDF's, and to explain every joint, as well as all that was found does, and one of them
+    far better than its own friction and rotor do.
 
     Parameters
     ----------
@@ -111,15 +142,18 @@ def other_arm_reasons(free: FreeBodies, alike: Sequence[str], policy: Policy, ar
         What was found and may be another arm.
     policy : Policy
     arm_policy : ArmPolicy
+    unlikely : bool
+        What was found cannot be: then bodies need not do as well (with wrong lengths they cannot).
     """
-    far = free.distance >= arm_policy.other_arm
-    if not far or free.share < 1.0 - policy.misfit_nrmse**2 or free.beside > arm_policy.as_well:
+    far = free.distance >= arm_policy.other_arm and free.own <= arm_policy.by_itself
+    as_well = free.beside <= arm_policy.as_well or unlikely
+    if not far or not as_well or free.share < 1.0 - policy.misfit_nrmse**2:
         return ()
     least = np.floor(1000 * free.share) / 10
+    apart = f"{100 * free.distance:.0f} % of these" if free.distance < MANY else "more than these are"
     text = (
         f"this URDF does not describe this arm: masses or lengths. Fitted freely, inertial parameters explain "
-        f"{least:g} % of every joint's torque, and ask for torques that differ from the URDF's by "
-        f"{100 * free.distance:.0f} % of these"
+        f"{least:g} % of every joint's torque, and ask for torques that differ from the URDF's by {apart}"
     )
     if alike:
         text += f"; {', '.join(name.replace('_', ' ').replace('@', ' at ') for name in alike)} together only imitate it"

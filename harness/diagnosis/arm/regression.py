@@ -195,7 +195,11 @@ class RegressionForm:
         if moved is None:
             return None
         p, converged = moved
-        residual = [r for r, _ in equation.residual(p, "estimation")]
+        value, made = self._errors([r for r, _ in equation.residual(p, "estimation")], errors)
+        return (value, p, made, converged) if np.isfinite(value) else None
+
+    def _errors(self, residual: Sequence[FloatArray], errors: Sequence[Coloured]) -> tuple[float, tuple[Coloured, ...]]:
+        """Return the log-likelihood of residuals (rows, n) of the estimation records, and the errors that reach it."""
         made = tuple(
             fitted_error(
                 [r[:, k] for r in residual],
@@ -204,8 +208,16 @@ class RegressionForm:
             )
             for k, error in enumerate(errors)
         )  # fmt: skip
-        value = -sum(Filtered(e, s).nll for e, s in self._innovations(residual, "estimation", made))
-        return (value, p, made, converged) if np.isfinite(value) else None
+        return -sum(Filtered(e, s).nll for e, s in self._innovations(residual, "estimation", made)), made
+
+    def at(self, fit: Fit) -> Fit | None:
+        """Return another form's fit in this one: its effects and values, with the errors that they leave here."""
+        equation = self.regression.equation(fit.effects)
+        p = np.array([fit.values[name] for name in equation.system.parameter_names])
+        residual = [r for r, _ in equation.residual(p, "estimation")]
+        if not all(np.isfinite(part).all() for part in residual):
+            return None
+        return self._fitted(fit.effects, equation, p, self._errors(residual, fit.detail.errors)[1], fit.converged)
 
     def _parameters(
         self, equation: Equation, p0: FloatArray, errors: Sequence[Coloured]

@@ -198,6 +198,8 @@ class WideResult:
         Inputs whose gain explained more than any effect on the whole arm, with what ties with it.
     effects : dict
         All that was looked for, by name.
+    rotors : dict
+        Inertia of the rotor at every joint where the records show one beside all that.
     notes : list of str
     """
 
@@ -206,17 +208,21 @@ class WideResult:
     outcome: Outcome
     gains: dict[str, tuple[Placed, ...]]
     effects: dict[str, Wide]
+    rotors: dict[int, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+
+    def fast(self, run: ArmRun, joint: int) -> FloatArray:
+        """Return the torque (N,) that a rotor needs beyond the calm motion: no column of its joint holds it."""
+        return np.asarray(self.rotors.get(joint, 0.0) * (run.motion.a[:, joint] - run.calm.a[:, joint]))
 
     def torque(self, run: ArmRun) -> FloatArray:
         """Return the torque (N, n) that the arm needs with all that was accepted."""
         result = run.rigid.copy()
-        sharp = replace(run, calm=replace(run.motion, u=run.calm.u))  # the true motion, not the calm one
         for accepted in self.accepted:
             values = np.array(
                 [self.fit.values[accepted.placed.name(p.name)] for p in accepted.placed.effect.parameters]
             )
-            result += self.effects[str(accepted.placed)].columns(sharp) @ values
+            result += self.effects[str(accepted.placed)].columns(run.sharp) @ values
         return result
 
 
@@ -314,11 +320,12 @@ def wide_search(
     }
     kept = tuple(accepted for accepted in outcome.accepted if accepted.placed.effect.name != GAIN)
     fit = outcome.model
+    rotors = {k: fit.values[name] for k in joints if _seen(fit, name := f"{arm.positions[k].name} {ROTOR}", policy)}
     if outcome.accepted:  # a rotor that is not there would take a part of what is, a few grams of a payload
-        there = [k for k in joints if _seen(outcome.model, f"{arm.positions[k].name} {ROTOR}", policy)]
+        there = list(rotors)
         lean = RegressionForm(WideRegression(arm, runs, joints, calibrated, arm_policy, there), arm_policy)
         fit = lean.fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
-    return WideResult(fit, kept, outcome, gains, regression.effects, notes)
+    return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
 
 
 def _seen(fit: Fit, name: str, policy: Policy) -> bool:

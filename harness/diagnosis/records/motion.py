@@ -77,15 +77,23 @@ def measured_coordinates(system: AnySystem) -> dict[str, tuple[int | None, int |
     return columns or None
 
 
-def motion_band(position: FloatArray, sample_time: float) -> tuple[float, float]:
+def motion_band(position: FloatArray, sample_time: float, above: float = 10.0) -> tuple[float, float]:
     """Return where the motion lives in the spectrum of ``position`` (N,).
+
+    Parameters
+    ----------
+    position : array (N,)
+    sample_time : float
+        [s]
+    above : float
+        Times by which a position that is clear stands above its noise, in power.
 
     Returns
     -------
     band : float
         Frequency [Hz] below which 95 % of the power of the rate lies.
     clear : float
-        Highest frequency [Hz] up to which the position stands ten times above its noise.
+        Highest frequency [Hz] up to which the position stands clear of its noise.
     """
     from scipy import signal
 
@@ -94,8 +102,8 @@ def motion_band(position: FloatArray, sample_time: float) -> tuple[float, float]
     f, power = signal.welch(x, 1 / sample_time, "blackman", nperseg=min(n, max(256, n // 4)))
     # beyond the point where the noise takes over, the power of a differentiated signal only grows
     noise = float(np.median(power[-max(power.size // 4, 1) :]))
-    above = power > 10 * noise
-    last = int(np.argmin(above[1:])) + 1 if not above[1:].all() else power.size - 1
+    clear = power > above * noise
+    last = int(np.argmin(clear[1:])) + 1 if not clear[1:].all() else power.size - 1
     weighted = np.where(np.arange(power.size) < max(last, 2), power * f**2, 0.0)
     total = np.cumsum(weighted)
     if total[-1] <= 0:
@@ -104,7 +112,11 @@ def motion_band(position: FloatArray, sample_time: float) -> tuple[float, float]
 
 
 def smooth_motion(
-    run: Trajectory, columns: dict[str, tuple[int | None, int | None]], intersample: str = "zoh"
+    run: Trajectory,
+    columns: dict[str, tuple[int | None, int | None]],
+    intersample: str = "zoh",
+    *,
+    by_rates: bool = False,
 ) -> Motion:
     """Return the motion of a record.
 
@@ -121,6 +133,8 @@ def smooth_motion(
         A held input jumps at the sample; the smoothed motion there belongs to the mean of both sides. Without this
         every balance of forces would see half a sample of delay. Smooth signals are interpolated where the motion
         reaches beyond a fifth of the sample rate.
+    by_rates : bool
+        Follow the motion as far as a measured rate is clear of its noise, beyond where its position is.
     """
     from scipy import signal
 
@@ -130,7 +144,10 @@ def smooth_motion(
     bands = [motion_band(run.y[:, position], dt) for position, _ in columns.values() if position is not None]
     band = max(width for width, _ in bands)
     highest = (SMOOTH if intersample == "smooth" else HELD) / dt
-    cutoff = float(np.clip(max(clear for _, clear in bands), min(5 * band, highest), highest))
+    told = [clear for _, clear in bands]
+    if by_rates:
+        told += [motion_band(run.y[:, rate], dt)[1] for _, rate in columns.values() if rate is not None]
+    cutoff = float(np.clip(max(told), min(5 * band, highest), highest))
     sos = signal.butter(ORDER, 2 * cutoff * dt, output="sos")
     edge = int(np.clip(round(1.5 / (cutoff * dt)), 4, max(n // 8, 4)))
 
