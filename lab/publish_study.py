@@ -19,15 +19,15 @@ from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
 
-from sysid_lab.headline import GOOD, alone
 from sysid_lab.leaderboard import answers_of_rows, score, write_answers
 from sysid_lab.outcome import Answer
 from sysid_lab.package import TRUTH_COLUMNS, record_name
-from sysid_lab.picture import confusion_picture
+from sysid_lab.pages.headline import GOOD, alone
+from sysid_lab.pages.picture import confusion_picture
+from sysid_lab.pages.tables import summary
 from sysid_lab.plan import plan
 from sysid_lab.row import COLUMNS
 from sysid_lab.store import read_rows
-from sysid_lab.tables import summary
 
 Row = dict[str, str]
 STUDIES = Path(__file__).parents[1] / "docs/studies"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sysid_lab.applied import ACTUATOR, FORCES
-from sysid_lab.hardware import LAWS
+from sysid_lab.truths.applied import ACTUATOR, FORCES
+from sysid_lab.truths.hardware import LAWS
 
 __all__ = ["ENGINES", "OUTSIDE", "PAIRS", "places", "sources"]
 

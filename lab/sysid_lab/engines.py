@@ -11,10 +11,10 @@ import numpy as np
 from harness import registry
 from harness.rng import Streams, stream
 from harness.signals import FloatArray
-from sysid_lab.applied import STEP, Law
-from sysid_lab.context import Hidden
 from sysid_lab.plan import Task
-from sysid_lab.truths import DT, SUBSTEPS
+from sysid_lab.truths.applied import STEP, Law
+from sysid_lab.truths.context import Hidden
+from sysid_lab.truths.simulation import DT, SUBSTEPS
 
 __all__ = ["BALANCE_BAND", "OPTIONS", "balanced_run", "engine_run"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from harness.errors import InputError
 from sysid_lab.outcome import STAND_IN, Answer, Outcome, judge_answer
 from sysid_lab.package import TRUTH_COLUMNS, record_name
-from sysid_lab.statistics import clopper_pearson
+from sysid_lab.pages.statistics import clopper_pearson
 from sysid_lab.store import read_rows
 
 __all__ = ["NOT_ANSWERED", "Score", "answers_of_fleet", "answers_of_rows", "read_answers", "read_truth", "score",

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from sysid_lab.disturbances import UNNAMED, named
+from sysid_lab.truths.disturbances import UNNAMED, named
 
 __all__ = ["STAND_IN", "Answer", "Outcome", "has_double", "judge_answer", "plain_law"]
 
@@ -167,7 +167,7 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     or nothing was accepted, and the report says that the truth cannot be told from the nominal parameters. Other sets
     are wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
     not fit, whatever it was tried with. An effect that names how the nominal structure is wrong
-    (:func:`sysid_lab.disturbances.named`) may stand beside what is hidden; one without a name is missing all the
+    (:func:`sysid_lab.truths.disturbances.named`) may stand beside what is hidden; one without a name is missing all the
     same, and is flagged as any law outside the dictionary is. In hardware bristles carry the dry frictions, joints
     stiffen with their twist, flanks never pull and a hysteresis has several slip elements: laws that have this count as
     those that they refine.

@@ -11,7 +11,7 @@ from typing import Any
 from harness.errors import InputError
 from harness.rng import stream
 from sysid_lab.catalogue import OUTSIDE, PAIRS, places, sources
-from sysid_lab.disturbances import KINDS, STRUCTURES, TRUTH_ONLY, named
+from sysid_lab.truths.disturbances import KINDS, STRUCTURES, TRUTH_ONLY, named
 
 __all__ = ["BASES", "NOISE", "PLANTS", "SHARES", "STUDIES", "Task", "plan"]
 
@@ -47,7 +47,7 @@ class Task:
     plant : str
     engine : str
         Who simulates the truth: ``laws`` (the dictionary's formulas in C), ``hardware`` (other formulations, see
-        :mod:`sysid_lab.hardware`), ``bullet``, ``pymunk``, ``fmu``, ``balanced`` (pymunk, upright under LQR).
+        :mod:`sysid_lab.truths.hardware`), ``bullet``, ``pymunk``, ``fmu``, ``balanced`` (pymunk, upright under LQR).
     effects : tuple of str
         ``effect@place``; empty for nothing missing.
     level : str
@@ -63,9 +63,9 @@ class Task:
     model : str
         The nominal model: ``equations``, or ``fmu`` (the same as a black box).
     shape : str
-        Kind of the unknown torque, of :data:`sysid_lab.disturbances.KINDS`.
+        Kind of the unknown torque, of :data:`sysid_lab.truths.disturbances.KINDS`.
     structure : str
-        How the nominal structure is a little wrong, of :data:`sysid_lab.disturbances.STRUCTURES`; empty where it
+        How the nominal structure is a little wrong, of :data:`sysid_lab.truths.disturbances.STRUCTURES`; empty where it
         is right.
     input_noise : float
         Noise of the recorded input over its rms.

@@ -11,14 +11,14 @@ import numpy as np
 
 from harness.rng import stream
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, Use
-from sysid_lab.applied import STEP, actuated, force_law
-from sysid_lab.context import PRE, Context, Hidden, rms
-from sysid_lab.disturbances import disturbance, named, natural_frequency
 from sysid_lab.engines import BALANCE_BAND, OPTIONS, balanced_run, engine_run
-from sysid_lab.hardware import as_hardware
-from sysid_lab.hidden import falling_damping, force_size, hide, hide_outside, sagging_gain
 from sysid_lab.plan import NOISE, Task
-from sysid_lab.truths import DT, SUBSTEPS, Motion, simulate
+from sysid_lab.truths.applied import STEP, actuated, force_law
+from sysid_lab.truths.context import PRE, Context, Hidden, rms
+from sysid_lab.truths.disturbances import disturbance, named, natural_frequency
+from sysid_lab.truths.hardware import as_hardware
+from sysid_lab.truths.hidden import falling_damping, force_size, hide, hide_outside, sagging_gain
+from sysid_lab.truths.simulation import DT, SUBSTEPS, Motion, simulate
 
 __all__ = ["SAMPLES", "SPECS", "Records", "make_records", "multisine"]
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from harness.errors import HarnessError
 from sysid_lab.cost import timed_command
-from sysid_lab.disturbances import UNNAMED, named
-from sysid_lab.hardware import LAWS
 from sysid_lab.outcome import Answer, judge_answer, plain_law
 from sysid_lab.plan import Task
 from sysid_lab.records import SAMPLES, Records, make_records
+from sysid_lab.truths.disturbances import UNNAMED, named
+from sysid_lab.truths.hardware import LAWS
 
 if TYPE_CHECKING:
     from harness.diagnosis.search.fit import Fit

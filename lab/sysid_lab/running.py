@@ -112,7 +112,7 @@ def study(
     InputError
         If a word is unknown, or the folder holds a study and neither ``resume`` nor ``force`` is given.
     """
-    from sysid_lab.tables import summary
+    from sysid_lab.pages.tables import summary
 
     if seeds not in BASES:
         raise InputError("seeds", expected=" or ".join(BASES), got=repr(seeds), remedy="correct it")
@@ -155,7 +155,7 @@ def study(
         finally:
             store.close()
             text = save()
-        from sysid_lab.picture import confusion_picture
+        from sysid_lab.pages.picture import confusion_picture
 
         rows = list(store.rows.values())
         confusion_picture(rows, folder / PICTURE)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sysid_lab.context import Context, Hidden
+from sysid_lab.truths.context import Context, Hidden
 from sysid_lab.plan import Task
 from sysid_lab.records import make_records
 

@@ -6,9 +6,9 @@ import runpy
 from pathlib import Path
 
 from sysid_lab.leaderboard import answers_of_rows, read_answers, read_truth, score
+from sysid_lab.pages.tables import summary
 from sysid_lab.plan import plan
 from sysid_lab.store import read_rows
-from sysid_lab.tables import summary
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = ROOT / "docs" / "studies"

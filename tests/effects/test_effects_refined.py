@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sysid_lab.truths import DT
-from sysid_lab.truths import simulate as truth
+from sysid_lab.truths.simulation import DT
+from sysid_lab.truths.simulation import simulate as truth
 
 from harness.effects import Dictionary, Placed, builtin, compose
 from harness.effects.compose import moving, recommended_substeps

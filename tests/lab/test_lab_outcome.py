@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scipy import stats
 from sysid_lab.outcome import Answer, judge_answer
-from sysid_lab.statistics import clopper_pearson, upper_bound
+from sysid_lab.pages.statistics import clopper_pearson, upper_bound
 
 from harness.errors import InputError
 

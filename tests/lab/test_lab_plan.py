@@ -7,11 +7,11 @@ from collections import Counter
 import numpy as np
 import pytest
 from sysid_lab.catalogue import places, sources
-from sysid_lab.context import rms
-from sysid_lab.disturbances import KINDS, disturbance
 from sysid_lab.plan import BASES, NOISE, SHARES, Task, plan
 from sysid_lab.records import make_records
-from sysid_lab.truths import SUBSTEPS
+from sysid_lab.truths.context import rms
+from sysid_lab.truths.disturbances import KINDS, disturbance
+from sysid_lab.truths.simulation import SUBSTEPS
 
 from harness.errors import InputError
 

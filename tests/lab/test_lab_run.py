@@ -7,10 +7,10 @@ import time
 
 import pytest
 from sysid_lab import running
+from sysid_lab.pages.tables import counts, summary
 from sysid_lab.plan import plan
 from sysid_lab.row import COLUMNS, do_row
 from sysid_lab.store import ROWS, RowStore, read_rows
-from sysid_lab.tables import counts, summary
 
 from harness.errors import InputError
 from harness.jobs import run_jobs
@@ -177,7 +177,7 @@ def test_wrong_options_are_refused_before_anything_is_written(tmp_path, wrong):
 
 
 def test_the_picture_shows_single_effects(tmp_path):
-    from sysid_lab.picture import confusion_picture
+    from sysid_lab.pages.picture import confusion_picture
 
     rows = [row(0), row(1, "wrong", accepted="cogging@x"), row(2, truth="", accepted="")]
     assert confusion_picture(rows, tmp_path / "matrix.png")
@@ -277,8 +277,8 @@ def test_false_alarms_are_counted_by_what_nobody_modelled():
 def test_coverage_compares_what_means_the_same():
     from types import SimpleNamespace
 
-    from sysid_lab.context import Hidden
     from sysid_lab.row import _coverage
+    from sysid_lab.truths.context import Hidden
 
     hidden = Hidden("position_dependent_friction", "theta", {}, {"Fc": 0.2, "a": 0.6, "phi": 1.0})
     records = SimpleNamespace(parameters={"J": 0.1, "b": 0.05}, known=(hidden,))

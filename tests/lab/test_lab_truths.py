@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sysid_lab.truths import DT, simulate
+from sysid_lab.truths.simulation import DT, simulate
 
 from harness.errors import InputError
 

@@ -22,8 +22,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from sysid_lab.context import Context, Hidden, rms
-from sysid_lab.truths import DT
+from sysid_lab.truths.context import Context, Hidden, rms
+from sysid_lab.truths.simulation import DT
 
 __all__ = ["BRISTLES", "LAWS", "as_hardware"]
 

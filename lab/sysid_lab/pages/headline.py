@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from sysid_lab.outcome import has_double
-from sysid_lab.statistics import clopper_pearson
+from sysid_lab.pages.statistics import clopper_pearson
 
 __all__ = ["alone", "figures", "share"]
 

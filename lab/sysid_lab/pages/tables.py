@@ -6,9 +6,9 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 
-from sysid_lab.disturbances import STRUCTURES
-from sysid_lab.headline import figures, share
-from sysid_lab.statistics import upper_bound
+from sysid_lab.pages.headline import figures, share
+from sysid_lab.pages.statistics import upper_bound
+from sysid_lab.truths.disturbances import STRUCTURES
 
 __all__ = ["WORDS", "counts", "summary"]
 

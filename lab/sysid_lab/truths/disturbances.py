@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from harness.signals import FloatArray
-from sysid_lab.context import rms
+from sysid_lab.truths.context import rms
 
 __all__ = ["KINDS", "STRUCTURES", "TRUTH_ONLY", "UNNAMED", "disturbance", "named", "natural_frequency"]
 

@@ -27,8 +27,8 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray
-from sysid_lab.context import PRE, Context, Hidden, Sensor, rms
-from sysid_lab.truths import DT, GRAVITY, SUBSTEPS
+from sysid_lab.truths.context import PRE, Context, Hidden, Sensor, rms
+from sysid_lab.truths.simulation import DT, GRAVITY, SUBSTEPS
 
 __all__ = ["OUTSIDE", "falling_damping", "force_size", "hide", "hide_outside", "sagging_gain"]
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from harness.signals import FloatArray
-from sysid_lab.truths import DT, SUBSTEPS
+from sysid_lab.truths.simulation import DT, SUBSTEPS
 
 __all__ = ["ACTUATOR", "FORCES", "STEP", "Law", "actuated", "force_law"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.signals import FloatArray
-from sysid_lab.truths import GRAVITY, Motion
+from sysid_lab.truths.simulation import GRAVITY, Motion
 
 __all__ = ["PRE", "Context", "Hidden", "Sensor", "rms"]
 
@@ -91,7 +91,7 @@ class Hidden:
     Attributes
     ----------
     truth : dict
-        Parameters for :func:`sysid_lab.truths.simulate`.
+        Parameters for :func:`sysid_lab.truths.simulation.simulate`.
     named : dict
         The same in the dictionary's parameters (short names), where both mean the same.
     engine : dict
