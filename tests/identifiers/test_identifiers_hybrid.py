@@ -20,7 +20,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.common.lag_state import regression_data
 from identifiers.learned.trees import RandomForest, grow_tree
 from identifiers.learned.volterra import Volterra
-from identifiers.linear.hybrid import PiecewiseAffine
+from identifiers.hybrid.piecewise_affine import PiecewiseAffine
 from identifiers.linear.least_squares import Arx
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
-from harness.signals import FloatArray, Trajectory
+from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
+from identifiers.common.neighbours import edges
 from identifiers.common.records import moving, real_signals, usable
+from identifiers.learned.trees import Tree, grow_tree
 
 __all__ = ["PiecewiseAffine", "PiecewiseAffineModel"]
 
@@ -32,8 +34,20 @@ _OUTSIDE = 4.0
 _BRIEF = 10
 """Iterations of the classifier between two reassignments, each begun where the last one ended."""
 
+_MOST = 6
+"""Where the number of modes is asked of the data, more are not tried."""
+
 _TRIAL_ROUNDS, _ROUNDS = 12, 60
 """Reassignments at most, of every start and of the best one; they settle in about ten."""
+
+
+_TREE: dict[str, Any] = {
+    "feature": np.intp,
+    "threshold": np.float64,
+    "left": np.intp,
+    "right": np.intp,
+    "value": np.float64,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +62,21 @@ class PiecewiseAffineModel(LagModel):
         The mode of regressors r (scaled) is the one with the largest ``regions @ [r, 1]``.
     variance : array (M, ny)
         Of the one-step error in each mode.
+    tree : Tree, optional
+        A decision tree on scaled regressors instead of the regions; its values are shares of the modes.
     """
 
     coefficients: FloatArray
     regions: FloatArray
     variance: FloatArray
+    tree: Tree | None = None
 
     def mode(self, rows: FloatArray) -> Labels:
         """Return the mode (...) of regressors (..., p) in the units of the data."""
         scaled = self.scaling.rows(np.asarray(rows, dtype=float))
+        if self.tree is not None:
+            shares = self.tree(scaled.reshape(-1, scaled.shape[-1]))
+            return np.asarray(np.argmax(shares, axis=1).reshape(scaled.shape[:-1]), dtype=np.intp)
         best: Labels = np.argmax(scaled @ self.regions[:, :-1].T + self.regions[:, -1], axis=-1)
         return best
 
@@ -72,6 +92,8 @@ class PiecewiseAffineModel(LagModel):
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
         tables = {name: getattr(self, name).tolist() for name in ("coefficients", "regions", "variance")}
+        if self.tree is not None:
+            tables["tree"] = {name: getattr(self.tree, name).tolist() for name in _TREE}
         return {**self.head("piecewise-affine"), **tables}
 
     @classmethod
@@ -87,6 +109,7 @@ class PiecewiseAffineModel(LagModel):
             coefficients,
             regions,
             variance,
+            Tree(**{n: np.array(content["tree"][n], dtype=_TREE[n]) for n in _TREE}) if "tree" in content else None,
             notes=dict(content.get("notes", {})),
         )
 
@@ -103,8 +126,14 @@ class PiecewiseAffine:
 
     Parameters
     ----------
-    modes : int
-        Number of affine models.
+    modes : int, optional
+        Number of affine models. Without it 1, 2, ... are tried, and the last one is kept that still gains.
+    choose : {"held-out", "bic"}
+        What the number of modes must gain: log score of one step on stretches that were left out (two standard errors
+        of the gain), or the Bayesian information criterion of the fit. Both stand in the notes.
+    guards : {"polyhedra", "tree"}
+        Where a mode holds: polyhedra (a linear classifier), or boxes of a decision tree, for modes whose regions no
+        hyperplanes part.
     order : int
         Past outputs and inputs; 1 where the state is measured.
     starts : int
@@ -116,7 +145,9 @@ class PiecewiseAffine:
         the inputs do.
     """
 
-    modes: int = 2
+    modes: int | None = 2
+    choose: Literal["held-out", "bic"] = "held-out"
+    guards: Literal["polyhedra", "tree"] = "polyhedra"
     order: int = 1
     starts: int = 5
     region_weight: float = 1.0
@@ -125,15 +156,67 @@ class PiecewiseAffine:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> PiecewiseAffineModel:
         """Return the model; share of samples in each mode and of those in none stand in its notes."""
         what = "piecewise-affine"
-        if self.modes < 1 or self.order < 1:
+        if (self.modes is not None and self.modes < 1) or self.order < 1:
             raise InputError(
                 "options modes and order", expected="at least 1", got=f"{self.modes}, {self.order}", remedy="raise them"
+            )
+        if self.choose not in ("held-out", "bic") or self.guards not in ("polyhedra", "tree"):
+            raise InputError(
+                "options choose and guards",
+                expected="held-out or bic; polyhedra or tree",
+                got=f"{self.choose!r}, {self.guards!r}",
+                remedy="correct them",
             )
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
         refuse_undetermined(records, what, self.least_excitation)
         rows, targets = regression_data(records, self.order)
+        if self.modes is None:
+            modes, table = self._chosen(rows, targets, spec, rng)
+            model = replace(self, modes=modes)._of_rows(rows, targets, spec, rng)
+            return replace(model, notes={**model.notes, "criteria": table, "chosen by": self.choose})
+        return self._of_rows(rows, targets, spec, rng)
+
+    def _chosen(
+        self, rows: FloatArray, targets: FloatArray, spec: PlantSpec, rng: np.random.Generator
+    ) -> tuple[int, list[dict[str, float]]]:
+        """Return the number of modes, and for each one tried its log score on held-out samples and its BIC."""
+        held = np.zeros(len(rows), dtype=bool)
+        for low, high in edges(len(rows))[1::3]:
+            held[low:high] = True
+        table: list[dict[str, float]] = []
+        scores: list[FloatArray] = []
+        best = 1
+        for modes in range(1, _MOST + 1):
+            one = replace(self, modes=modes)
+            try:
+                part = one._of_rows(rows[~held], targets[~held], spec, rng)
+                whole = one._of_rows(rows, targets, spec, rng)
+            except FitError:
+                if modes == 1:
+                    raise
+                break
+            scores.append(_log_density(part, rows[held], targets[held]))
+            fitted = float(_log_density(whole, rows, targets).sum())
+            free = whole.coefficients.size + (modes - 1) * (rows.shape[1] + 1)
+            bic = 0.5 * free * float(np.log(len(rows))) - fitted
+            table.append({"modes": modes, "held-out log score": float(scores[-1].mean()), "bic": bic})
+            gain = scores[-1] - scores[best - 1]
+            sure = 2.0 * float(gain.std()) / float(np.sqrt(len(gain)))
+            better = gain.mean() > sure if self.choose == "held-out" else bic < table[best - 1]["bic"]
+            if modes > 1 and better:
+                best = modes
+            elif modes > best + 1:  # two in a row that gain nothing: a single one may only lack a good start
+                break
+        return best, table
+
+    def _of_rows(
+        self, rows: FloatArray, targets: FloatArray, spec: PlantSpec, rng: np.random.Generator
+    ) -> PiecewiseAffineModel:
+        """Return the model of regressors (n, p) and next outputs (n, ny)."""
+        assert self.modes is not None
+        what = "piecewise-affine"
         least = 2 * self.modes * (rows.shape[1] + 1)
         if len(rows) < least:
             raise FitError(
@@ -153,7 +236,12 @@ class PiecewiseAffine:
         if self.modes > 1:
             theta, labels, inside = _trimmed(r, y, theta, labels)
         regions = _regions(r[inside], labels[inside], self.modes, regions)
+        tree = None
         chosen = np.argmax(r @ regions.T, axis=1)
+        if self.guards == "tree" and self.modes > 1:
+            x = r[:, :-1]
+            tree = grow_tree(x[inside], np.eye(self.modes)[labels[inside]], leaf=5, features=x.shape[1], rng=rng)
+            chosen = np.argmax(tree(x), axis=1)
         wrong = y - np.einsum("np,npk->nk", r, theta[chosen])
         variance = np.array([_mean_square(wrong[chosen == j], wrong) for j in range(self.modes)])
         order = np.argsort([r[chosen == j, 0].mean() if (chosen == j).any() else np.inf for j in range(self.modes)])
@@ -169,6 +257,7 @@ class PiecewiseAffine:
             np.array([_unscaled(theta[j], scaling) for j in order]),
             regions[order],
             variance[order] * scaling.y_std**2,
+            None if tree is None else replace(tree, value=tree.value[:, order]),
             notes=notes,
         )
 
@@ -176,6 +265,7 @@ class PiecewiseAffine:
         self, r: FloatArray, y: FloatArray, labels: Labels, rounds: int
     ) -> tuple[FloatArray, FloatArray, Labels, float]:
         """Return coefficients (M, p + 1, ny), regions, labels and the cost once no sample changes its mode."""
+        assert self.modes is not None
         regions = np.zeros((self.modes, r.shape[1]))
         theta = np.zeros((self.modes, r.shape[1], y.shape[1]))
         for _ in range(rounds):
@@ -277,6 +367,16 @@ def _regions(r: FloatArray, labels: Labels, modes: int, start: FloatArray, itera
 
     found = minimize(value, start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": iterations})
     return np.asarray(found.x, dtype=float).reshape(modes, -1)
+
+
+def _log_density(model: PiecewiseAffineModel, rows: FloatArray, targets: FloatArray) -> FloatArray:
+    """Return the log density (n,) that a model gave to next outputs; errors beyond what it knows count as outliers.
+
+    A step in which the plant switches follows none of the modes; its error would hide what all others say.
+    """
+    mean, variance = model.ahead(rows)
+    squared = np.minimum((targets - mean) ** 2 / variance, _OUTSIDE**2)
+    return np.asarray(-0.5 * (squared + np.log(2.0 * np.pi * variance)).sum(axis=1))
 
 
 def _mean_square(wrong: FloatArray, otherwise: FloatArray) -> FloatArray:

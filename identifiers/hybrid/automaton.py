@@ -1,0 +1,348 @@
+"""Hybrid automata from measured states: affine flows, a guard, and the jump that the state makes where it is met."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import FitError, InputError
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.specs import spec_from_dict
+from identifiers.common.lag_state import LagModel, Scaling
+from identifiers.common.records import real_signals, usable
+from identifiers.hybrid.jumps import Jump, find_jumps
+from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel
+
+__all__ = ["HybridAutomaton", "HybridModel"]
+
+_BISECTIONS = 30
+"""Halvings of the sample in which the guard is met."""
+
+_SHARP = 3.0
+"""The guard is told where jumps scatter along it by so many times as much as across it."""
+
+_TOLD = 0.02
+"""Directions in which the states before the jumps scatter less than this, beside the largest, tell nothing."""
+
+_RATE = "_rate"
+_TABLES = ("guard", "within", "reset", "jump_variance")
+
+
+@dataclass(frozen=True, eq=False)
+class HybridModel(LagModel):
+    """Affine flows between jumps; a jump where the guard is met from above.
+
+    Parameters
+    ----------
+    flow : PiecewiseAffineModel
+        One step between jumps.
+    guard : array (ny + 1,)
+        The state jumps when ``guard @ [y, 1]`` falls through 0; only positions have weights in it.
+    within : array (ny + 1,)
+        The part of the guard that counts, ``within @ [y, 1] >= 0``: legs are level in mid-swing as well.
+    reset : array (ny, ny + 1)
+        The state after a jump is ``reset @ [y, 1]`` of that before it.
+    jump_variance : array (ny,)
+        Of the error of a step with a jump in it.
+    """
+
+    flow: PiecewiseAffineModel
+    guard: FloatArray
+    within: FloatArray
+    reset: FloatArray
+    jump_variance: FloatArray
+
+    def mode(self, rows: FloatArray) -> npt.NDArray[np.intp]:
+        """Return the flow's mode (...) of regressors (..., p)."""
+        return self.flow.mode(rows)
+
+    def height(self, y: FloatArray) -> FloatArray:
+        """Return how far states (..., ny) are above the guard."""
+        return np.asarray(np.asarray(y) @ self.guard[:-1] + self.guard[-1])
+
+    def jumps(self, rows: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return whether the step from regressors (..., p) has a jump in it."""
+        # Falling, and not yet above it: just after a jump noise may put the state on either side.
+        y = rows[..., : self.spec.ny]
+        meant = (y @ self._approach < 0.0) & (y @ self.within[:-1] + self.within[-1] >= 0.0)
+        return np.asarray(meant & (self.height(self.flow.ahead(rows)[0]) <= 0.0))
+
+    def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and variance (..., ny) of the next output."""
+        mean, variance = self.flow.ahead(rows)
+        for place in np.argwhere(self.jumps(rows)):
+            at = tuple(place)
+            mean[at] = self._over_a_jump(rows[at])
+            variance[at] = self.jump_variance
+        return mean, variance
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        tables = {name: getattr(self, name).tolist() for name in _TABLES}
+        return {**self.head("hybrid-automaton"), **tables, "flow": self.flow.to_dict()}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> HybridModel:
+        """Return the model of a description."""
+        tables = {name: np.array(content[name], dtype=float) for name in _TABLES}
+        return cls(
+            spec_from_dict(content["spec"]),
+            int(content["lags"]),
+            Scaling.from_dict(content["scaling"]),
+            PiecewiseAffineModel.from_dict(content["flow"]),
+            **tables,
+            notes=dict(content.get("notes", {})),
+        )
+
+    @cached_property
+    def _approach(self) -> FloatArray:
+        """Return the weights (ny,) of the outputs in the rate of the height above the guard."""
+        names = [channel.name for channel in self.spec.outputs]
+        weights = np.zeros(len(names))
+        for i in np.flatnonzero(self.guard[:-1]):
+            weights[names.index(names[i] + _RATE)] = self.guard[i]
+        return weights
+
+    @cached_property
+    def _generators(self) -> list[FloatArray | None]:
+        """Return of each mode the logarithm of its step in [y, u, 1]; None where it has no real one."""
+        from scipy.linalg import logm
+
+        ny, found = self.spec.ny, []
+        for table in self.flow.coefficients:
+            whole = np.eye(table.shape[1])
+            whole[:ny] = table
+            generator = logm(whole)
+            real = np.abs(np.imag(generator)).max() < 1e-9 and np.isfinite(generator).all()
+            found.append(np.real(generator) if real else None)
+        return found
+
+    def _part(self, row: FloatArray, part: float) -> FloatArray:
+        """Return the state a part of a sample later, without a jump."""
+        from scipy.linalg import expm
+
+        generator, ny = self._generators[int(self.flow.mode(row))], self.spec.ny
+        if generator is None:
+            return np.asarray(row[:ny] + part * (self.flow.ahead(row)[0] - row[:ny]))
+        return np.asarray((expm(part * generator)[:ny]) @ np.append(row, 1.0))
+
+    def _over_a_jump(self, row: FloatArray) -> FloatArray:
+        """Return the next state: flow to the guard, jump, flow on."""
+        low, high = 0.0, 1.0
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.height(self._part(row, middle)) > 0.0 else (low, middle)
+        after = self.reset @ np.append(self._part(row, high), 1.0)
+        return self._part(np.concatenate([after, row[self.spec.ny :]]), 1.0 - high)
+
+
+@dataclass(frozen=True)
+class HybridAutomaton:
+    """Flow, guard and reset of a plant whose state jumps, from records of the whole state.
+
+    Jumps are found where the record does not continue smoothly, and timed within the sample by the positions, which do
+    not jump (:mod:`identifiers.hybrid.jumps`). Between jumps the flow is piecewise affine (``piecewise-affine``); the
+    guard is the plane on which the positions before the jumps lie (total least squares); the reset is an affine map,
+    by least squares from the states before and after. Positions keep their values through it.
+
+    Parameters
+    ----------
+    modes : int, optional
+        Of the flow between jumps; None chooses it.
+    swaps : sequence of pairs of str
+        Outputs that change roles in a jump, with their rates: legs at heel strike.
+    width : int
+        Samples on each side of a jump from which it is timed.
+    starts : int
+        Random starts of the flow.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`).
+
+    Raises
+    ------
+    FitError
+        If there are jumps, but too few for the guard or the reset, or all alike.
+
+    Examples
+    --------
+    >>> from harness.registry import create
+    >>> from harness.rng import Streams
+    >>> from harness.rollout import run
+    >>> push = create("scenarios", "multisine", duration=12.0, amplitude=4.0, band=[0.1, 3.0])
+    >>> data = run(create("plants", "bouncing-mass-pymunk"), push, streams=Streams("p", "s", 0))
+    >>> model = HybridAutomaton(modes=1).fit([data.measured()], rng=np.random.default_rng(0))
+    >>> bool(abs(model.reset[1, 1] + 0.8) < 0.02)
+    True
+    """
+
+    modes: int | None = 1
+    swaps: Sequence[Sequence[str]] = ()
+    width: int = 6
+    starts: int = 2
+    least_excitation: float = 2.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> HybridModel:
+        """Return the model; jumps, and how well they fit guard and reset, stand in its notes."""
+        what = "hybrid-automaton"
+        if self.width < 3:
+            raise InputError("option width", expected="at least 3", got=str(self.width), remedy="raise it")
+        records, spec = usable(trajectories, samples=4 * self.width, what=what)
+        real_signals(spec, what)
+        positions = _positions(spec)
+        roles = _roles(spec, self.swaps)
+        jumps = find_jumps(records, positions, roles, width=self.width)
+        least = spec.ny + 2
+        if 0 < len(jumps) < least:
+            raise FitError(
+                f"{what}: too few jumps of the state",
+                expected=f"at least {least}, for a reset of {spec.ny} states",
+                got=str(len(jumps)),
+                remedy="record more of them, or use piecewise-affine for a plant whose state does not jump",
+            )
+        flow = PiecewiseAffine(modes=self.modes, starts=self.starts, least_excitation=self.least_excitation).fit(
+            _between(records, jumps), rng=rng
+        )
+        if not jumps:
+            never = np.eye(spec.ny + 1)[-1]
+            notes = {**flow.notes, "jumps": 0, "warning": "no jump was found: the model is the flow alone"}
+            still = np.eye(spec.ny, spec.ny + 1)
+            return HybridModel(spec, 1, flow.scaling, flow, never, never, still, flow.variance[0], notes=notes)
+        before, after = np.array([jump.before for jump in jumps]), np.array([jump.after for jump in jumps])
+        guard, scatter = _guard(spec, before, positions, records, jumps, what)
+        within = _within(before, after, positions)
+        size = np.concatenate([record.y for record in records]).std(axis=0)
+        reset, missed, rank = _reset(before, after, positions, roles, size)
+        model = HybridModel(spec, 1, flow.scaling, flow, guard, within, reset, np.zeros(spec.ny))
+        rows = np.array([np.append(records[j.record].y[j.sample], records[j.record].u[j.sample]) for j in jumps])
+        crossed = model.jumps(rows)
+        wrong = model.ahead(rows)[0] - np.array([records[j.record].y[j.sample + 1] for j in jumps])
+        wrong = wrong[crossed] if crossed.any() else wrong
+        notes = {
+            **flow.notes,
+            "jumps": len(jumps),
+            "guard scatter": scatter,
+            "reset rms": missed.tolist(),
+            "reset rank": rank,
+            "jumps told by the guard": float(crossed.mean()),
+        }
+        if rank < spec.ny:
+            notes["warning"] = (
+                f"the states before the jumps span {rank} of the guard's {spec.ny} directions: the reset is known only "
+                "along them (start from other states, or push harder)"
+            )
+        variance = np.maximum(np.mean(wrong**2, axis=0), flow.variance.min(axis=0))
+        return HybridModel(spec, 1, flow.scaling, flow, guard, within, reset, variance, notes=notes)
+
+
+def _positions(spec: PlantSpec) -> npt.NDArray[np.intp]:
+    """Return the outputs whose rates are outputs too."""
+    names = [channel.name for channel in spec.outputs]
+    found = [i for i, name in enumerate(names) if name + _RATE in names]
+    if not found:
+        raise FitError(
+            "hybrid-automaton: no position with its rate among the outputs",
+            expected="outputs such as z and z_rate, the whole state",
+            got=", ".join(names),
+            remedy=f"measure or differentiate the rates and name them with the ending {_RATE}",
+        )
+    return np.array(found, dtype=np.intp)
+
+
+def _roles(spec: PlantSpec, swaps: Sequence[Sequence[str]]) -> npt.NDArray[np.intp]:
+    """Return which output every output is after a jump."""
+    names = [channel.name for channel in spec.outputs]
+    roles = np.arange(len(names), dtype=np.intp)
+    for pair in swaps:
+        if len(pair) != 2 or not set(pair) <= set(names):
+            raise InputError(
+                "option swaps", expected=f"pairs of outputs among {', '.join(names)}", got=repr(pair), remedy="correct"
+            )
+        for ending in ("", _RATE):
+            if pair[0] + ending in names and pair[1] + ending in names:
+                first, second = names.index(pair[0] + ending), names.index(pair[1] + ending)
+                roles[[first, second]] = roles[[second, first]]
+    return roles
+
+
+def _between(records: Sequence[Trajectory], jumps: Sequence[Jump]) -> list[Trajectory]:
+    """Return the stretches between jumps as records of their own."""
+    pieces = []
+    for number, record in enumerate(records):
+        cuts = [0, *(jump.sample + 1 for jump in jumps if jump.record == number), len(record)]
+        pieces += [record[low:high] for low, high in pairwise(cuts) if high - low >= 4]
+    return pieces
+
+
+def _guard(
+    spec: PlantSpec,
+    before: FloatArray,
+    positions: npt.NDArray[np.intp],
+    records: Sequence[Trajectory],
+    jumps: Sequence[Jump],
+    what: str,
+) -> tuple[FloatArray, float]:
+    """Return the guard (ny + 1,) and the rms distance of the jumps from it."""
+    place = before[:, positions]
+    centre = place.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(place - centre, full_matrices=False)
+    if len(positions) > 1 and sizes[-2] < _SHARP * sizes[-1]:
+        raise FitError(
+            f"{what}: the jumps are all alike, so the guard cannot be told",
+            expected=f"places that scatter along the guard {_SHARP:g} times as much as across it",
+            got=f"{sizes[-2] / max(sizes[-1], 1e-300):.3g} times",
+            remedy="start from other states, or push harder",
+        )
+    guard = np.zeros(spec.ny + 1)
+    guard[positions] = axes[-1]
+    guard[-1] = -float(axes[-1] @ centre)
+    earlier = np.array([records[jump.record].y[max(jump.sample - 2, 0)] for jump in jumps])
+    if np.median(earlier @ guard[:-1] + guard[-1]) < 0.0:
+        guard = -guard
+    return guard, float(sizes[-1] / np.sqrt(len(place)))
+
+
+def _within(before: FloatArray, after: FloatArray, positions: npt.NDArray[np.intp]) -> FloatArray:
+    """Return the half-space (ny + 1,) of positions before a jump; all where those after it are no others."""
+    found = np.zeros(before.shape[1] + 1)
+    found[-1] = 1.0
+    apart = (before - after)[:, positions]
+    middle = apart.mean(axis=0)
+    if not np.linalg.norm(middle) > _SHARP * np.linalg.norm(apart.std(axis=0)):
+        return found
+    found[positions] = middle
+    found[-1] = -float(middle @ (0.5 * (before + after)[:, positions]).mean(axis=0))
+    return found
+
+
+def _reset(
+    before: FloatArray,
+    after: FloatArray,
+    positions: npt.NDArray[np.intp],
+    roles: npt.NDArray[np.intp],
+    size: FloatArray,
+) -> tuple[FloatArray, FloatArray, int]:
+    """Return the reset (ny, ny + 1), the rms of what it misses, and the rank of what determines it."""
+    ny = before.shape[1]
+    reset = np.zeros((ny, ny + 1))
+    # Only what scatters among the jumps tells anything: on the guard one position follows from the others.
+    centre, size = before.mean(axis=0), np.where(size > 0, size, 1.0)
+    scaled = np.hstack([(before - centre) / size, np.ones((len(before), 1))])
+    _, values, axes = np.linalg.svd(scaled, full_matrices=False)
+    kept = values > _TOLD * values[0]
+    for i in range(ny):
+        if i in positions:
+            reset[roles[i], i] = 1.0
+            continue
+        target = after[:, roles[i]] - after[:, roles[i]].mean()
+        theta = axes[kept].T @ ((axes[kept] @ (scaled.T @ target)) / values[kept] ** 2)
+        slopes = theta[:-1] / size
+        reset[roles[i], :-1] = slopes
+        reset[roles[i], -1] = after[:, roles[i]].mean() + theta[-1] - float(slopes @ centre)
+    missed = np.sqrt(np.mean((np.hstack([before, np.ones((len(before), 1))]) @ reset.T - after) ** 2, axis=0))
+    return reset, missed, int(kept.sum())

@@ -1,0 +1,181 @@
+"""Plants whose state jumps: instants, guard and reset against the truth, of engines that are not the identifier's."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.conformance.plants import check_plant
+from harness.errors import FitError, InputError, PlantError
+from harness.registry import create
+from harness.rng import Streams
+from harness.rollout import run
+from harness.scoring import equation_error, simulation_error
+from harness.scoring.regret import regret
+from harness.signals import Channel, PlantSpec, Trajectory
+from identifiers.hybrid.automaton import HybridAutomaton, HybridModel
+from identifiers.hybrid.jumps import find_jumps
+from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel
+from identifiers.online.leader import FollowTheLeader
+from plants.equations.compass_gait import CompassGait
+from plants.pymunk.bouncing_mass import PymunkBouncingMass
+
+SWAPS = (("stance", "swing"),)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+@functools.cache
+def bounces(noise: float) -> tuple[Trajectory, Trajectory]:
+    push = create("scenarios", "multisine", duration=20.0, amplitude=6.0, band=[0.1, 3.0], noise=noise)
+    plant, streams = create("plants", "bouncing-mass-pymunk"), Streams("bouncing-mass", "multisine", 0)
+    first, second = (run(plant, push, streams=streams, role=f"{role}/0") for role in ("estimation", "validation"))
+    return first, second
+
+
+@functools.cache
+def walks(count: int, seed: int, pushed: float = 0.6) -> list[Trajectory]:
+    """Return walks from states near the limit cycle, those that do not fall."""
+    plant, draw, found = CompassGait(), rng(seed), []
+    names = [channel.name for channel in plant.spec.states]
+    start = np.array([0.2187, -0.3234, -1.0918, -0.3772])
+    while len(found) < count:
+        spread = draw.normal(size=4) * np.array([0.02, 0.02, 0.06, 0.06]) * (pushed > 0)
+        rows = [plant.reset(rng=draw, x0=dict(zip(names, start + spread, strict=True)))]
+        u = np.repeat(draw.uniform(-pushed, pushed, size=35), 10)[:, None]
+        try:
+            rows += [plant.step(row) for row in u[:-1]]
+        except PlantError:  # the walker fell over
+            continue
+        found.append(Trajectory(0.01 * np.arange(350), u, np.array(rows), plant.spec))
+    return found
+
+
+def test_the_plants_keep_the_contract_and_the_impact_keeps_angular_momentum():
+    for plant in (PymunkBouncingMass, CompassGait):
+        assert [f"{one.name}: {one.reason}" for one in check_plant(plant) if not one.passed] == []
+    with pytest.raises(InputError, match="restitution"):
+        PymunkBouncingMass(restitution=1.2)
+    # Two strikes of the published limit cycle at 3 degrees, 0.734 s apart (Goswami et al. 1998, table).
+    (walk,) = walks(1, 0, pushed=0.0)
+    strikes = np.flatnonzero(np.abs(np.diff(walk.y[:, 0])) > 0.3)
+    assert np.diff(strikes) * 0.01 == pytest.approx(0.734, abs=0.01)
+    assert CompassGait().impact(np.array([-0.3234, 0.2187, -1.48, -1.78]))[:2].tolist() == [0.2187, -0.3234]
+
+
+@pytest.mark.parametrize(("noise", "within"), [(0.0, 1e-3), (1e-3, 5e-3)])
+def test_a_bouncing_mass_of_another_engine(noise, within):
+    data, held = bounces(noise)
+    model = HybridAutomaton().fit([data.measured()], rng=rng())
+    assert model.reset[1, 1] == pytest.approx(-0.8, abs=within)
+    assert model.guard[0] == 1.0
+    assert -model.guard[2] == pytest.approx(0.0, abs=within)
+    truth = (held.x[:-1, 1] < 0) & (held.x[1:, 1] > 0) & (held.x[:-1, 0] < 0.05)
+    found = model.jumps(np.hstack([held.x[:-1], held.u[:-1]]))
+    assert truth.sum() > 20
+    assert (truth & found).sum() / (truth | found).sum() > 0.9
+    assert "warning" not in model.notes
+    again = HybridModel.from_dict(model.to_dict())
+    assert again.reset.tolist() == model.reset.tolist()
+    if noise == 0.0:
+        pieces = PiecewiseAffine(starts=1).fit([data.measured()], rng=rng())
+        assert (equation_error(model, held).rms < 0.95 * equation_error(pieces, held).rms).all()
+        assert (simulation_error(model, held[:200]).nrmse < 0.2).all()
+
+
+def test_a_compass_gait_its_guard_and_its_impact():
+    recorded, plant = walks(8, 1), CompassGait()
+    model = HybridAutomaton(swaps=SWAPS, starts=1).fit([one.measured() for one in recorded], rng=rng())
+    assert model.guard / model.guard[0] == pytest.approx([1.0, 1.0, 0.0, 0.0, 2 * plant.slope], abs=5e-3)
+    strikes = [(one.y[k], one.y[k + 1]) for one in walks(2, 2) for k in np.flatnonzero(abs(np.diff(one.y[:, 0])) > 0.2)]
+    before = np.array([first for first, _ in strikes])
+    right = np.array([plant.impact(x) for x in before])
+    given = np.hstack([before, np.ones((len(before), 1))]) @ model.reset.T
+    assert np.abs(given - right)[:, :2].max() == 0.0, "the legs change names"
+    assert np.sqrt(np.mean((given - right)[:, 2:] ** 2, axis=0)) == pytest.approx([0.0, 0.0], abs=0.05)
+    for one in walks(2, 2):
+        truth = np.abs(np.diff(one.y[:, 0])) > 0.2
+        assert (model.jumps(np.hstack([one.y[:-1], one.u[:-1]])) == truth).all()
+
+
+def test_it_says_when_the_records_do_not_suffice():
+    noisy = [Trajectory(w.t, w.u, w.y + 1e-3 * rng().normal(size=w.y.shape), w.spec) for w in walks(2, 3, pushed=0.0)]
+    with pytest.raises(FitError, match="all alike"):  # the limit cycle strikes at one place only
+        HybridAutomaton(swaps=SWAPS, least_excitation=0.0).fit(noisy, rng=rng())
+    data, _ = bounces(0.0)
+    with pytest.raises(FitError, match="too few jumps"):
+        HybridAutomaton().fit([data.measured()[:200]], rng=rng())
+    assert "flow alone" in HybridAutomaton().fit([data.measured()[:34]], rng=rng()).notes["warning"]
+    blind = PlantSpec(data.spec.inputs, data.spec.outputs[:1], data.spec.sample_time)
+    with pytest.raises(FitError, match="rate"):
+        HybridAutomaton().fit([Trajectory(data.t, data.u, data.y[:, :1], blind)], rng=rng())
+    with pytest.raises(InputError, match="swaps"):
+        HybridAutomaton(swaps=(("z", "w"),)).fit([data.measured()], rng=rng())
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.3, 0.95), st.floats(5.0, 15.0), st.integers(0, 100))
+def test_a_ball_is_timed_exactly_whatever_its_bounce(restitution, gravity, seed):
+    """Ballistic flight in closed form: parabolas continue it exactly, so instants and both sides are exact."""
+    fall = rng(seed).uniform(0.31, 0.49)
+    v = gravity * fall
+    t = 0.01 * np.arange(80)
+    late = t > fall
+    z = np.where(late, restitution * v * (t - fall) - 0.5 * gravity * (t - fall) ** 2, 0.5 * gravity * (fall**2 - t**2))
+    rate = np.where(late, restitution * v - gravity * (t - fall), -gravity * t)
+    spec = PlantSpec((), (Channel("z", "m"), Channel("z_rate", "m/s")), 0.01)
+    record = Trajectory(t, np.zeros((80, 0)), np.stack([z, rate], axis=1), spec)
+    jumps = find_jumps([record], np.array([0]), np.array([0, 1]))
+    assert len(jumps) == 1
+    assert 0.01 * (jumps[0].sample + jumps[0].instant) == pytest.approx(fall, abs=1e-7)
+    assert jumps[0].after[1] / jumps[0].before[1] == pytest.approx(-restitution, abs=1e-6)
+
+
+def three_modes(samples: int, seed: int, noise: float = 0.02) -> tuple[Trajectory, np.ndarray]:
+    """Return the example of Bako, Boukharouba & Lecoeuche's kind: three affine modes in strips of the output."""
+    draw, y = rng(seed), np.zeros(samples)
+    u, modes = draw.uniform(-2, 2, samples), np.zeros(samples, dtype=int)
+    for k in range(samples - 1):
+        modes[k] = int(y[k] > -0.5) + int(y[k] > 0.5)
+        a, b, c = ((-0.6, 0.8, -0.9), (0.9, 0.6, 0.0), (-0.4, 0.3, 0.7))[modes[k]]
+        y[k + 1] = a * y[k] + b * u[k] + c + noise * draw.normal()
+    spec = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
+    return Trajectory(0.1 * np.arange(samples), u[:, None], y[:, None], spec), modes[:-1]
+
+
+@pytest.mark.parametrize("choose", ["held-out", "bic"])
+def test_the_number_of_modes_is_found(choose):
+    data, _ = three_modes(1500, 0)
+    model = PiecewiseAffine(modes=None, choose=choose, starts=3).fit([data], rng=rng())
+    assert len(model.coefficients) == 3
+    assert [row["modes"] for row in model.notes["criteria"]] == [1, 2, 3, 4, 5]
+    y = np.zeros_like(data.u)
+    for k in range(len(y) - 1):
+        y[k + 1] = 0.6 * y[k] + data.u[k] + 0.1 * rng(k).normal()
+    straight = Trajectory(data.t, data.u, y, data.spec)
+    assert len(PiecewiseAffine(modes=None, choose=choose, starts=1).fit([straight], rng=rng()).coefficients) == 1
+
+
+def test_a_tree_tells_the_modes_too_and_travels():
+    data, _ = three_modes(1500, 0)
+    held, modes = three_modes(800, 1)
+    tree = PiecewiseAffine(modes=3, guards="tree", starts=3).fit([data], rng=rng())
+    rows = np.hstack([held.y[:-1], held.u[:-1]])
+    assert (tree.mode(rows) == modes).mean() > 0.97
+    again = PiecewiseAffineModel.from_dict(tree.to_dict())
+    assert (again.mode(rows) == tree.mode(rows)).all()
+    with pytest.raises(InputError, match="guards"):
+        PiecewiseAffine(guards="forest").fit([data], rng=rng())  # type: ignore[arg-type]
+
+
+def test_online_its_average_regret_falls():
+    data, _ = three_modes(900, 2, noise=0.1)
+    online = FollowTheLeader("piecewise-affine", {"modes": 3, "starts": 2}, burn_in=60, growth=1.6)
+    early, late = (regret(online, [data[:n]], rng=rng(), points=0).average for n in (150, 900))
+    assert late < 0.5 * early
