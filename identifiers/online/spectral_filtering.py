@@ -1,0 +1,202 @@
+"""Spectral filtering: online prediction of a linear system with slow real poles, without identifying it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.protocols import Hindsight
+from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from identifiers.common.records import moving, real_signals
+
+__all__ = ["SpectralFiltering", "SpectralState", "wave_filters"]
+
+
+@functools.lru_cache(maxsize=16)
+def wave_filters(window: int, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the largest eigenvalues (k,) and eigenvectors (k, L) of the Hankel matrix ``2 / ((i+j)^3 - (i+j))``.
+
+    Impulse responses ``a^i (a - 1)`` of all real poles a in [0, 1] lie close to the span of a few of them (Hazan, Singh
+    & Zhang 2017, *NeurIPS* 30, sec. 4.1 and lemma E.2: the eigenvalues fall exponentially).
+
+    Examples
+    --------
+    >>> values, filters = wave_filters(50, 3)
+    >>> filters.shape, bool(values[0] > 5 * values[1])
+    ((3, 50), True)
+    """
+    from scipy.linalg import eigh
+
+    total = np.add.outer(np.arange(1.0, window + 1), np.arange(1.0, window + 1))
+    values, vectors = eigh(2.0 / (total**3 - total), subset_by_index=(window - count, window - 1))
+    values, vectors = np.maximum(values[::-1], 0.0), np.ascontiguousarray(vectors[:, ::-1].T)
+    values.flags.writeable = vectors.flags.writeable = False
+    return values, vectors
+
+
+class SpectralState(NamedTuple):
+    """What spectral filtering knows.
+
+    ``past`` (L, nu) inputs, the newest first; ``last`` (ny,) the last output; ``seen`` samples; ``squares`` (nu + ny,)
+    of the burn-in; ``weights`` (p, ny) of the scaled features; ``curvature`` (p, p), the inverse of their squares
+    summed (``newton``), or (1, 1), the largest square norm so far (``gradient``).
+    """
+
+    past: FloatArray
+    last: FloatArray
+    seen: int
+    squares: FloatArray
+    weights: FloatArray
+    curvature: FloatArray
+
+
+@dataclass(frozen=True)
+class SpectralFiltering:
+    """Predict from inputs convolved with fixed filters, linearly: a convex problem whatever the system's poles.
+
+    ``y[k+1] = M [sigma_j^(1/4) (phi_j * u)[k-1], u[k-1], u[k], y[k], 1]`` with the filters of :func:`wave_filters`
+    (Hazan, Singh & Zhang 2017, algorithm 1). M follows the gradient of each loss, as there, or online Newton steps,
+    whose regret grows as ln T (Hazan, Agarwal & Kale 2007, *Machine Learning* 69, sec. 3).
+
+    Parameters
+    ----------
+    filters : int
+        Number of filters k.
+    window : int
+        Samples that they reach back, L.
+    update_by : {"newton", "gradient"}
+    rate : float
+        Of ``gradient``: step in units of the largest square norm of the features, divided by the root of the number of
+        samples.
+    prior : float
+        Of ``newton``: weight of M = 0, in samples of unit size.
+    burn_in : int
+        Samples that only set the size of the signals, so that no unit decides; until then the last output is held.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> spec, rng = PlantSpec((Channel("u"),), (Channel("y"),), 1.0), np.random.default_rng(0)
+    >>> online = SpectralFiltering(filters=5, window=50)
+    >>> state, y = online.start(online.init(spec, rng=rng), np.zeros(1)), 0.0
+    >>> for u in rng.normal(size=(300, 1)):
+    ...     y = 0.95 * y + u[0]
+    ...     state = online.update(state, u, np.array([y]))
+    >>> bool(abs(online.predict(state, np.ones(1))[0] - (0.95 * y + 1.0)) < 0.05)
+    True
+    """
+
+    filters: int = 15
+    window: int = 150
+    update_by: Literal["newton", "gradient"] = "newton"
+    rate: float = 1.0
+    prior: float = 1e-3
+    burn_in: int = 20
+
+    def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> SpectralState:
+        """Return the state before any data."""
+        fine = self.update_by in ("newton", "gradient") and self.rate > 0 and self.prior > 0 and self.burn_in >= 1
+        if not fine or not 1 <= self.filters <= self.window:
+            raise FitError(
+                "spectral-filtering: options",
+                expected="1 <= filters <= window, update_by newton or gradient, rate > 0, prior > 0, burn_in >= 1",
+                got=f"filters={self.filters}, window={self.window}, update_by={self.update_by!r}, rate={self.rate}, "
+                f"prior={self.prior}, burn_in={self.burn_in}",
+                remedy="correct the options",
+            )
+        real_signals(spec, "spectral-filtering")
+        p = (self.filters + 2) * spec.nu + spec.ny + 1
+        curvature = np.eye(p) / self.prior if self.update_by == "newton" else np.zeros((1, 1))
+        return SpectralState(
+            np.zeros((self.window, spec.nu)),
+            np.zeros(spec.ny),
+            0,
+            np.zeros(spec.nu + spec.ny),
+            np.zeros((p, spec.ny)),
+            curvature,
+        )
+
+    def start(self, state: SpectralState, y: FloatArray) -> SpectralState:
+        """Return the state after the first output of a record; what was learned stays, the past does not."""
+        return state._replace(past=np.zeros_like(state.past), last=np.array(y, dtype=float))
+
+    def predict(self, state: SpectralState, u: FloatArray) -> FloatArray:
+        """Return the output (ny,) that ``u`` leads to; the last output during the burn-in."""
+        if state.seen < self.burn_in:
+            return state.last.copy()
+        size = self._size(state.squares)
+        guess: FloatArray = self._features(state, u, size) @ state.weights * size[len(u) :]
+        return guess
+
+    def update(self, state: SpectralState, u: FloatArray, y: FloatArray) -> SpectralState:
+        """Return the state after ``u`` led to ``y``."""
+        u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+        squares, weights, curvature = state.squares, state.weights, state.curvature
+        if state.seen < self.burn_in:
+            squares = squares + np.concatenate([u, y]) ** 2
+        else:
+            size = self._size(squares)
+            x = self._features(state, u, size)
+            wrong = y / size[len(u) :] - x @ weights
+            if self.update_by == "newton":
+                gain = curvature @ x
+                gain /= 1.0 + x @ gain
+                curvature = curvature - np.outer(gain, x @ curvature)
+                weights = weights + np.outer(gain, wrong)
+            else:
+                curvature = np.maximum(curvature, x @ x)
+                step = self.rate / (curvature[0, 0] * np.sqrt(state.seen - self.burn_in + 1.0))
+                weights = weights + step * np.outer(x, wrong)
+        past = np.vstack([u[None], state.past[:-1]])
+        return SpectralState(past, y.copy(), state.seen + 1, squares, weights, curvature)
+
+    def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
+        """Return the losses of the best fixed M (least squares), with the same held predictions in the burn-in."""
+        spec = trajectories[0].spec
+        moving(trajectories, "spectral-filtering")
+        state = self.init(spec, rng=np.random.default_rng(0))
+        rows, held = [], []
+        for record in trajectories:
+            state = self.start(state, record.y[0])
+            for u, y in zip(record.u[:-1], record.y[1:], strict=True):
+                size = self._size(state.squares) if state.seen >= self.burn_in else np.ones(spec.nu + spec.ny)
+                rows.append(self._features(state, u, size))
+                held.append(state.last)
+                past = np.vstack([u[None], state.past[:-1]])
+                squares = state.squares + (state.seen < self.burn_in) * np.concatenate([u, y]) ** 2
+                state = state._replace(past=past, last=y, seen=state.seen + 1, squares=squares)
+        targets = np.concatenate([record.y[1:] for record in trajectories])
+        guesses = np.array(held)
+        late = slice(self.burn_in, None)
+        if len(targets) <= self.burn_in:
+            raise FitError(
+                "spectral-filtering: nothing predicted",
+                expected=f"more than {self.burn_in} samples",
+                got=str(len(targets)),
+                remedy="record longer, or lower burn_in",
+            )
+        x = np.array(rows)[late]
+        best = np.linalg.lstsq(x, targets[late], rcond=1e-13)[0]
+        guesses[late] = x @ best
+        each = residual(spec.outputs, targets, guesses) ** 2
+        exact = all(channel.period is None for channel in spec.outputs)
+        return Hindsight(each.sum(axis=1), exact=exact, details={"burn_in": self.burn_in}, per_output=each)
+
+    def _size(self, squares: FloatArray) -> FloatArray:
+        """Return the size (nu + ny,) of the signals in the burn-in."""
+        size = np.sqrt(squares / self.burn_in)
+        return np.where(size > 0, size, 1.0)
+
+    def _features(self, state: SpectralState, u: FloatArray, size: FloatArray) -> FloatArray:
+        """Return the scaled features (p,) of the next output."""
+        values, filters = wave_filters(self.window, self.filters)
+        nu = len(u)
+        waves = (values**0.25)[:, None] * (filters @ (state.past / size[:nu]))
+        return np.concatenate(
+            [waves.ravel(), state.past[0] / size[:nu], u / size[:nu], state.last / size[nu:], np.ones(1)]
+        )
