@@ -1,0 +1,5 @@
+"""Block-structured models: linear dynamics around a static curve.
+
+May import ``identifiers.common`` and ``identifiers.linear``, whose models they start from. A new structure is a file of
+its own, named by its method.
+"""

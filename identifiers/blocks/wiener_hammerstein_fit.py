@@ -1,0 +1,223 @@
+"""How a Wiener-Hammerstein model is fitted: from the best linear approximation, its poles and zeros shared out."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from harness.models.damped import Damping, damped_descent
+from harness.signals import FloatArray
+from identifiers.blocks.curve import Knots
+
+__all__ = ["Blocks", "descended", "shared_out"]
+
+RADIUS = 0.9995
+"""No pole may lie further out."""
+_PROBE, _DEGREE, _MOST = 8000, 5, 4096
+"""Samples and degree of the polynomial by which ways to share out are compared, and how many of these at most."""
+_RARE = 1e-3
+"""Share of the samples beyond either end of the knots: fewer would not tell how the curve goes on."""
+_KEPT = 4
+"""Ways that are fitted further."""
+Pair = tuple[FloatArray, FloatArray]
+"""Input and output (N,) of a record, scaled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """``x = B1/A1 u``, ``w = f(x)``, ``y = B2/A2 w``; A1 and A2 begin with 1.
+
+    Parameters
+    ----------
+    b1, a1, b2, a2 : array
+        Polynomials in the delay.
+    curve : array (count,)
+        Coefficients of f over the knots.
+    knots : Knots
+    """
+
+    b1: FloatArray
+    a1: FloatArray
+    b2: FloatArray
+    a2: FloatArray
+    curve: FloatArray
+    knots: Knots
+
+    def outputs(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return x, w and y (N,) from rest."""
+        x = lfilter(self.b1, self.a1, u)
+        w = self.knots.values(self.curve, x)
+        return x, w, lfilter(self.b2, self.a2, w)
+
+    def stable(self) -> bool:
+        """Return True if every pole is within :data:`RADIUS`."""
+        return all(np.abs(np.roots(a)).max(initial=0.0) < RADIUS for a in (self.a1, self.a2))
+
+    def gradients(self, u: FloatArray, first: int) -> tuple[FloatArray, FloatArray]:
+        """Return y (N,) and its derivatives (N, p) by b1, a1, b2 from ``first`` on, a2 and the curve."""
+        x, w, y = self.outputs(u)
+        slope = self.knots.slopes(self.curve, x)
+        front = [*_delayed(lfilter([1.0], self.a1, u), range(len(self.b1)))]
+        front += [-one for one in _delayed(lfilter([1.0], self.a1, x), range(1, len(self.a1)))]
+        inner = [slope * one for one in front] + list(self.knots.basis(x).T)
+        through = lfilter(self.b2, self.a2, np.array(inner), axis=-1)
+        back = [*_delayed(lfilter([1.0], self.a2, w), range(first, len(self.b2)))]
+        back += [-one for one in _delayed(lfilter([1.0], self.a2, y), range(1, len(self.a2)))]
+        return y, np.column_stack([*through[: len(front)], *back, *through[len(front) :]])
+
+    def moved(self, by: FloatArray, first: int) -> Blocks:
+        """Return the blocks with their parameters changed."""
+        sizes = (len(self.b1), len(self.a1) - 1, len(self.b2) - first, len(self.a2) - 1, len(self.curve))
+        b1, a1, b2, a2, curve = np.split(by, np.cumsum(sizes)[:-1])
+        return Blocks(
+            self.b1 + b1,
+            np.concatenate([[1.0], self.a1[1:] + a1]),
+            np.concatenate([np.zeros(first), self.b2[first:] + b2]),
+            np.concatenate([[1.0], self.a2[1:] + a2]),
+            self.curve + curve,
+            self.knots,
+        )
+
+
+def shared_out(b: FloatArray, f: FloatArray, records: Sequence[Pair], count: int, first: int) -> list[Blocks]:
+    """Return blocks to start from: the poles and zeros of a linear model B/F shared out in the best few ways.
+
+    Each way is judged by a polynomial between the blocks, fitted by least squares (Sjoberg & Schoukens 2012,
+    *Initializing Wiener-Hammerstein models based on partitioning of the best linear approximation*, Automatica 48, with
+    the curve fitted for every way instead of after a scan).
+
+    Parameters
+    ----------
+    b, f : array
+        Polynomials in the delay; ``b`` without its first ``first`` coefficients, which are 0.
+    records : sequence of (u, y)
+    count : int
+        Basis functions of the curve.
+    first : int
+        Samples by which the output lags the input at least, 0 or 1; the back block carries them.
+    """
+    pairs = [(u[:_PROBE], y[:_PROBE]) for u, y in records]
+    judged: list[tuple[float, int, Pair, Pair]] = []
+    for front, back in itertools.islice(_ways(b, f, first), _MOST):
+        error = _polynomial_error(front, back, pairs)
+        if np.isfinite(error):
+            judged.append((error, len(judged), front, back))
+    judged.sort(key=lambda one: one[:2])
+    return [_started(front, back, records, count) for _, _, front, back in judged[:_KEPT]]
+
+
+def descended(start: Blocks, records: Sequence[Pair], first: int, rounds: int) -> tuple[Blocks, float]:
+    """Return the blocks from which no damped step lowers the free-run error, and its root mean square."""
+
+    def errors(blocks: Blocks) -> float:
+        if not blocks.stable():
+            return np.inf
+        with np.errstate(over="ignore", invalid="ignore"):
+            parts = [np.mean(_settled(y - blocks.outputs(u)[2]) ** 2) for u, y in records]
+        cost = float(np.mean(parts))
+        return cost if np.isfinite(cost) else np.inf
+
+    def normal(blocks: Blocks) -> tuple[FloatArray, FloatArray] | None:
+        parts = []
+        for u, y in records:
+            modelled, columns = blocks.gradients(u, first)
+            rows = _settled(columns)
+            parts.append((rows.T @ rows / len(rows), rows.T @ _settled(y - modelled) / len(rows)))
+        return sum(one for one, _ in parts), sum(one for _, one in parts)  # type: ignore[return-value]
+
+    def step(blocks: Blocks, system: tuple[FloatArray, FloatArray], damp: float) -> Blocks:
+        gram, right = system
+        size = np.diag(gram)
+        ridge = np.diag(damp * np.maximum(size, 1e-12 * size.max()))
+        return blocks.moved(np.asarray(np.linalg.solve(gram + ridge, right), dtype=np.float64), first)
+
+    found = damped_descent(start, errors, normal, step, Damping(start=1e-4, enough=1e-8, rounds=rounds, most=1e8))
+    return found, float(np.sqrt(errors(found)))
+
+
+def _settled(values: FloatArray) -> FloatArray:
+    """Return what comes after the start of a record, whose state nobody knows."""
+    return values[min(len(values) // 8, 1000) :]
+
+
+def _delayed(values: FloatArray, delays: Sequence[int]) -> Iterator[FloatArray]:
+    """Yield a signal delayed by some samples."""
+    for delay in delays:
+        yield np.concatenate([np.zeros(delay), values[: len(values) - delay]])
+
+
+def _ways(b: FloatArray, f: FloatArray, first: int) -> Iterator[tuple[Pair, Pair]]:
+    """Yield front (b, a) and back (b, a) for every way to share out, neither with more zeros than poles.
+
+    Equal real poles of two blocks show in a linear model as a complex pair, so pairs are taken apart as well.
+    """
+    roots, zeros = np.roots(f), _groups(np.roots(b))
+    apart = np.clip(np.real(roots) + np.imag(roots), -(RADIUS**2), RADIUS**2)
+    yield from _shares(_groups(roots), zeros, first)
+    if np.any(np.imag(roots)):
+        yield from _shares(_groups(apart), zeros, first)
+
+
+def _shares(poles: list[list[complex]], zeros: list[list[complex]], first: int) -> Iterator[tuple[Pair, Pair]]:
+    """Yield the ways to share out groups of poles and zeros."""
+    for chosen in itertools.product((False, True), repeat=len(poles)):
+        a1, a2 = _polynomial(poles, chosen), _polynomial(poles, [not one for one in chosen])
+        for of_zeros in itertools.product((False, True), repeat=len(zeros)):
+            b1, b2 = _polynomial(zeros, of_zeros), _polynomial(zeros, [not one for one in of_zeros])
+            if len(b1) <= len(a1) and len(b2) + first <= max(len(a2), 1 + first):
+                yield (b1, a1), (np.concatenate([np.zeros(first), b2]), a2)
+
+
+def _groups(roots: Any) -> list[list[complex]]:
+    """Return real roots alone and complex ones with their conjugates."""
+    found: list[list[complex]] = []
+    for root in sorted(map(complex, roots), key=lambda one: (one.real, abs(one.imag))):
+        if abs(root.imag) < 1e-9 * max(abs(root), 1e-9):
+            found.append([root.real])
+        elif root.imag > 0:
+            found.append([root, root.conjugate()])
+    return found
+
+
+def _polynomial(groups: Sequence[Sequence[complex]], chosen: Sequence[bool]) -> FloatArray:
+    """Return the polynomial in the delay with some groups of roots."""
+    roots = [root for group, take in zip(groups, chosen, strict=True) if take for root in group]
+    return np.real(np.poly(roots)) if roots else np.ones(1)
+
+
+def _polynomial_error(front: Pair, back: Pair, records: Sequence[Pair]) -> float:
+    """Return the relative error of a polynomial between two blocks."""
+    total = []
+    for u, y in records:
+        x = lfilter(*front, u)
+        size = float(x.std())
+        if not (np.isfinite(size) and size > 0.0):
+            return np.inf
+        powers = np.power.outer(np.clip(x / size, -8.0, 8.0), np.arange(_DEGREE + 1)).T
+        columns = _settled(lfilter(*back, powers, axis=-1).T)
+        if not np.isfinite(columns).all():
+            return np.inf
+        wrong = _settled(y) - columns @ np.linalg.lstsq(columns, _settled(y))[0]
+        total.append(float(np.mean(wrong**2)))
+    return float(np.mean(total))
+
+
+def _started(front: Pair, back: Pair, records: Sequence[Pair], count: int) -> Blocks:
+    """Return blocks whose inner signal has unit size, with the curve of least squares over their knots."""
+    inner = np.concatenate([lfilter(*front, u) for u, _ in records])
+    size = float(inner.std())
+    low, high = np.quantile(inner, [_RARE, 1.0 - _RARE]) / size
+    knots = Knots(float(low), float(high), count)
+    blocks = Blocks(front[0] / size, front[1], back[0], back[1], np.zeros(count), knots)
+    gram, right = np.zeros((count, count)), np.zeros(count)
+    for u, y in records:
+        columns = _settled(lfilter(*back, knots.basis(lfilter(blocks.b1, blocks.a1, u)), axis=0))
+        gram += columns.T @ columns / len(columns)
+        right += columns.T @ _settled(y) / len(columns)
+    ridge = 1e-8 * np.trace(gram) / count * np.eye(count)
+    return replace(blocks, curve=np.linalg.solve(gram + ridge, right))

@@ -1,0 +1,104 @@
+"""Linear dynamics around a static curve: found again, its gradients exact, its state told by a window."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from harness.conformance import check_identifier
+from harness.errors import FitError
+from harness.scoring import simulation_error
+from harness.signals import Channel, PlantSpec, Trajectory
+from identifiers.blocks.curve import Knots
+from identifiers.blocks.wiener_hammerstein import WienerHammerstein, WienerHammersteinModel
+from identifiers.blocks.wiener_hammerstein_fit import Blocks
+
+SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
+CURVES = {"tanh": np.tanh, "bent": lambda x: 0.4 * x + np.tanh(2.0 * x), "diode": lambda x: np.maximum(x, -0.3)}
+
+
+def record(front: float, back: float, curve: str, seed: int, samples: int = 2500, noise: float = 0.0) -> Trajectory:
+    """Return a record of two first-order blocks around a curve."""
+    rng = np.random.default_rng(seed)
+    u = rng.uniform(-2.0, 2.0, samples)
+    inner = lfilter([np.sqrt(1.0 - front**2)], [1.0, -front], u)
+    y = 3.0 + lfilter([0.0, 1.0 - back], [1.0, -back], CURVES[curve](inner))
+    y = y + noise * y.std() * rng.normal(size=samples)
+    return Trajectory(np.arange(samples) * 0.1, u[:, None], y[:, None], SPEC)
+
+
+@settings(max_examples=6)
+@given(st.floats(0.3, 0.9), st.floats(0.3, 0.9), st.sampled_from(sorted(CURVES)), st.integers(0, 1000))
+def test_two_blocks_around_a_curve_are_found_again(front: float, back: float, curve: str, seed: int) -> None:
+    learn, test = (record(front, back, curve, seed + k, noise=0.01 * (1 - k)) for k in (0, 1))
+    model = WienerHammerstein(order=2, knots=14).fit([learn], rng=np.random.default_rng(0))
+    assert simulation_error(model, test).nrmse[0] < 0.02
+    assert model.std[0] == pytest.approx(0.01 * learn.y.std(), rel=0.3)
+
+
+@pytest.mark.parametrize(("front", "back", "ends"), [(0.0, 0.8, (0, 1)), (0.8, 0.0, (1, 0))])
+def test_hammerstein_and_wiener_models_are_among_them(front: float, back: float, ends: tuple[int, int]) -> None:
+    learn, test = (record(front, back, "tanh", seed) for seed in (0, 1))
+    model = WienerHammerstein(order=1, knots=14).fit([learn], rng=np.random.default_rng(0))
+    assert (model.notes["front"], model.notes["back"]) == ends
+    assert simulation_error(model, test).nrmse[0] < 0.01
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 1))
+def test_gradients_are_those_of_differences(seed: int, first: int) -> None:
+    rng = np.random.default_rng(seed)
+    poles = rng.uniform(-0.8, 0.8, (2, 2))
+    a1, a2 = (np.poly(one) for one in poles)
+    b2 = np.concatenate([np.zeros(first), rng.normal(size=3 - first)])
+    blocks = Blocks(rng.normal(size=3), a1, b2, a2, rng.normal(size=6), Knots(-1.0, 1.0, 6))
+    u = rng.normal(size=40)
+    _, columns = blocks.gradients(u, first)
+    assert columns.shape == (40, 3 + 2 + (3 - first) + 2 + 6)
+    for k in range(columns.shape[1]):
+        by = 1e-6 * np.eye(columns.shape[1])[k]
+        difference = (blocks.moved(by, first).outputs(u)[2] - blocks.moved(-by, first).outputs(u)[2]) / 2e-6
+        assert columns[:, k] == pytest.approx(difference, rel=1e-4, abs=1e-5 * (1.0 + np.abs(difference).max()))
+
+
+def test_the_state_is_told_by_a_window_and_kept_by_steps() -> None:
+    learn = record(0.8, 0.9, "tanh", 0)
+    model = WienerHammerstein(order=2).fit([learn], rng=np.random.default_rng(0))
+    again = WienerHammersteinModel.from_dict(model.to_dict())
+    late = learn[1500:1800]
+    x = again.initial_state(late[:50])
+    run = again.free_run(x[None], late.u[None])[0]
+    assert np.sqrt(np.mean((run - late.y) ** 2)) < 0.01 * late.y.std()
+    states = np.tile(x, (2, 1))
+    for k in range(20):
+        assert again.output(states, late.u[k]) == pytest.approx(np.tile(run[k], (2, 1)), abs=1e-12)
+        states = again.step(states, late.u[k])
+
+
+def test_beyond_its_knots_a_curve_is_straight() -> None:
+    knots = Knots(-1.0, 2.0, 8)
+    coefficients = np.random.default_rng(0).normal(size=8)
+    x = np.linspace(-4.0, 5.0, 91)
+    assert knots.basis(x) @ coefficients == pytest.approx(knots.values(coefficients, x))
+    assert np.diff(knots.values(coefficients, x[x <= -1.0]), 2) == pytest.approx(0.0, abs=1e-12)
+    slopes = (knots.values(coefficients, x + 1e-6) - knots.values(coefficients, x - 1e-6)) / 2e-6
+    assert knots.slopes(coefficients, x) == pytest.approx(slopes, abs=1e-5)
+
+
+def test_what_it_cannot_take_is_refused() -> None:
+    two = PlantSpec((Channel("u"), Channel("v")), SPEC.outputs, 0.1)
+    u = np.random.default_rng(0).normal(size=(500, 2))
+    with pytest.raises(FitError, match="one input, one output"):
+        WienerHammerstein().fit([Trajectory(np.arange(500) * 0.1, u, u[:, :1], two)], rng=np.random.default_rng(0))
+    with pytest.raises(FitError, match="knots at least 4"):
+        WienerHammerstein(knots=3).fit([record(0.5, 0.5, "tanh", 0)], rng=np.random.default_rng(0))
+    with pytest.raises(FitError, match="too short"):
+        WienerHammerstein().fit([record(0.5, 0.5, "tanh", 0)[:100]], rng=np.random.default_rng(0))
+
+
+@pytest.mark.slow  # 40 s
+def test_it_keeps_the_contract() -> None:
+    results = check_identifier(WienerHammerstein, kinds=("pendulum",), examples=1)
+    assert [f"{one.name}: {one.reason}" for one in results if not one.passed] == []
