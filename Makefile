@@ -45,6 +45,7 @@ test: style
 # what takes long: whole loops on recordings, fleets, interrupts, plug-ins installed by pip
 nightly: $(READY)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
+	@$(BIN)/python lab/mutations.py
 
 bench: $(READY)
 	@for script in benchmarks/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
@@ -53,6 +54,7 @@ bench: $(READY)
 docs: $(READY)
 	$(BIN)/python docs/make_reference.py
 	$(BIN)/mkdocs build --quiet --strict
+	$(BIN)/python docs/check_site.py site
 	@echo "site: $(CURDIR)/site/index.html"
 
 clean:
