@@ -27,6 +27,17 @@ def test_every_name_is_there_and_lazy() -> None:
     assert done.stdout.splitlines() == ["[]", "[]"]
 
 
+def test_rooms_are_imported_without_what_only_some_of_their_work_needs() -> None:
+    rooms = "benchmark, comparison, conformance, cosim, data, effects, export, fleet, modal, physics, scoring, vetting"
+    code = (
+        f"import sys; from harness import {rooms}; from harness.data import load_dataset, write_trajectory;"
+        "heavy = {'casadi', 'control', 'fmpy', 'lxml', 'matplotlib', 'pandas', 'pyarrow', 'scipy', 'sympy'};"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_a_session_reads_as_a_person_would_write_it() -> None:
     record = harness.simulate("pendulum-ode", scenario="multisine", scenario_options={"duration": 4.0, "noise": 1e-3})
     fitted = harness.identify(record.measured(), model="pendulum", identifier="lumped-momentum")
