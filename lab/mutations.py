@@ -5,8 +5,9 @@
 A fault is another comparison, sign, product, junction or number (DeMillo, Lipton & Sayward 1978, *Computer* 11(4):34);
 which of them are planted depends on the seed alone. Works in a temporary copy of the tree. The tests of a room run
 once with a tracer, which knows the lines that each test reaches; a fault is then held against the tests that reach its
-line, the quickest first. ``lab/planted_faults.py`` plants faults in the diagnosis that somebody has thought of. Results
-are JSON lines (``--out``); those of a fault whose file is as it was are not made anew.
+line, the quickest first, or, where none does in its own process, against the longest. Results are JSON lines
+(``--out``); a fault that was noticed and whose file is as it was is not planted again. ``lab/planted_faults.py`` plants
+faults in the diagnosis that somebody has thought of.
 """
 
 from __future__ import annotations
@@ -183,10 +184,11 @@ def tried(one: Mutation, folder: Path, reached: Mapping[str, set[tuple[str, int]
     near = [name for name, own in reached.items() if own & lines]
     if not near and not one.inside:  # it runs when the file is imported
         near = [name for name, own in reached.items() if any(file == one.file for file, _ in own)]
-    if not near:
-        return {"result": "not reached", "by": ""}
-    picked, time = [], 0.0
-    for name in sorted(near, key=lambda name: lasted[name]):
+    slow = not near  # perhaps a worker process of one of the longer tests reaches it, which nothing traces
+    near = near or [name for name in reached if name.startswith("tests/")]
+    picked: list[str] = []
+    time = 0.0
+    for name in sorted(near, key=lambda name: -lasted[name] if slow else lasted[name]):
         time += lasted[name]
         if picked and time > SECONDS:
             break
@@ -198,7 +200,9 @@ def tried(one: Mutation, folder: Path, reached: Mapping[str, set[tuple[str, int]
         code, line = run_tests(folder, picked)
     finally:
         path.write_bytes(sound)
-    return {"result": "unnoticed" if code == 0 else "noticed", "by": line if code != 0 else f"{len(picked)} tests"}
+    if code != 0:
+        return {"result": "noticed", "by": line}
+    return {"result": "not reached" if slow else "unnoticed", "by": f"{len(picked)} tests"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
