@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +26,19 @@ __all__ = [
 ]
 
 
+SEAMS = "equations with a missing reading are left out"
+"""What most fits do about missing readings."""
+
 # Numbers of a block of regressors: 0.8 MB, which stays in a processor's second-level cache.
 _CACHE = 100_000
 
 
-def usable(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> tuple[list[Trajectory], PlantSpec]:
+def usable(
+    trajectories: Sequence[Trajectory], *, samples: int, what: str, holes: Literal["seams", "kept"] = "seams"
+) -> tuple[list[Trajectory], PlantSpec]:
     """Return the records long enough to be used, and their common spec.
+
+    What stands where a reading is missing is never taken for one: a hole ends a record.
 
     Parameters
     ----------
@@ -39,6 +47,8 @@ def usable(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> tu
         Least number of samples of a record; shorter ones are left out.
     what : str
         Name of the identifier, for messages.
+    holes : {"seams", "kept"}
+        ``"kept"`` for a fit that passes over missing readings itself.
 
     Raises
     ------
@@ -64,7 +74,7 @@ def usable(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> tu
             got=f"{max(map(len, trajectories))}",
             remedy="record longer, or lower the order",
         )
-    return long_enough, spec
+    return long_enough if holes == "kept" else without_holes(long_enough, samples=samples, what=what), spec
 
 
 def without_holes(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> list[Trajectory]:
@@ -137,23 +147,23 @@ def filled(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
 
 
 def missing_notes(
-    trajectories: Sequence[Trajectory], how: str, used: Sequence[Trajectory] | None = None
-) -> dict[str, object]:
+    trajectories: Sequence[Trajectory], used: Sequence[Trajectory] | None = None, how: str = SEAMS
+) -> dict[str, Any]:
     """Return the notes of a model on missing readings; empty where none is.
 
     Parameters
     ----------
     trajectories : sequence of Trajectory
         As they were given.
-    how : str
-        What the fit did about them.
     used : sequence of Trajectory, optional
         Stretches that were used, where not all samples were.
+    how : str
+        What the fit did about them.
     """
     gone = sum(0 if record.missing is None else int(record.missing.sum()) for record in trajectories)
     if not gone:
         return {}
-    said: dict[str, object] = {"readings": gone, "how": how}
+    said: dict[str, Any] = {"readings": gone, "how": how}
     if used is not None:
         said["samples_left_out"] = sum(map(len, trajectories)) - sum(map(len, used))
         said["stretches"] = len(used)

@@ -165,7 +165,7 @@ class FactoredCounting:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> FactoredModel:
         """Return the model; unvisited rows are counted in its notes."""
         what = "factored-counting"
-        records, spec = usable(trajectories, samples=2, what=what)
+        records, spec = usable(trajectories, samples=2, what=what, holes="kept")
         channels = (*spec.outputs, *spec.inputs)
         if any(channel.kind != "category" or not np.isfinite(channel.maximum) for channel in channels):
             raise FitError(

@@ -177,7 +177,7 @@ class HiddenMarkov:
             raise InputError("option method", expected="em or spectral", got=repr(self.method), remedy="correct it")
         if self.states is not None and self.states < 1:
             raise InputError("option states", expected="at least 1", got=str(self.states), remedy="correct it")
-        given, spec = usable(trajectories, samples=4, what=what)
+        given, spec = usable(trajectories, samples=4, what=what, holes="kept")
         actions, observations = _sizes(spec)
         records = [_record(record) for record in given]
         samples = sum(len(seen) for seen, _ in records)

@@ -194,7 +194,7 @@ class MdpCounting:
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> MdpModel:
         """Return the model; unvisited pairs stand in its notes."""
-        records, spec = usable(trajectories, samples=2, what="mdp-counting")
+        records, spec = usable(trajectories, samples=2, what="mdp-counting", holes="kept")
         counts = count_transitions(records)
         visits = counts.sum(axis=2)
         states = counts.shape[0]

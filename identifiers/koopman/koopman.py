@@ -23,7 +23,7 @@ from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.neighbours import LARGEST, coefficients_without, spread_of
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import lifted_estimate
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import missing_notes, moving, real_signals, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.stability import clip_eigenvalues, nearest_stable
 from identifiers.linear.arx import solution_notes
@@ -379,7 +379,7 @@ class Edmdc:
         size = solution.coefficients.shape[1]
         lifted_columns = Columns.lifted(size, spec)
         refuse_feedback(solution, lifted_columns, self.least_excitation, what, ridge=self.ridge)
-        theta, notes = solution.coefficients.T, solution_notes(solution)
+        theta, notes = solution.coefficients.T, {**solution_notes(solution), **missing_notes(trajectories, records)}
         if self.threshold > 0:
             theta, notes["terms"] = self._sparse(blocks, size + spec.nu, size)
         elif self.stable and (settled := _settled(solution, together.shape[1])) is not None:

@@ -19,7 +19,7 @@ from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import BIAS, LARGEST, coefficients_without, spread_of
 from identifiers.common.one_step_estimate import foretold_output, least_squares_estimate
-from identifiers.common.records import lagged, lagged_blocks, moving, real_signals, snapshot_sums, usable
+from identifiers.common.records import lagged, lagged_blocks, missing_notes, moving, real_signals, snapshot_sums, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import lively, sizes
 from identifiers.common.stability import nearest_stable, stable_lags
@@ -87,7 +87,7 @@ class Arx:
         if self.ridge == 0.0:
             refuse_feedback(solution, Columns(spec, order, delay), self.least_excitation, what)
         coefficients = _widened(solution.coefficients, spec, order, delay)
-        notes = {"order": order, "delay": delay, **ladder}
+        notes = {"order": order, "delay": delay, **ladder, **missing_notes(trajectories, records)}
         own = order * spec.ny
         estimate = None
         if self.ridge == 0.0 and delay == 1:

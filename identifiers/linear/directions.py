@@ -130,9 +130,9 @@ def _rows(records: Sequence[Trajectory]) -> tuple[FloatArray, FloatArray]:
     """Return outputs, and inputs and outputs of the samples around them, none across a seam."""
     now, around, left = [], [], CHECKED
     for record in records:
-        part = record[: min(len(record), left)]
-        if len(part) <= 2 * LAGS:
+        if min(len(record), left) <= 2 * LAGS:
             continue
+        part = record[:left]
         count = len(part) - 2 * LAGS
         now.append(part.y[LAGS : LAGS + count])
         blocks = [part.u[shift : shift + count] for shift in range(2 * LAGS + 1)]

@@ -19,7 +19,7 @@ from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.one_step_estimate import least_squares_estimate
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import missing_notes, moving, real_signals, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import Scaling, lively, noise_levels, sizes
 from identifiers.common.stability import clip_eigenvalues, nearest_stable, stable_lags
@@ -107,12 +107,13 @@ class Dmdc:
         moving(records, what)
         refuse_law(records, what, self.least_excitation)
         if self.rank is None:
-            return self._full(records, spec, what)
+            full = self._full(records, spec, what)
+            return replace(full, notes={**full.notes, **missing_notes(trajectories, records)})
         scaling = Scaling(np.ones(spec.nu), np.ones(spec.ny))
         if self.scale:
             scaling = Scaling(sizes([record.u for record in records]), noise_levels(records))
             records = [replace(record, u=record.u / scaling.inputs, y=record.y / scaling.outputs) for record in records]
-        rank, notes = self.rank, {}
+        rank, notes = self.rank, missing_notes(trajectories, records)
         if rank == "auto":
             rank, notes["rank_error"] = _best_rank(records, self.offset, what)
         if not 1 <= rank <= spec.ny:

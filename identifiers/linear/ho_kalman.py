@@ -21,7 +21,15 @@ from identifiers.common.filters import stationary_gain
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import coefficients_without, spread_of
 from identifiers.common.normal import scaled_equations, solved
-from identifiers.common.records import lagged_blocks, moving, real_signals, usable
+from identifiers.common.records import (
+    filled,
+    lagged_blocks,
+    missing_notes,
+    moving,
+    real_signals,
+    usable,
+    without_holes,
+)
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import Scaling, sizes
 from identifiers.common.stability import clip_eigenvalues
@@ -216,7 +224,8 @@ class HoKalman:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a balanced model; in innovation form with ``observer``, else in output-error form."""
         what = "ho-kalman"
-        records, spec = usable(trajectories, samples=3, what=what)
+        records, spec = usable(trajectories, samples=3, what=what, holes="kept")
+        records = filled(records)
         real_signals(spec, what)
         if spec.nu == 0:
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use dmdc for free motion")
@@ -229,11 +238,14 @@ class HoKalman:
                 got=f"markov={self.markov}, observer={self.observer}",
                 remedy="correct the options",
             )
+        if self.observer is not None:
+            records = without_holes(records, samples=self.observer + 2, what=what)
         moving(records, what)
         refuse_law(records, what, self.least_excitation)
         response = self._response(records, what)
         feedback = feedback_of(records)
-        notes: dict[str, Any] = {"residual_rms": response.rms.tolist(), "feedback_share": feedback.share}
+        said = missing_notes(trajectories, None if self.observer is None else records)
+        notes: dict[str, Any] = {"residual_rms": response.rms.tolist(), "feedback_share": feedback.share, **said}
         if feedback.found and self.observer is None:
             notes["warning"] = "past outputs foretell the input (feedback): the direct fit is biased; use observer"
         # Outputs count by their noise, inputs by their size: no unit decides on order and directions.
@@ -321,7 +333,7 @@ class HoKalman:
         decaying: Decaying | None = None
         loud = bool(np.all(rms > _QUIET * sizes([record.y for record in records])))
         if self.regularised and loud and self.markov * nu <= LARGEST:
-            windows, _ = usable(records, samples=self.markov + 1, what=what)
+            windows, _ = usable(records, samples=self.markov + 1, what=what, holes="kept")
             decaying = decaying_response(windows, self.markov, response, rms, offset=self.offset)
             response, level = decaying.response, decaying.level
         return _Response(response, np.zeros((self.markov, ny, 0)), level, rms, decaying)
@@ -356,6 +368,7 @@ class HoKalman:
         else:
             learn = [record[: 2 * len(record) // 3] for record in records]
             judge = [record[2 * len(record) // 3 :] for record in records]
+        judge = without_holes(judge, samples=1, what=what)
         errors: dict[str, float] = {}
         refused: FitError | None = None
         spec = records[0].spec

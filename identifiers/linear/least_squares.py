@@ -18,7 +18,7 @@ from identifiers.common.excitation import Columns, refuse_collinear, refuse_feed
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import GROUPS, along_covariance, spread_of
 from identifiers.common.one_step_estimate import jackknife_estimate, least_squares_estimate
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import missing_notes, moving, real_signals, usable
 from identifiers.common.regression import Solution
 from identifiers.common.scaling import sizes
 from identifiers.common.stability import clip_eigenvalues, nearest_stable
@@ -96,7 +96,11 @@ class StateLeastSquares:
         refuse_collinear(solution, columns, self.least_excitation, what)
         refuse_feedback(solution, columns, self.least_excitation, what)
         coefficients = self._coefficients(records, solution, what)
-        notes = {**solution_notes(solution), "method": self.method if self.method != "ls" else solution.method}
+        notes = {
+            **solution_notes(solution),
+            **missing_notes(trajectories, records),
+            "method": self.method if self.method != "ls" else solution.method,
+        }
         estimate = self._estimate(records, solution, coefficients, what)
         if self.stable and spectral_radius(coefficients[: spec.ny]) >= 1.0:
             notes["stabilized"] = True

@@ -25,11 +25,12 @@ def markov_parameters(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the impulse response of a finite-impulse-response model, by least squares.
 
-    ``y[k] = sum_{i=0}^{length-1} G[i] u[k-i] + c`` for k >= length - 1 of every record: no window crosses a seam. The
-    normal equations are block Toeplitz but for the ends of the records; they are summed by FFT correlations and the
-    ends are corrected exactly. Many unknowns are solved for by conjugate gradients with a circulant preconditioner
-    (Chan & Ng 1996, SIAM Review 38:427), the Toeplitz product by FFT; where the input does not excite all frequencies
-    evenly enough for that, by the dense equations.
+    ``y[k] = sum_{i=0}^{length-1} G[i] u[k-i] + c`` for k >= length - 1 of every record: no window crosses a seam, and
+    one whose output was not read is left out. The normal equations are block Toeplitz but for the ends of the records
+    and what is left out; they are summed by FFT correlations and corrected exactly. Many unknowns are solved for by
+    conjugate gradients with a circulant preconditioner (Chan & Ng 1996, SIAM Review 38:427), the Toeplitz product by
+    FFT; where the input does not excite all frequencies evenly enough for that, or readings are missing, by the dense
+    equations.
 
     Parameters
     ----------
@@ -49,10 +50,10 @@ def markov_parameters(
         If the records are too short or the input does not excite so many lags.
     """
     what = "ho-kalman"
-    records, spec = usable(trajectories, samples=length + 1, what=what)
+    records, spec = usable(trajectories, samples=length + 1, what=what, holes="kept")
     nu, ny = spec.nu, spec.ny
     size = length * nu + int(offset)
-    rows = sum(len(record) - length + 1 for record in records)
+    rows = sum(_windows(record, length) for record in records)
     if rows < size:
         raise FitError(
             f"{what}: fewer equations than Markov parameters",
@@ -60,7 +61,7 @@ def markov_parameters(
             got=str(rows),
             remedy="record longer, or ask for fewer Markov parameters",
         )
-    if size > _DENSE:
+    if size > _DENSE and all(record.missing is None for record in records):
         fast = _iterated(records, length, offset, rows)
         if fast is not None:
             return fast
@@ -98,7 +99,7 @@ def normal_equations(records: Sequence[Trajectory], length: int, *, offset: bool
     gram, right, square = np.zeros((size, size)), np.zeros((size, ny)), np.zeros(ny)
     for record in records:
         _accumulate(record, length, offset, gram, right, square)
-    return NormalEquations(gram, right, square, sum(len(record) - length + 1 for record in records))
+    return NormalEquations(gram, right, square, sum(_windows(record, length) for record in records))
 
 
 def sums_without(records: Sequence[Trajectory], length: int, *, offset: bool) -> list[NormalEquations]:
@@ -118,13 +119,15 @@ def sums_without(records: Sequence[Trajectory], length: int, *, offset: bool) ->
     size = length * nu + int(offset)
     parts = []
     for low, high in bounds:
-        gram, right, square, place = np.zeros((size, size)), np.zeros((size, ny)), np.zeros(ny), 0
+        gram, right, square, place, rows = np.zeros((size, size)), np.zeros((size, ny)), np.zeros(ny), 0, 0
         for record, count in zip(records, windows, strict=True):
             first, last = max(low - place, 0), min(high - place, count)
             if first < last:
-                _accumulate(record[first : last + length - 1], length, offset, gram, right, square)
+                part = record[first : last + length - 1]
+                _accumulate(part, length, offset, gram, right, square)
+                rows += _windows(part, length)
             place += count
-        parts.append(NormalEquations(gram, right, square, high - low))
+        parts.append(NormalEquations(gram, right, square, rows))
     if not parts or sum(windows) - max(part.rows for part in parts) < size:
         return []
     ones = np.ones(len(parts), dtype=int)
@@ -142,6 +145,10 @@ def _accumulate(
     u, y = record.u, record.y
     n, nu = u.shape
     m = length
+    gone = _unread(record, m)
+    if gone.size:
+        y = y.copy()
+        y[gone] = 0.0
     late = u[m - 1 :]
     first = _correlate(late, u, m)  # (m, nu, nu): sum_k u[k] u[k-j]'
     s = gram[: m * nu, : m * nu].reshape(m, nu, m, nu)
@@ -164,6 +171,21 @@ def _accumulate(
         gram[:-1, -1] += sums
         gram[-1, -1] += n - m + 1
         right[-1] += y[m - 1 :].sum(axis=0)
+    if gone.size:  # what the windows of missing readings added
+        rows = np.hstack([*(u[gone - j] for j in range(m)), *([np.ones((gone.size, 1))] if offset else [])])
+        gram -= rows.T @ rows
+
+
+def _unread(record: Trajectory, length: int) -> npt.NDArray[np.int_]:
+    """Return the last samples of windows in which some output was not read."""
+    if record.missing is None:
+        return np.zeros(0, dtype=int)
+    return np.flatnonzero(record.missing[length - 1 :].any(axis=1)) + length - 1
+
+
+def _windows(record: Trajectory, length: int) -> int:
+    """Return the number of windows in which all outputs were read."""
+    return len(record) - length + 1 - _unread(record, length).size
 
 
 def _correlate(late: FloatArray, u: FloatArray, m: int) -> FloatArray:

@@ -20,7 +20,7 @@ from identifiers.common.filters import stationary_gain
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.observers import innovation_form
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import missing_notes, moving, real_signals, usable
 from identifiers.common.ridge import ridge_by_cross_validation
 from identifiers.common.scaling import Scaling, scaled
 from identifiers.common.stability import clip_eigenvalues
@@ -41,6 +41,8 @@ _GAIN = 0.99
 _NEAR = 1.1
 PASTS = (12, 20, 30, 50)
 """Lengths of the past that are tried where none is given."""
+SHORTER = (8, 5, 3)
+"""Lengths that are tried where missing readings leave no stretch of that length."""
 # A longer past is taken only if it lowers the error by this much: it costs variance and time.
 _LONGER = 0.95
 # Stretches left out of a record, at most, and windows in one of them, at least, where there are several.
@@ -124,7 +126,7 @@ class Subspace:
         """Return the model in innovation form."""
         if self.past is not None:
             return self._finished(self._of_past(trajectories, self.past))
-        best = self._of_past(trajectories, PASTS[0])
+        best = self._first(trajectories)
         for past in PASTS[1:]:
             try:
                 longer = self._of_past(trajectories, past)
@@ -134,6 +136,16 @@ class Subspace:
                 break
             best = longer
         return self._finished(best)
+
+    def _first(self, trajectories: Sequence[Trajectory]) -> _Found:
+        """Return what the first length of the past finds; a shorter one where missing readings leave no such window."""
+        holes = any(record.missing is not None for record in trajectories)
+        for past in (PASTS[0], *SHORTER) if holes else PASTS[:1]:
+            try:
+                return self._of_past(trajectories, past)
+            except FitError as error:
+                refused = error
+        raise refused
 
     def _of_past(self, trajectories: Sequence[Trajectory], past: int) -> _Found:
         """Return what is found with one length of the past, of scaled records."""
@@ -184,7 +196,7 @@ class Subspace:
         feedback = feedback_of(records)
         if feedback.found:
             refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
-        return _Prepared(records, measured, directions, scaling, feedback)
+        return _Prepared(records, measured, directions, scaling, feedback, missing_notes(trajectories, measured))
 
     def _finished(self, found: _Found) -> LinearModel:
         """Return the model in the units of the channels, with its spread and its record."""
@@ -195,6 +207,7 @@ class Subspace:
             "order": order,
             "past": found.window,
             "fit_error": found.error,
+            **data.missing,
         }
         if self.order is None:
             notes["order_error"] = {str(size): error for size, error in found.ladder.items()}
@@ -323,6 +336,7 @@ class _Prepared:
     directions: Directions | None
     scaling: Scaling
     feedback: Feedback
+    missing: Mapping[str, Any]
 
     def in_units(self, model: LinearModel) -> LinearModel:
         """Return the model, and its neighbours, for the records as they were measured."""

@@ -114,11 +114,11 @@ class PredictionError:
                 got=f"structure={self.structure}, order={self.order}, delay={self.delay}, nk={self.nk}",
                 remedy="correct the options",
             )
-        records, spec = usable(trajectories, samples=4 * (self.order or 1) + 4, what=what)
+        records, spec = usable(trajectories, samples=4 * (self.order or 1) + 4, what=what, holes="kept")
         real_signals(spec, what)
         if spec.nu == 0:
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use dmdc for free motion")
-        said = missing_notes(records, "likelihood of the readings that there are")
+        said = missing_notes(records, how="likelihood of the readings that there are")
         records = filled(records)
         moving(records, what)
         refuse_undetermined(records, what, self.least_excitation)

@@ -155,7 +155,7 @@ class JointCalibration:
             If the signals are not readings and marker of the arm, or the pairs determine nothing.
         """
         what = "joint-calibration"
-        records, spec = usable(trajectories, samples=2, what=what)
+        records, spec = usable(trajectories, samples=2, what=what, holes="kept")
         real_signals(spec, what)
         x, y, z = (float(value) for value in self.marker)
         arm = marked(self.model, (x, y, z))

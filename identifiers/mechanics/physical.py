@@ -119,7 +119,7 @@ class PhysicalFit:
         FitError
             If there is nothing to learn from, or no model speaks like the records.
         """
-        records, spec = usable(trajectories, samples=10, what=what)
+        records, spec = usable(trajectories, samples=10, what=what, holes="kept")
         real_signals(spec, what)
         moving(records, what, inputs=False)
         recipe = recipe_for(spec, what, model=self.model, options=self.options, effects=tuple(self.effects))

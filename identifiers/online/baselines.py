@@ -67,7 +67,7 @@ class HoldLast:
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Model:
         """Return the model that holds its last output."""
-        _, spec = usable(trajectories, samples=1, what="hold")
+        _, spec = usable(trajectories, samples=1, what="hold", holes="kept")
         return HoldModel(spec)
 
 
@@ -94,7 +94,7 @@ class TrueModel:
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Model:
         """Return the plant as a model; the records only say which signals to expect."""
-        _, spec = usable(trajectories, samples=1, what="true-model")
+        _, spec = usable(trajectories, samples=1, what="true-model", holes="kept")
         plant = self.plant if isinstance(self.plant, Plant) else self.plant()
         if "truth" not in plant.abilities or not plant.spec.states:
             raise FitError(
