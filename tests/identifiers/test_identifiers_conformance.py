@@ -70,6 +70,9 @@ TESTED_ELSEWHERE = {
 ONLINE: list[tuple[str, dict[str, Any]]] = [
     ("rls", {}),
     ("rls", {"order": 1, "offset": False, "forgetting": 0.99}),
+    ("recursive-polynomial", {"structure": "arx", "order": 1}),
+    ("recursive-polynomial", {"order": 1, "forgetting": 0.99}),
+    ("recursive-polynomial", {"structure": "oe", "order": 1}),
     ("mdp-online", {}),
     ("spectral-filtering", {"filters": 5, "window": 40}),
     ("spectral-filtering", {"filters": 5, "window": 40, "update_by": "gradient"}),
