@@ -1431,6 +1431,8 @@ def analyse(
 
     _refuse_picture(out, force=force)
     made = cast(Analysis, registry.create("analyses", name, **dict(options or {})))
+    if made.takes == "data" and hasattr(made, "channels") and signals.get("output") is None:
+        signals = {**signals, **_channels(made, subject)}
     seen = _subject(made.takes, subject, dict(subject_options or {}), signals)
     try:
         found = made.of(seen, rng=stream("analysis", name, seed))
@@ -1440,6 +1442,19 @@ def analyse(
     if out is not None:
         _draw(found.plot, out)
     return found
+
+
+def _channels(analysis: Any, subject: Any) -> Signals:
+    """Return the columns of a bare table that an analysis names: those that it needs, and others that are there."""
+    from harness.data.tables.table import FORMATS, open_table, suffix_of
+
+    path = registry.dataset_path(subject)
+    if not isinstance(path, str | Path) or suffix_of(Path(path)) not in FORMATS:
+        return {}
+    needed, useful = analysis.channels()
+    table = open_table(Path(path), {})
+    there = [table.split(title)[0] for title in table.titles]
+    return {"input": "none", "output": [*needed, *(name for name in useful if name in there)]}
 
 
 def _subject(takes: Takes, subject: Any, more: dict[str, Any], signals: Signals) -> Any:

@@ -297,11 +297,15 @@ def _sensor_channels(model: Any, number: int, name: str) -> list[Channel]:
     size = int(model.sensor_dim[number])
     endings = AXES.get(size, tuple(f"_{k + 1}" for k in range(size)))
     unit = UNITS.get(kind, "1")
+    if kind == "CONTACT" and int(model.sensor_intprm[number][0]) == ONLY_FORCE:
+        unit = "N"
     if kind in OF_JOINTS:
         unit = _of_joint(model, kind, int(model.sensor_objid[number]))
     return [Channel(f"{name}{ending}", unit) for ending in endings]
 
 
+ONLY_FORCE = 1 << 1
+"""What a sensor of contacts reports, as bits (mjtConDataField): its force alone."""
 UNITS = {
     "TOUCH": "N",
     "ACCELEROMETER": "m/s^2",

@@ -35,6 +35,9 @@ def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
         "base-parameters",
         "mass-extents",
         "eigenfunctions",
+        "floating-inertial",
+        "contacts",
+        "parameter-trajectory",
     }
     assert all(listed.values())
     for entry in entries("analyses"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import re
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -36,11 +36,14 @@ class ArmRegressor:
     form : {"torque", "momentum", "energy", "pull"}
         Joint torques; generalized momenta dL/dv; kinetic plus potential energy (one row); or dL/dq, what drives the
         momenta beside the torques. Only the torques use the acceleration.
+    floating : bool
+        The frame that carries the first joints moves freely: six rows more, before the joints', of the force and the
+        moment on it, in its own axes and about its origin (torques only).
 
     Attributes
     ----------
     rows, columns : int
-        Joints that move (1 for the energy), and 10 for every body.
+        Joints that move (1 for the energy, 6 more of a floating base), and 10 for every body.
 
     Examples
     --------
@@ -51,10 +54,10 @@ class ArmRegressor:
     ((2, 10), True)
     """
 
-    def __init__(self, joints: Sequence[Joint], form: Form = "torque") -> None:
-        self.joints, self.form = tuple(joints), form
+    def __init__(self, joints: Sequence[Joint], form: Form = "torque", *, floating: bool = False) -> None:
+        self.joints, self.form, self.floating = tuple(joints), form, floating
         moving = [joint for joint in self.joints if joint.kind in MOVING]
-        arguments, matrix = symbolic_regressor(self.joints)
+        arguments, matrix = symbolic_regressor(self.joints, floating=floating)
         if form != "torque":
             matrix = _other_form(self.joints, form, arguments, matrix)
         self._n, (self.rows, self.columns) = len(moving), matrix.shape
@@ -68,14 +71,24 @@ class ArmRegressor:
         self._turning = np.array([joint.kind != "prismatic" for joint in moving])
 
     def __call__(
-        self, q: FloatArray, v: FloatArray, a: FloatArray, gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+        self,
+        q: FloatArray,
+        v: FloatArray,
+        a: FloatArray,
+        gravity: tuple[float, float, float] | FloatArray = (0.0, 0.0, -9.81),
+        spin: FloatArray | None = None,
+        turning: FloatArray | None = None,
     ) -> FloatArray:
-        """Return W (N * rows, columns), the rows of a sample together; of joint motions (N, n)."""
-        q, v, a = (np.asarray(values, dtype=float).reshape(-1, self._n) for values in (q, v, a))
+        """Return W (N * rows, columns), the rows of a sample together; of joint motions (N, n).
+
+        Of a floating base ``gravity`` (N, 3) is gravity minus the acceleration of its origin, and ``spin`` and
+        ``turning`` (N, 3) are its angular velocity and acceleration, all in its own axes.
+        """
+        q, v, a = (np.asarray(values, dtype=float).reshape(len(values), self._n) for values in (q, v, a))
         count = len(q)
         # calloc: entries that are always 0 are never touched
         found = np.zeros((count * self.rows, self.columns))
-        inputs = self._inputs(q, v, a, gravity)
+        inputs = self._inputs(q, v, a, gravity, spin, turning)
         if (library := self._library) is None:
             self._by_arrays(inputs, found, count)
             return found
@@ -115,20 +128,31 @@ class ArmRegressor:
         return gram, side, power
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return ArmRegressor, (self.joints, self.form)
+        return partial(ArmRegressor, floating=self.floating), (self.joints, self.form)
 
     # ---- inside --------------------------------------------------------------------------------------------------
 
-    def _inputs(self, q: FloatArray, v: FloatArray, a: FloatArray, gravity: tuple[float, ...]) -> FloatArray:
-        """Return the inputs (4 n + 3, N) of the generated code, padded to whole registers."""
+    def _inputs(
+        self,
+        q: FloatArray,
+        v: FloatArray,
+        a: FloatArray,
+        gravity: tuple[float, ...] | FloatArray,
+        spin: FloatArray | None,
+        turning: FloatArray | None,
+    ) -> FloatArray:
+        """Return the inputs (4 n + 3, N), 6 more of a floating base, of the generated code, in whole registers."""
         count = len(q)
         padded = -(-max(count, 1) // LANES) * LANES
         n = self._n
-        inputs = np.zeros((4 * n + 3, padded))
+        inputs = np.zeros((self._entries.size1_in(0), padded))
         inputs[:n, :count] = np.where(self._turning, np.sin(q), q).T
         inputs[n : 2 * n, :count] = np.where(self._turning, np.cos(q), 1.0).T
         inputs[2 * n : 3 * n, :count], inputs[3 * n : 4 * n, :count] = v.T, a.T
-        inputs[4 * n :] = np.asarray(gravity, dtype=float)[:, None]
+        inputs[4 * n : 4 * n + 3, :count] = np.broadcast_to(np.asarray(gravity, dtype=float), (count, 3)).T
+        for place, moved in enumerate((spin, turning)):
+            if self.floating and moved is not None:
+                inputs[4 * n + 3 + 3 * place : 4 * n + 6 + 3 * place, :count] = np.asarray(moved, dtype=float).T
         return inputs
 
     @cached_property
@@ -139,7 +163,7 @@ class ArmRegressor:
         spread = ", ".join([r"\2"] * LANES)
         text = re.sub(r"^(\s*w\d+ = )(-?[\d.]+(?:e[+-]?\d+)?);$", rf"\1(lanes){{{spread}}};", text, flags=re.MULTILINE)
         source = _FRAME.format(
-            bytes=8 * LANES, lanes=LANES, function=text, inputs=4 * self._n + 3, entries=len(self._places),
+            bytes=8 * LANES, lanes=LANES, function=text, inputs=self._entries.size1_in(0), entries=len(self._places),
             size=self.rows * self.columns,
         )  # fmt: skip
         return Compilation(source).library()
@@ -154,8 +178,10 @@ class ArmRegressor:
             flat[part, self._places] = function(np.ascontiguousarray(inputs[:, part].T))[0]
 
 
-def symbolic_regressor(joints: Sequence[Joint]) -> tuple[list[Any], Any]:
+def symbolic_regressor(joints: Sequence[Joint], *, floating: bool = False) -> tuple[list[Any], Any]:
     """Return the symbols (sin q or q, cos q, v, a, gravity) and the regressor (n, 10 * bodies), a sparse CasADi SX.
+
+    Of a floating base the symbols go on with its angular velocity and acceleration, and six rows come first.
 
     Newton-Euler in the bodies' own frames, projected on the motion that each joint gives to each body behind it
     (Atkeson, An & Hollerbach 1986, Int. J. Robotics Res. 5(3):101, eq. 10-20).
@@ -164,6 +190,8 @@ def symbolic_regressor(joints: Sequence[Joint]) -> tuple[list[Any], Any]:
     ----------
     joints : sequence of Joint
         Parents before children.
+    floating : bool
+        See :class:`ArmRegressor`.
     """
     import casadi as ca
 
@@ -172,8 +200,16 @@ def symbolic_regressor(joints: Sequence[Joint]) -> tuple[list[Any], Any]:
     gravity = ca.SX.sym("g", 3)
     zero = ca.SX.zeros(3)
     base: tuple[Any, Any, Any, dict[int, tuple[Any, Any]]] = (zero, zero, -gravity, {})
+    arguments, first = [sine, cosine, v, a, gravity], 0
+    if floating:
+        turns, first = (ca.SX.sym("w", 3), ca.SX.sym("dw", 3)), 6
+        units = [ca.SX(unit) for unit in np.eye(3)]
+        moved = {k: (zero, unit) for k, unit in enumerate(units)} | {
+            3 + k: (unit, zero) for k, unit in enumerate(units)
+        }
+        base, arguments = (*turns, -gravity, moved), [*arguments, *turns]
     bodies: list[tuple[Any, Any, Any, dict[int, tuple[Any, Any]]]] = []
-    matrix = ca.SX(n, 10 * len(joints))
+    matrix = ca.SX(first + n, 10 * len(joints))
     index = 0
     for number, joint in enumerate(joints):
         spin, turning, pull, motions = base if joint.parent < 0 else bodies[joint.parent]
@@ -191,16 +227,16 @@ def symbolic_regressor(joints: Sequence[Joint]) -> tuple[list[Any], Any]:
         spin, turning, pull = (ca.mtimes(pose.T, vector) for vector in (spin, turning, pull))
         if joint.kind == "prismatic":
             pull = pull + axis * a[index] + 2 * ca.cross(spin, axis * v[index])
-            own[index] = (zero, axis)
+            own[first + index] = (zero, axis)
         elif moves:
             turning = turning + axis * a[index] + ca.cross(spin, axis * v[index])
             spin = spin + axis * v[index]
-            own[index] = (axis, zero)
+            own[first + index] = (axis, zero)
         index += moves
         bodies.append((spin, turning, pull, own))
         for j, (angular, linear) in own.items():
             matrix[j, 10 * number : 10 * number + 10] = _ten(angular, linear, spin, turning, pull).T
-    return [sine, cosine, v, a, gravity], ca.sparsify(ca.simplify(matrix))
+    return arguments, ca.sparsify(ca.simplify(matrix))
 
 
 def _other_form(joints: Sequence[Joint], form: Form, arguments: list[Any], torque: Any) -> Any:
