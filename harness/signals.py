@@ -344,6 +344,9 @@ class Dataset:
         How the input moves between samples.
     noise : dict
         Known standard deviation of the sensor of an output, by output name, in its SI unit.
+    resolution : dict
+        Step of the grid on which the readings of an output lay when they were recorded, by output name, in its SI unit;
+        those that still lie on it tell it themselves (:func:`harness.resolution.resolution`).
     warnings : tuple of str
         What the reader noticed and the user should know.
     oddities : tuple of Oddity or None
@@ -363,6 +366,7 @@ class Dataset:
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
     noise: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    resolution: dict[str, float] = field(default_factory=dict)
     oddities: tuple[Oddity, ...] | None = None
 
     def __post_init__(self) -> None:

@@ -28,9 +28,10 @@ def write_atomic(path: Path, text: str) -> None:
 
 
 def data_fingerprint(dataset: Dataset) -> str:
-    """Return a hash of the data: of all runs, their use, units, noise and what the input does between samples."""
-    runs = [(run.use, run.trajectory.t, run.trajectory.u, run.trajectory.y) for run in dataset]
-    return fingerprint(runs, str(dataset.spec), dataset.intersample, dict(dataset.noise))
+    """Return a hash of the data: of all runs and what is missing in them, units, noise, resolution and the hold."""
+    runs = [(run.use, run.trajectory.t, run.trajectory.u, run.trajectory.readings) for run in dataset]
+    known = dict(dataset.noise), dict(dataset.resolution)
+    return fingerprint(runs, str(dataset.spec), dataset.intersample, *known)
 
 
 class Store:

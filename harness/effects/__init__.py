@@ -7,10 +7,10 @@ from harness.effects.columns import ColumnBlock, column_blocks, motion_sizes, re
 from harness.effects.compose import compose, recommended_substeps
 from harness.effects.dictionary import Confusions, Dictionary, builtin, find
 from harness.effects.effect import Effect, EffectParameter, Placed, effect, par
-from harness.effects.laws.sensor import QuantisationTest, quantisation_test
 from harness.effects.places import fits, obstacle, place_all, port_of
 from harness.effects.sampled import DelayLine, delay, delay_slope, quantise
 from harness.effects.wrap import WrappedPlant
+from harness.resolution import QuantisationTest, quantisation_test
 
 __all__ = [
     "ColumnBlock",

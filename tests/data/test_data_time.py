@@ -256,3 +256,37 @@ def test_a_sample_time_that_is_written_once_is_no_clock(tmp_path: Path) -> None:
     assert sum(len(run.trajectory) for run in data) == 60
     with pytest.raises(InputError, match="no time stamp"):
         load_dataset(tmp_path / "log.csv", input=["u"], output=["y"])
+
+
+@given(st.integers(2, 7), st.integers(0, 5))
+def test_a_reading_counts_once_however_dense_the_grid_is(denser: int, seed: int) -> None:
+    """A record at 100 Hz brought to 200 to 700 Hz has as many readings as it had; the made-up ones count as missing."""
+    rough = TIME + 0.02 * DT * np.random.default_rng(seed).uniform(-1, 1, TIME.size)
+    (piece,), notes = pieces(rough, STILL, resample=ResampleSection(sample_time=DT / denser), intersample="foh")
+    assert piece.between is not None
+    known = ~piece.between[:, 1]
+    assert known.sum() == pytest.approx(TIME.size, abs=2)
+    grid = piece.start + np.arange(len(piece.values)) * piece.sample_time
+    for instant in grid[known][:-2]:  # the last row lies beyond the grid
+        assert np.abs(rough - instant).min() <= 0.5 * DT / denser + 1e-9, "beside a row"
+    assert not piece.between[:, 0].any(), "an input is known all along"
+    assert any("count as missing" in note for note in notes)
+
+
+def test_a_clock_that_wanders_loses_no_reading() -> None:
+    rough = TIME + 0.3 * DT * np.random.default_rng(1).uniform(-1, 1, TIME.size)
+    (piece,), _ = pieces(rough, STILL, resample=ResampleSection(sample_time=DT), intersample="foh")
+    assert piece.between is None or piece.between[:, 1].mean() < 0.05
+    (coarse,), _ = pieces(TIME, STILL, resample=ResampleSection(sample_time=2 * DT), intersample="foh")
+    assert coarse.between is None
+
+
+def test_what_is_brought_to_another_clock_keeps_the_resolution_of_its_readings(tmp_path: Path) -> None:
+    step = 0.01
+    rows = [f"{t:.6f},0,{round(np.sin(3 * t) / step) * step:.2f}" for t in TIME + 0.2 * DT * np.sin(7 * TIME)]
+    (tmp_path / "log.csv").write_text("time,u,y\n" + "\n".join(rows) + "\n")
+    (tmp_path / "dataset.toml").write_text(
+        'name = "x"\nintersample = "foh"\n[signals.u]\nrole = "input"\nunit = "N"\n[signals.y]\nrole = "output"\n'
+        'unit = "m"\n[resample]\nsample_time = 0.004\n[[runs]]\nfile = "log.csv"\nuse = "estimation"\n'
+    )
+    assert load_dataset(tmp_path / "dataset.toml").dataset.resolution == {"y": pytest.approx(step)}

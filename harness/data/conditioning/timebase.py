@@ -47,6 +47,10 @@ averaged over twenty rows."""
 REGULAR = 0.9
 """Share of steps of one sample from which a record is a clock's with lost rows, and not one of irregular instants."""
 
+DENSER = 0.1
+"""Part of a step by which readings must be further apart than the samples of a grid for some of these to have none: as
+much as a clock wanders."""
+
 SHORTEST = 20
 """Rows of a record: a model of second order in one input has three parameters and two initial values, and an estimate
 needs several readings for each unknown (Ljung 1999, sec. 16.4, counts parameters against samples); four here."""
@@ -66,11 +70,24 @@ class TimeRules:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One uninterrupted piece: its first instant [s], its signals (N, m), and the sample time [s] they came with."""
+    """One uninterrupted piece of a record.
+
+    Attributes
+    ----------
+    start : float
+        First instant [s].
+    values : array (N, m)
+        Signals.
+    sample_time : float
+        [s]
+    between : array of bool (N, m), optional
+        True for what lies between two readings and was read by nobody.
+    """
 
     start: float
     values: FloatArray
     sample_time: float
+    between: BoolArray | None = None
 
 
 def sample_time_of(time: FloatArray) -> float:
@@ -467,6 +484,7 @@ def _resampled(
             remedy="declare a longer resample.max_gap, or record anew",
         )
     count = sum(piece.values.shape[0] for piece in pieces)
+    made = sum(0 if piece.between is None else int(piece.between.any(axis=1).sum()) for piece in pieces)
     text = (
         f"resampled to {new:g} s ({section.method} outputs, {'held' if _held(rules) else 'linear'} "
         f"inputs): {int(present.sum())} rows with steps of {steps.min():g} to {steps.max():g} s became {count} samples"
@@ -478,6 +496,8 @@ def _resampled(
         text += f"; content above {EDGE * 0.5 / new:g} Hz filtered out without a shift in phase{held}"
     elif _coarser(steps, new):
         text += f"; nothing was filtered: content above {0.5 / new:g} Hz folds back"
+    if made:
+        text += f"; {made} samples lie between readings of an output, which count as missing there"
     notes.append(text)
     return pieces
 
@@ -555,12 +575,13 @@ def _interpolated(time: FloatArray, values: FloatArray, dt: float, inputs: tuple
     assert rules.resample is not None
     n = int(np.floor((time[-1] - time[0]) / dt + 1e-6)) + 1
     grid = time[0] + np.arange(n) * dt
-    result = np.empty((n, values.shape[1]))
+    result, between = np.empty((n, values.shape[1])), np.zeros((n, values.shape[1]), dtype=np.bool_)
     filters = rules.resample.antialias and n > 1 and _coarser(np.diff(time), dt)
     for column, is_input in enumerate(inputs):
         there = np.isfinite(values[:, column])  # an empty reading of one signal is none of the others'
         own, signal = time[there], values[there, column]
         cubic = rules.resample.method == "cubic" and not is_input
+        between[:, column] = False if is_input else _between(own, grid)
         if is_input and _held(rules) and len(own) == n and np.abs(own - grid).max() <= 1e-6 * dt:
             result[:, column] = signal
         elif is_input and _held(rules) and rules.resample.antialias:
@@ -576,4 +597,28 @@ def _interpolated(time: FloatArray, values: FloatArray, dt: float, inputs: tuple
             result[:, column] = CubicSpline(own, signal)(grid)
         else:
             result[:, column] = np.interp(grid, own, signal)
-    return Piece(float(time[0]), result, dt)
+    return Piece(float(time[0]), result, dt, between if between.any() else None)
+
+
+def _between(time: FloatArray, grid: FloatArray) -> BoolArray:
+    """Return which instants of a grid lie between two readings, while others are nearer to both of these.
+
+    A reading counts once, at the instant that is nearest to it, however dense the grid is: values made between two
+    readings tell nothing new, and their noise is not that of a reading. Where a clock is rough, every sample has its
+    reading, a little beside it.
+
+    Examples
+    --------
+    >>> _between(np.array([0.0, 0.4, 0.8]), np.arange(5) * 0.2).tolist()
+    [False, True, False, True, False]
+    >>> _between(np.array([0.0, 0.23, 0.38, 0.6]), np.arange(4) * 0.2).tolist()
+    [False, False, False, False]
+    """
+    right = np.clip(np.searchsorted(time, grid), 1, len(time) - 1)
+    nearest = right - (grid - time[right - 1] < time[right] - grid)
+    found = np.abs(time[nearest] - grid)
+    first = np.full(len(time), np.inf)
+    np.minimum.at(first, nearest, found)
+    step = grid[1] - grid[0] if len(grid) > 1 else np.inf
+    wide = (time[right] - time[right - 1]) > (1 + DENSER) * step
+    return np.asarray(wide & (found > first[nearest]), dtype=np.bool_)

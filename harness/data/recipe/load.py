@@ -28,6 +28,7 @@ from harness.data.tables.memory import in_memory
 from harness.data.tables.merging import merged
 from harness.data.tables.table import BARE, FORMATS, Table, nearest, open_table, suffix_of
 from harness.errors import InputError
+from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 from harness.units import convert, fits
 
@@ -235,6 +236,7 @@ class _Reader:
         self.tables = tables
         self.plan = Plan(path, description, model=model, ports=ports, header_unit=self._header_unit)
         self.notes = [*notes, *self.plan.notes]
+        self.steps: dict[str, list[float]] = {}
         self.rules = TimeRules(
             description.sample_time,
             description.gaps,
@@ -282,8 +284,10 @@ class _Reader:
         if not any(run.use == "validation" for run in runs):
             self.notes.append("no validation run: nothing chooses between models on data that they have not seen")
         between = self.description.intersample or "zoh"
+        # readings that are brought onto another clock no longer lie on the grid on which they were read
+        steps = {name: min(found) for name, found in self.steps.items() if min(found) > 0.0}
         dataset = _examined(
-            Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes)), names
+            Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes), steps), names
         )
         dataset = replace(
             dataset,
@@ -410,6 +414,8 @@ class _Reader:
                 )
             seen[column] = name
             columns[name] = self._converted(name, table, column)
+            if name in self.plan.outputs:
+                self.steps.setdefault(name, []).append(resolution([columns[name]]))
         inputs = tuple(name in self.plan.inputs for name in names)
         own = table.clocks(list(seen))
         if own is not None:
@@ -556,7 +562,9 @@ class _Reader:
         n, nu, ny = len(piece.values), spec.nu, spec.ny
         t = piece.start + np.arange(n, dtype=np.float64) * spec.sample_time
         references = {name: piece.values[:, nu + ny + i].copy() for i, name in enumerate(self.plan.references)}
-        return Trajectory(t, piece.values[:, :nu], piece.values[:, nu : nu + ny], spec), references
+        outputs = slice(nu, nu + ny)
+        missing = None if piece.between is None else piece.between[:, outputs]
+        return Trajectory(t, piece.values[:, :nu], piece.values[:, outputs], spec, missing=missing), references
 
     def _check_overlap(self) -> None:
         """Refuse rows of one file that serve two uses."""

@@ -36,6 +36,8 @@ __all__ = ["USES", "Detail", "LikelihoodForm"]
 
 NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
+ROUNDING = np.sqrt(12.0)
+"""Step of a grid over the deviation of what is rounded to it."""
 _LONG = 60
 """Iterations of a fit that is to come to its end."""
 
@@ -91,9 +93,10 @@ class LikelihoodForm(SystemForm[SystemT]):
             white=self.latent,
             shortest=self.dt,
             longest=max(longest / LONGEST, 2 * self.dt),
+            least=np.array([dataset.resolution.get(channel.name, 0.0) for channel in dataset.spec.outputs]) / ROUNDING,
         )
-        self._first_noise = sensor_noise(self.records["estimation"])
-        self._floor = 1e-7 * self.noise_model.output_scale
+        self._first_noise = np.maximum(sensor_noise(self.records["estimation"]), self.noise_model.smallest)
+        self._floor = self.noise_model.smallest
 
     def on(self, dataset: Dataset) -> Self:
         """Return the same form of other data."""

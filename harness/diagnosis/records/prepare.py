@@ -12,6 +12,7 @@ from harness.diagnosis.systems import Measured
 from harness.effects.columns import motion_sizes
 from harness.errors import InputError
 from harness.physics.compiled.system import System
+from harness.resolution import resolution
 from harness.signals import Dataset
 
 __all__ = ["checked", "sizes_of"]
@@ -63,7 +64,7 @@ def checked(dataset: Dataset, system: Measured) -> Dataset:
                 got=str(longest),
                 remedy="record longer, or join the rows",
             )
-    dataset = _long_enough(dataset)
+    dataset = _resolved(_long_enough(dataset))
     # periods of the model's angles are known even where the file does not say so
     outputs = tuple(
         replace(theirs, period=ours.period) if theirs.period is None and ours.unit == theirs.unit else theirs
@@ -74,6 +75,16 @@ def checked(dataset: Dataset, system: Measured) -> Dataset:
     full = replace(spec, outputs=outputs)
     runs_of = tuple(replace(run, trajectory=replace(run.trajectory, spec=full)) for run in dataset)
     return replace(dataset, runs=runs_of)
+
+
+def _resolved(dataset: Dataset) -> Dataset:
+    """Return the data set with the resolution of every output whose readings lie, or lay, on a grid."""
+    records = [run.trajectory for run in dataset if run.use != "test"]
+    found = {
+        channel.name: dataset.resolution.get(channel.name, 0.0) or resolution([run.readings[:, k] for run in records])
+        for k, channel in enumerate(dataset.spec.outputs)
+    }
+    return replace(dataset, resolution={name: step for name, step in found.items() if step > 0.0})
 
 
 def _long_enough(dataset: Dataset) -> Dataset:

@@ -14,7 +14,7 @@ eight times as much in every fit. What is thrown away is the rate and not the in
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,8 +126,7 @@ def thinned_by(dataset: Dataset, factor: int, *, held: bool = False) -> Thinned:
         y = np.where(missing, record.y[rows], y)
         runs.append(Run(Trajectory(record.t[rows], u, y, spec, missing=missing), run.use, run.label))
     share_of = dict(zip((channel.name for channel in spec.outputs), shares, strict=True))
-    noise = {name: value * share_of[name] for name, value in dataset.noise.items()}
-    made = replace(dataset, runs=tuple(runs), noise=noise, intersample="zoh" if held else "foh")
+    made = replace(_averaged(dataset, share_of), runs=tuple(runs), intersample="zoh" if held else "foh")
     return Thinned(made, factor, shares)
 
 
@@ -149,8 +148,16 @@ def _filtered(dataset: Dataset, factor: int) -> Thinned:
         rows = slice(first, first + (len(y) - 1) * factor + 1, factor)
         missing = None if record.missing is None else record.missing[rows]
         runs.append(Run(Trajectory(record.t[rows], record.u[rows], y, spec, missing=missing), run.use, run.label))
-    noise = {name: value * share for name, value in dataset.noise.items()}
-    return Thinned(replace(dataset, runs=tuple(runs), noise=noise), factor, (share,) * dataset.spec.ny)
+    share_of = dict.fromkeys((channel.name for channel in spec.outputs), share)
+    return Thinned(replace(_averaged(dataset, share_of), runs=tuple(runs)), factor, (share,) * dataset.spec.ny)
+
+
+def _averaged(dataset: Dataset, share_of: Mapping[str, float]) -> Dataset:
+    """Return a data set whose noise and resolution are those of averages: by output, their share of a reading's."""
+    noise, steps = (
+        {name: known * share_of[name] for name, known in sizes.items()} for sizes in (dataset.noise, dataset.resolution)
+    )
+    return replace(dataset, noise=noise, resolution=steps)
 
 
 def white_keeping_filter(factor: int) -> FloatArray:

@@ -12,7 +12,7 @@ from harness.diagnosis.search.fit import Form
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.table import Accepted
 from harness.effects.effect import Placed
-from harness.effects.laws.sensor import quantisation_test
+from harness.resolution import quantisation_test
 from harness.signals import Dataset, FloatArray
 
 __all__ = ["with_rounding"]

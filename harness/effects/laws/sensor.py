@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from harness.effects.effect import effect, par
 from harness.effects.functions import absolute, clip, sin
-from harness.signals import FloatArray
 
 __all__ = [
-    "QuantisationTest",
-    "quantisation_test",
     "sensor_cyclic_error",
     "sensor_delay",
     "sensor_gain",
@@ -157,65 +151,3 @@ def sensor_saturation(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def sensor_quantisation(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Quantisation of a reading in steps of one size."""
     return y
-
-
-@dataclass(frozen=True)
-class QuantisationTest:
-    """Whether the readings lie on a grid.
-
-    Attributes
-    ----------
-    step : float
-        Spacing of the grid, in the unit of the channel; nan if there is none.
-    on_grid : float
-        Share of the readings within 1 % of a step of a grid point.
-    noise : float
-        Standard deviation that rounding alone brings, ``step / sqrt(12)``.
-    """
-
-    step: float
-    on_grid: float
-    noise: float
-
-    @property
-    def quantised(self) -> bool:
-        """True if nearly all readings lie on the grid."""
-        return bool(np.isfinite(self.step) and self.on_grid > 0.99)
-
-
-def quantisation_test(y: FloatArray) -> QuantisationTest:
-    """Test whether a record was rounded to a grid.
-
-    Parameters
-    ----------
-    y : array (N,)
-        One channel.
-
-    Returns
-    -------
-    QuantisationTest
-        The step is the smallest difference between distinct readings, refined on all of them.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> y = rng.standard_normal(2000)
-    >>> quantisation_test(y).quantised, quantisation_test(np.round(y / 0.1) * 0.1).quantised
-    (False, True)
-    """
-    values = np.unique(np.asarray(y, dtype=float))
-    nothing = QuantisationTest(float("nan"), 0.0, float("nan"))
-    if values.size < 4:  # three readings are always on some grid
-        return nothing
-    steps = np.diff(values)
-    steps = steps[steps > 1e-9 * (values[-1] - values[0])]  # the last bits of a decimal number are no steps
-    if steps.size < 2 or steps.size > 0.9 * len(y):
-        return nothing
-    step = float(steps.min())
-    small = steps[steps < 1.5 * step]
-    step = float(small.mean())
-    for _ in range(2):  # a longer lever refines the step
-        counts = np.round((values - values[0]) / step)
-        step = float(counts @ (values - values[0]) / (counts @ counts))
-    distance = np.abs((values - values[0]) / step - np.round((values - values[0]) / step))
-    return QuantisationTest(step, float(np.mean(distance < 0.01)), step / np.sqrt(12.0))

@@ -75,6 +75,8 @@ class NoiseModel:
         Whether each has a white part too.
     shortest, longest : float
         Bounds of the time constants [s].
+    least : array (ny,), optional
+        Smallest standard deviation of the noise of each output: that of its resolution.
     """
 
     force_scale: FloatArray
@@ -83,6 +85,13 @@ class NoiseModel:
     white: bool = True
     shortest: float = 1e-3
     longest: float = 10.0
+    least: FloatArray | None = None
+
+    @property
+    def smallest(self) -> FloatArray:
+        """Lower bounds of the noise of the outputs (ny,): what they resolve, or the last digits of a number."""
+        exact = 1e-7 * self.output_scale
+        return exact if self.least is None else np.maximum(exact, self.least)
 
 
 @dataclass(eq=False)
@@ -281,7 +290,7 @@ class Likelihood:
                 high += list(force + np.log(100.0))
         outputs = np.log(model.output_scale)
         names += [f"r@{channel.name}" for channel in self.system.outputs]
-        low += list(outputs - np.log(1e7))
+        low += list(np.log(model.smallest))
         high += list(outputs + np.log(10.0))
         log += [True] * (len(names) - len(log))
         return names, np.array(log, dtype=bool), np.array(low), np.array(high)
@@ -328,7 +337,7 @@ class Likelihood:
             rms = np.sqrt(np.nanmean(np.concatenate([passed.e for passed in found]) ** 2, axis=0))
         if not np.isfinite(rms).all():
             return point
-        r = np.clip(rms, 1e-7 * self.noise_model.output_scale, 10.0 * self.noise_model.output_scale)
+        r = np.clip(rms, self.noise_model.smallest, 10.0 * self.noise_model.output_scale)
         return replace(point, noise=replace(point.noise, r=r))
 
     def _value(self, z: FloatArray) -> tuple[float, list[Filtered] | None]:

@@ -1,0 +1,62 @@
+"""No reading is more exact than its resolution, also of a plant that rests for most of its record."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.diagnosis.kinds import Equations
+from harness.diagnosis.records.prepare import checked
+from harness.diagnosis.records.thinning import thinned_by
+from harness.diagnosis.store import data_fingerprint
+from harness.physics import load_model
+from harness.resolution import resolution
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+
+DT, STEP = 0.01, 0.02
+
+
+def resting(seed: int) -> Trajectory:
+    """Return a pendulum that swings for a second of every six, read by an encoder of 0.02 rad."""
+    plant, n = load_model("pendulum"), 1200
+    t = np.arange(n) * DT
+    u = np.where(t % 6 < 1, 0.5 * np.sin(2 * np.pi * t + seed), 0.0)[:, None]
+    p = plant.vector({"J": 0.1, "b": 0.6, "mgl": 1.0})
+    y = plant.simulator(DT, substeps=4).rollout(p, [0.0, 0.0], u)
+    spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
+    return Trajectory(t, u, np.round(y / STEP) * STEP, spec)
+
+
+DATA = Dataset("resting", (Run(resting(0), "estimation"), Run(resting(1), "validation")))
+
+
+def test_the_noise_of_an_encoder_is_no_less_than_its_step_says() -> None:
+    plant = load_model("pendulum")
+    data = checked(DATA, plant)
+    assert data.resolution == {"theta": pytest.approx(STEP)}
+    form = Equations().form(plant, data)
+    fit = form.fit((), form.first_starts(), None)
+    assert fit is not None
+    assert fit.detail.points["estimation"].noise.r[0] >= STEP / np.sqrt(12) * (1 - 1e-9)
+    assert fit.values["mgl"] == pytest.approx(1.0, rel=0.2)
+    half = thinned_by(data, 2)
+    assert half.dataset.resolution["theta"] == pytest.approx(STEP * half.noise[0])
+
+
+def test_a_resolution_and_missing_readings_are_part_of_what_a_fit_is_known_by() -> None:
+    fine = Dataset("resting", DATA.runs, resolution={"theta": 1e-3})
+    record = DATA.runs[0].trajectory
+    gone = Trajectory(record.t, record.u, record.y, record.spec, missing=np.arange(len(record))[:, None] % 7 == 0)
+    holed = Dataset("resting", (Run(gone, "estimation"), DATA.runs[1]))
+    assert len({data_fingerprint(one) for one in (DATA, fine, holed)}) == 3
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(1e-4, 1e-1), st.integers(0, 10**6))
+def test_a_grid_is_found_where_there_is_one_and_nowhere_else(step: float, seed: int) -> None:
+    read = np.cumsum(np.random.default_rng(seed).normal(size=3000)) * 3 * step
+    assert resolution([np.round(read / step) * step]) == pytest.approx(step, rel=1e-6)
+    assert resolution([read]) == 0.0
+    assert resolution([np.round(read / step) * step, read]) == 0.0
