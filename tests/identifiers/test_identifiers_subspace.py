@@ -15,7 +15,7 @@ from harness.errors import FitError
 from harness.models.estimate import estimate_of
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.linear.directions import lively_directions
+from identifiers.linear.directions import CHECKED, lively_directions
 from identifiers.linear.hankel import Hankel, leading_triplets
 from identifiers.linear.ho_kalman import HoKalman, markov_parameters, realize
 from identifiers.linear.least_squares import LinearModel
@@ -215,6 +215,9 @@ def test_many_outputs_of_few_signals_are_told_from_their_noise_in_any_unit(seed,
 def test_outputs_that_all_have_dynamics_are_kept():
     c = np.array([[1.0, 0.5, -1.0], [0.0, 1.0, 0.3]])
     assert lively_directions([run(600, 0, noise=1e-3, c=c)]) is None
+    # more records than are looked at: the last one looked at ends where the next begins
+    many = [run(CHECKED // 2, seed, noise=1e-3, c=c) for seed in range(3)]
+    assert lively_directions(many) is None
 
 
 def test_stacked_keypoints_have_rank_four_of_forty_eight(keypoints):
