@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import importlib.util
 import re
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,30 @@ def broken(page: str) -> list[str]:
     (['a fence that is none'], [])
     """
     return [what for what, pattern in RAW.items() if pattern.search(page)]
+
+
+def _typeset(text: str) -> str:
+    """Return a formula as MathML; see ``formulas.py`` beside this file, which is no package."""
+    spec = importlib.util.spec_from_file_location("formulas", Path(__file__).with_name("formulas.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return str(module.typeset(html.unescape(text)))
+
+
+FORMULA = re.compile(r"(?<=law: )<code>(?P<law>[^<]*)</code>|<p>(?P<model>[^<]*[a-z]'[^<]* = [^<]*)</p>")
+
+
+def on_page_content(text: str, page: Any, **more: Any) -> str:
+    """Typeset laws of effects and equations of models."""
+    if Path(page.file.src_uri).name not in ("effects.md", "models.md"):
+        return text
+
+    def set_one(found: re.Match[str]) -> str:
+        return _typeset(found["law"]) if found["law"] is not None else f"<p>{_typeset(found['model'])}</p>"
+
+    return FORMULA.sub(set_one, text)
 
 
 def on_post_build(config: Any, **more: Any) -> None:
