@@ -45,11 +45,6 @@ class PymunkCartPole(PymunkPlant):
     **engine
         The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
-    Raises
-    ------
-    InputError
-        If an option is out of range.
-
     Examples
     --------
     >>> with PymunkCartPole() as plant:

@@ -33,11 +33,6 @@ class PymunkDoubleCartPole(PymunkPlant):
     **engine
         The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
-    Raises
-    ------
-    InputError
-        If an option is out of range.
-
     Examples
     --------
     >>> print(PymunkDoubleCartPole().spec)

@@ -43,7 +43,7 @@ class PymunkPlant(ABC):
     Raises
     ------
     InputError
-        If ``substeps`` is no positive integer, or an output is no state.
+        If an option is out of range, ``substeps`` is no positive integer, or an output is no state.
     """
 
     snapshot_tolerance = 1e-9

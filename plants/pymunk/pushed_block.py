@@ -43,11 +43,6 @@ class PymunkPushedBlock(PymunkPlant):
     **engine
         The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
-    Raises
-    ------
-    InputError
-        If an option is out of range.
-
     Examples
     --------
     >>> print(PymunkPushedBlock().spec)

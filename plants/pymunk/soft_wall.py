@@ -42,11 +42,6 @@ class PymunkCartWall(PymunkPlant):
     **engine
         The others are those of every plant in pymunk: :class:`plants.pymunk.plant.PymunkPlant`.
 
-    Raises
-    ------
-    InputError
-        If an option is out of range.
-
     Examples
     --------
     >>> print(PymunkCartWall().spec)
