@@ -746,6 +746,7 @@ def calibrate(
     start: Mapping[str, float] | None = None,
     starts: int = 3,
     initial: str = "estimated",
+    slopes: str = "differences",
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
     validation: Any = None,
@@ -767,7 +768,7 @@ def calibrate(
         ``.fmu``, ``.ssp``, ``.ssd`` or an OSP structure. It runs in a process of its own.
     free : sequence of str
         Parameters to fit; of a system ``component.parameter``.
-    bounds, start, starts, initial, seed, options
+    bounds, start, starts, initial, slopes, seed, options
         See :func:`harness.calibration.calibrate`.
     out : path, optional
         JSON file with all that was found.
@@ -838,6 +839,7 @@ def calibrate(
         start=start,
         starts=starts,
         initial=initial,
+        slopes=slopes,
         seed=seed,
         options=options,
         progress=progress,

@@ -176,9 +176,18 @@ class _Placing:
         for name, unit, symbol, derivative in zip(effect.states, effect.state_units, states, derivatives, strict=True):
             self.states.append(symbol)
             self.derivatives.append(derivative)
-            self.starts.append(context[effect.initial[name]] if name in effect.initial else 0.0)
+            self.starts.append(self._at_start(context[effect.initial[name]]) if name in effect.initial else 0.0)
             self.hidden.append(Channel(placed.name(name), unit_of(unit, units)))
         return declared
+
+    def _at_start(self, signal: Any) -> Any:
+        """Return a signal as it is at the beginning: at time 0, hidden states before it where they start."""
+        import casadi as ca
+
+        found = ca.substitute(ca.SX(signal), self.t, 0.0)
+        for state, start in zip(self.states, self.starts, strict=False):
+            found = ca.substitute(found, state, start)
+        return found
 
     def _arriving(self, port: Port, row: int | None) -> tuple[Any, Any, Any]:
         """Return the signal that arrives at a port, and the position and rate there."""

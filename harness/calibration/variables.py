@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,8 @@ class Contents:
     variables: Mapping[str, Variable]
     start_time: float
     tolerance: float | None = None
+    derivatives: Mapping[str, str] = field(default_factory=dict)
+    """Of an FMU with directional derivatives: by state the variable that is its derivative."""
 
     def variable(self, name: str, what: str) -> Variable:
         """Return one of the real scalars that can be set, or refuse the name with the nearest ones."""
@@ -111,7 +113,13 @@ def contents_of(path: str | Path) -> Contents:
         experiment = described["experiment"]
         named = {one.name: one for one in rows}
         start, tolerance = float(experiment["startTime"] or 0.0), experiment["tolerance"]
-        return Contents(path, str(described["model"]), "fmu", named, start, tolerance)
+        offered = any(kind["directional derivatives"] for kind in described["kinds"].values())
+        derived: dict[str, str] = {}
+        for row in described["variables"]:  # the first: a state that is another one's rate tells that by the way
+            if row["derivative_of"]:
+                derived.setdefault(row["derivative_of"], row["name"])
+        told = derived if offered else {}
+        return Contents(path, str(described["model"]), "fmu", named, start, tolerance, told)
     from harness.cosim.structure import opened
     from harness.cosim.structure.flatten import flatten
 

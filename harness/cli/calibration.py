@@ -14,7 +14,7 @@ from harness.errors import InputError
 if TYPE_CHECKING:
     from harness.calibration import Calibration
 
-__all__ = ["Bounds", "Copies", "Free", "Initial", "Ssv", "Start", "Starts", "calibrated"]
+__all__ = ["Bounds", "Copies", "Free", "Initial", "Slopes", "Ssv", "Start", "Starts", "calibrated"]
 
 Free = Annotated[
     list[str] | None,
@@ -34,6 +34,9 @@ Start = Annotated[
 Starts = Annotated[int, typer.Option(min=1, help="with --free: starts of the search; the first is as declared")]
 Initial = Annotated[
     str, typer.Option(help="with --free: start values of states in each record: estimated, or those of the file")
+]
+Slopes = Annotated[
+    str, typer.Option(help="with --free: derivatives from differences of runs, or an FMU's own where they agree")
 ]
 Ssv = Annotated[Path | None, typer.Option(metavar="FILE", help="with --free: write the values as an SSV")]
 Copies = Annotated[

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from harness import api
-from harness.cli.calibration import Bounds, Copies, Free, Initial, Ssv, Start, Starts, calibrated
+from harness.cli.calibration import Bounds, Copies, Free, Initial, Slopes, Ssv, Start, Starts, calibrated
 from harness.cli.options import (
     AsJson,
     DatasetName,
@@ -97,6 +97,7 @@ def identify(
     start: Start = None,
     starts: Starts = 3,
     initial: Initial = "estimated",
+    slopes: Slopes = "differences",
     ssv: Ssv = None,
     copy: Copies = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
@@ -131,6 +132,7 @@ def identify(
             start=start,
             starts=starts,
             initial=initial,
+            slopes=slopes,
             ssv=ssv,
             copy=copy,
             out=out,

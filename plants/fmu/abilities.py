@@ -6,6 +6,8 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
+import numpy as np
+
 from harness.protocols import Ability
 from harness.signals import FloatArray
 from plants.fmu.archive import FmuFile
@@ -38,6 +40,8 @@ class Beyond:
     _first: FirstRun | None
     _states_kept = False
     input_starts: Any
+    output: Callable[[FloatArray], FloatArray]
+    step: Callable[[FloatArray], FloatArray]
 
     def get_state(self) -> Snapshot:
         """Return a state of the FMU that stays valid until the plant is closed."""
@@ -146,6 +150,20 @@ class Beyond:
         if self._one is idle:
             self._not_ready("a derivative")
         return slopes(self._instance, unknowns, knowns, seed)
+
+    def rollout_partials(self, inputs: FloatArray, unknowns: Sequence[str], knowns: Sequence[str]) -> FloatArray:
+        """Step through inputs (N, nu) and return partial derivatives (N, 2, len(unknowns), len(knowns)), in SI.
+
+        For every sample those at its beginning and at its end, both under its input; names and errors are those of
+        :meth:`directional_derivative`.
+        """
+        found = np.empty((len(inputs), 2, len(unknowns), len(knowns)))
+        for k, u in enumerate(inputs):
+            self.output(u)
+            found[k, 0] = self.directional_derivative(unknowns, knowns)
+            self.step(u)
+            found[k, 1] = self.directional_derivative(unknowns, knowns)
+        return found
 
     def set_parameter(self, name: str, value: Any) -> None:
         """Set a tunable parameter (SI) while the plant runs; it is kept for later resets.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray
-from plants.fmu.archive import FmuFile
+from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.instance import Instance
 from plants.fmu.variables import Port, port, unknown
 
@@ -26,7 +27,7 @@ def slopes(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str], s
         If the FMU fails to.
     """
     file = instance.file
-    if not file.offers_slopes(instance.kind):
+    if not _offers(file, instance.kind):
         raise InputError(
             "directional derivatives",
             expected="an FMU with providesDirectionalDerivative",
@@ -34,7 +35,7 @@ def slopes(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str], s
             remedy="differentiate by finite differences from snapshots",
             file=file.path,
         )
-    above, below = _reals(file, unknowns), _reals(file, knowns)
+    above, below = _reals(file, tuple(unknowns)), _reals(file, tuple(knowns))
     if seed is None:
         columns = [_product(instance, above, below, row) for row in np.eye(len(below))]
         return np.column_stack(columns) if columns else np.zeros((len(above), 0))
@@ -49,8 +50,15 @@ def slopes(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str], s
     return _product(instance, above, below, direction)
 
 
-def _reals(file: FmuFile, names: Sequence[str]) -> list[Port]:
-    """Return the variables of these names, which must be real scalars."""
+@functools.lru_cache(maxsize=64)
+def _offers(file: FmuFile, kind: Kind) -> bool:
+    """Return whether the FMU offers them: for FMI 3.0 the archive is read for it."""
+    return file.offers_slopes(kind)
+
+
+@functools.lru_cache(maxsize=64)
+def _reals(file: FmuFile, names: tuple[str, ...]) -> list[Port]:
+    """Return the variables of these names, which must be real scalars; asked again at every sample of a run."""
     variables = {v.name: v for v in file.description.modelVariables if v.type in ("Real", "Float64")}
     found = []
     for name in names:

@@ -96,6 +96,9 @@ def _obey(plant: Plant, name: str, arguments: tuple[Any, ...], states: dict[int,
     if name == "preset":
         cast(Any, plant).preset(arguments[0])
         return np.zeros(0)
+    if name == "rollout_partials":
+        found: FloatArray = cast(Any, plant).rollout_partials(*arguments)
+        return found
     if name == "set_state":
         cast(Snapshots, plant).set_state(states[arguments[0]])
         return np.zeros(0)

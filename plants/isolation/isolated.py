@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -162,6 +162,20 @@ class IsolatedPlant:
     def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the outputs (N, ny) of ``rollout``, and the true states (N, nx), where they are declared."""
         return self._rolled("rollout_truth", inputs)
+
+    def rollout_partials(self, inputs: FloatArray, unknowns: Sequence[str], knowns: Sequence[str]) -> FloatArray:
+        """Return partial derivatives (N, 2, len(unknowns), len(knowns)), where the plant inside tells any."""
+        rows, names, width = (
+            checked_inputs(inputs, self.spec),
+            (list(unknowns), list(knowns)),
+            len(unknowns) * len(knowns),
+        )
+        found = [np.empty((0, 2 * width))]
+        for first in range(0, len(rows), FIRST_CHUNK):
+            chunk = rows[first : first + FIRST_CHUNK]
+            answer = self._call("rollout_partials", chunk, *names, size=2 * len(chunk) * width)
+            found.append(self._output(answer, (len(chunk), 2 * width)))
+        return np.concatenate(found).reshape(-1, 2, len(unknowns), len(knowns))
 
     def _rolled(self, order: str, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Apply inputs in chunks; the true states are filled in only where the order brings them."""

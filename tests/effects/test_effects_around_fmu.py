@@ -36,3 +36,22 @@ def test_it_simulates_the_same_after_the_journey(name: str, at: str, values: dic
         runs.append(simulator.run(one.vector(), np.zeros(one.nx), u)[1])
     assert np.array_equal(runs[0], runs[1])
     assert np.abs(runs[0] - runs[2]).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("first", "values", "start"),
+    [("drifting_gain", {}, 3.0), ("actuator_lag", {"tau": 0.1}, 2.0)],
+    ids=["time", "a hidden state"],
+)
+def test_a_hidden_state_starts_where_what_stands_before_it_does(
+    first: str, values: dict[str, float], start: float
+) -> None:
+    """A gain drifts by a few hundredths within a record, and a lag begins at its input."""
+    effects = builtin()
+    system = surround(
+        fmu_system(mockup("pendulum"), SPEC),
+        [Placed(effects[first], "u", values), Placed(effects["rate_limit"], "u", {})],
+    )
+    simulator = FmuSimulator(system, Runner(system, SPEC.sample_time))
+    found = simulator.hidden_start(np.zeros(system.nx), np.array([start]), system.vector())
+    np.testing.assert_allclose(found, start, rtol=0.03)
