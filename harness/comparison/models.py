@@ -24,8 +24,15 @@ from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, Use, residual
 from harness.trust import registered_only
 
-MOST_POLES = 40
-"""Poles in the table of a page."""
+MOST_POLES, MOST_SAMPLES = 40, 3000
+"""Poles in the table of a page, and samples in its picture over time."""
+LEGEND = (
+    "Over time: what was measured, and the free run of every model with a band of 1.96 times the rms by which it "
+    "misses the estimation data. Residuals are those of one-step predictions; the shaded regions hold 99 % of the "
+    "lags of a white residual that is independent of the input. Bands and ellipses of models hold the truth with "
+    "95 % if their structure does; crosses are poles, circles zeros; dotted: frequencies that their data do not "
+    "determine."
+)
 
 __all__ = ["Compared", "Comparison", "compare", "free_run_errors", "read_model"]
 
@@ -143,10 +150,11 @@ class Comparison:
         """Return the page: table, residual correlations, Bode diagrams with the bands of the data."""
         linear = self.linear()
         figures = [
+            inlined(_time_figure(self), "measured and simulated"),
             inlined(_residual_figure(self), "correlations of the residuals"),
             *([inlined(_bode_figure(self), "frequency responses")] if self.spectrum else []),
             *(
-                [inlined(step_figure(linear), "step responses"), inlined(pole_figure(linear), "poles")]
+                [inlined(step_figure(linear), "step responses"), inlined(pole_figure(linear), "poles and zeros")]
                 if linear
                 else []
             ),
@@ -155,10 +163,7 @@ class Comparison:
         return (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
             f"<title>{names}</title><style>{STYLE}</style><h1>{names} on {escape(self.dataset.name)}</h1>"
-            f"<div>{self._table()}</div>{self._poles()}<p>Residuals are those of one-step predictions; the shaded "
-            "regions hold 99 % of the lags of a white residual that is independent of the input. Bands and ellipses of "
-            "models hold the truth with 95 % if their structure does; dotted: frequencies that their data do not "
-            f"determine.</p>{''.join(figures)}</html>"
+            f"<div>{self._table()}</div>{self._poles()}<p>{LEGEND}</p>{''.join(figures)}</html>"
         )
 
 
@@ -242,6 +247,35 @@ def compare(models: Mapping[str, Model], dataset: Dataset) -> Comparison:
     except HarnessError:
         shown = None  # without an input, or too short: the page goes without
     return Comparison(dataset, tuple(found), shown)
+
+
+def _time_figure(found: Comparison) -> Any:
+    """Draw the record that judges, and the free run of every model over it, each with what it may miss by."""
+    from matplotlib.figure import Figure
+
+    record = (found.dataset.validation or found.dataset.estimation)[0].measured()
+    outputs = found.dataset.spec.outputs
+    figure = Figure(figsize=(10, 1.9 * len(outputs) + 0.4), layout="constrained")
+    axes = figure.subplots(len(outputs), 1, squeeze=False, sharex=True)[:, 0]
+    shown = slice(0, min(len(record), MOST_SAMPLES))
+    for axis, channel, measured in zip(axes, outputs, record.y.T, strict=True):
+        axis.plot(record.t[shown], measured[shown], color="#777777", linewidth=0.9, label="measured")
+        axis.set_ylabel(f"{channel.name} [{channel.unit}]", fontsize=9)
+    for compared in found.models:
+        run = np.asarray(predict(compared.model, record, horizon=None))
+        own = compared.free_run.get("estimation") or next(iter(compared.free_run.values()))
+        miss = np.sqrt(np.mean([np.square(score.rms) for score in own], axis=0))
+        for axis, path, size in zip(axes, run.T, np.atleast_1d(miss), strict=True):
+            (line,) = axis.plot(record.t[shown], path[shown], linewidth=1.0, label=compared.name)
+            low, high = path[shown] - 1.96 * size, path[shown] + 1.96 * size
+            axis.fill_between(record.t[shown], low, high, color=line.get_color(), alpha=0.18, linewidth=0)
+    for axis, measured in zip(axes, record.y[shown].T, strict=True):
+        low, high = np.nanmin(measured), np.nanmax(measured)
+        room = 0.4 * (high - low) or 1.0
+        axis.set_ylim(low - room, high + room)  # a free run that leaves the data does not shrink them to a line
+    axes[0].legend(fontsize=8, loc="upper right", ncols=4)
+    axes[-1].set_xlabel("time [s]", fontsize=9)
+    return figure
 
 
 def _residual_figure(found: Comparison) -> Any:

@@ -114,7 +114,7 @@ def step_figure(models: Mapping[str, Any]) -> Any:
 
 
 def pole_figure(models: Mapping[str, Any]) -> Any:
-    """Draw the poles in the z plane with the unit circle, and the ellipses that hold each with 95 %."""
+    """Draw the poles in the z plane with the unit circle and the ellipses that hold each with 95 %, and the zeros."""
     from matplotlib.figure import Figure
     from scipy.stats import chi2
 
@@ -128,6 +128,8 @@ def pole_figure(models: Mapping[str, Any]) -> Any:
         else:
             poles, covariance = pole_covariance(model)
         (line,) = axis.plot(poles.real, poles.imag, "x", markersize=6, label=name)
+        zeros = transmission_zeros(*model.matrices[:4])
+        axis.plot(zeros.real, zeros.imag, "o", markersize=5, fillstyle="none", color=line.get_color())
         for k, pole in enumerate(poles if covariance is not None else ()):
             assert covariance is not None
             values, vectors = np.linalg.eigh(covariance[k])
@@ -138,6 +140,26 @@ def pole_figure(models: Mapping[str, Any]) -> Any:
     axis.set(aspect="equal", xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), xlabel="real part of z", ylabel="imaginary part of z")
     axis.legend(fontsize=8, loc="upper left")
     return figure
+
+
+def transmission_zeros(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> npt.NDArray[np.complex128]:
+    """Return the finite zeros of a square system: where its Rosenbrock matrix loses rank (Emami-Naeini 1982).
+
+    Examples
+    --------
+    >>> a, b, c, d = (np.array(m) for m in ([[0.5]], [[1.0]], [[-0.2]], [[1.0]]))
+    >>> transmission_zeros(a, b, c, d).real.round(6).tolist()
+    [0.7]
+    """
+    from scipy.linalg import eigvals
+
+    if b.shape[1] != c.shape[0]:
+        return np.zeros(0, dtype=np.complex128)
+    n, m = len(a), b.shape[1]
+    whole, shift = np.block([[a, b], [c, d]]), np.zeros((n + m, n + m))
+    shift[:n, :n] = np.eye(n)
+    found = np.asarray(eigvals(whole, shift), dtype=np.complex128)
+    return found[np.isfinite(found) & (np.abs(found) < 1e6)]
 
 
 def pole_rows(name: str, model: Any) -> list[tuple[str, str, str, str]]:

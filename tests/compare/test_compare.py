@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import cont2discrete, lfilter
+from scipy.signal import cont2discrete, lfilter, tf2ss
 
-from harness import api
+from harness import api, registry
 from harness.command import main
-from harness.comparison import correlations, spectrum
+from harness.comparison import compare, correlations, spectrum
+from harness.comparison.uncertain import transmission_zeros
 from harness.errors import InputError
-from harness.signals import Channel, PlantSpec, Trajectory
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 DT = 0.05
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), DT)
@@ -171,3 +172,23 @@ def test_spectrum_on_the_command_line(folder: Path, capsys: pytest.CaptureFixtur
     assert ended.value.code == 0
     assert "coherence" in capsys.readouterr().out
     assert (folder / "bode.svg").read_text().startswith("<?xml")
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(-0.9, 0.9), min_size=1, max_size=4), st.lists(st.floats(-0.9, 0.9), min_size=4, max_size=4))
+def test_zeros_of_a_model_are_the_roots_of_its_numerator(zeros: list[float], poles: list[float]) -> None:
+    apart = {round(value, 2) for value in (*zeros, *poles)}
+    if len(apart) < len(zeros) + len(poles):
+        return  # what cancels, or lies twice, is found only roughly
+    numerator, denominator = np.poly(np.round(zeros, 2)), np.poly(np.round(poles, 2))
+    model = tf2ss(numerator, denominator)
+    found = transmission_zeros(*model)
+    assert len(found) == len(zeros)
+    assert np.allclose(np.sort_complex(found), np.sort_complex(np.round(zeros, 2) + 0j), atol=2e-3)
+
+
+def test_the_page_shows_every_model_over_time_with_what_it_may_miss_by() -> None:
+    data = Dataset("two", (Run(record(1), "estimation"), Run(record(2), "validation")))
+    model = registry.create("identifiers", "arx", order=2).fit(data.estimation, rng=np.random.default_rng(0))
+    page = compare({"arx": model}, data).html()
+    assert all(f'alt="{what}"' in page or what in page for what in ("measured and simulated", "poles and zeros"))
