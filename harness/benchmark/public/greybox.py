@@ -129,15 +129,15 @@ def repaired(
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
     """
+    from harness.comparison.models import read_model
     from harness.diagnosis import close_loop_file
-    from harness.fitted import load_model
 
     data, signals = nominal_data(rule, train, choice)
     if not ((folder / REPORT).is_file() and (folder / MODEL).is_file()):
         close_loop_file(cast("Any", data), out=folder, resume=folder.is_dir(), progress=progress)
     report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
     content = json.loads((folder / MODEL).read_text(encoding="utf-8"))
-    loop: Model = load_model(folder).model
+    loop: Model = read_model(folder)
     whole = [signals.of(one) for one in train]
     again = _again(rule, content, whole, data.nominal)
     better = again is not None and _figure(rule, again, whole) <= _figure(rule, loop, whole)
