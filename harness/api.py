@@ -873,6 +873,8 @@ def close_loop(
     model: str | None = None,
     validation: Any = None,
     undriven: Sequence[str] = (),
+    dictionary: str = "",
+    effects: Sequence[str] = (),
     resume: bool = False,
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
@@ -892,6 +894,11 @@ def close_loop(
         Validation file beside a bare CSV or Parquet file.
     undriven : sequence of str
         Inputs of the model that nothing drove; any other must be recorded.
+    dictionary : str
+        Which effects are given, tried and left out, such as ``"coulomb_friction(theta); *delay*?"`` or
+        ``"!thermal_*"``; all are tried without it. See :class:`harness.diagnosis.wanted.Wanted`.
+    effects : sequence of str
+        Laws of your own beside the built-in ones, each ``FILE.py:NAME``.
     resume : bool
         Continue what an interrupted call left in ``out``.
     force : bool
@@ -917,11 +924,14 @@ def close_loop(
     """
     from harness import diagnosis
     from harness.data import load_dataset
+    from harness.diagnosis.dictionary import with_effects_of
 
+    laws = with_effects_of(effects)
     loaded: Any = load_dataset(
         registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven, **signals
     )
     how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
+    how |= {"dictionary": laws, "wanted": dictionary}
     if loaded.nominal is not None and loaded.nominal.model.endswith(".fmu"):
         from harness.supervision.guarded import guarded
 

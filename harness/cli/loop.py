@@ -61,6 +61,16 @@ def close_loop(
     undriven: Undriven = None,
     *,
     signals: Signals,
+    dictionary: Annotated[
+        str,
+        typer.Option(
+            metavar="TEXT",
+            help="effects that are given, tried? or !left out, such as 'coulomb_friction(theta); *delay*?; !cogging'",
+        ),
+    ] = "",
+    effect: Annotated[
+        list[str] | None, typer.Option(metavar="FILE.py:NAME", help="a law of your own to try as well, repeatable")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Resume = False,
     force: Force = False,
@@ -92,6 +102,13 @@ def close_loop(
                 got="--force" if force else "--validation",
                 remedy="name validation files in the column validation of a table of records",
             )
+        if dictionary or effect:
+            raise InputError(
+                "option of one record",
+                expected="the whole dictionary for a fleet, whose records are compared with each other",
+                got="--dictionary" if dictionary else "--effect",
+                remedy="leave it out; a law for a fleet comes from an installed plug-in, see sysid new effect",
+            )
         _close_fleet(dataset, out, model, undriven, as_json, resume, workers, engine, time_limit, demands, junit)
         return
     if engine != "local" or time_limit is not None or workers is not None:
@@ -114,6 +131,8 @@ def close_loop(
             model=model,
             validation=validation,
             undriven=undriven or (),
+            dictionary=dictionary,
+            effects=effect or (),
             resume=resume,
             force=force,
             progress=show,

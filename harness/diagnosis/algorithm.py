@@ -31,6 +31,7 @@ from harness.diagnosis.steps import (
     widened,
 )
 from harness.diagnosis.systems import AnySystem
+from harness.diagnosis.wanted import Wanted
 from harness.effects.effect import Effect
 from harness.signals import Dataset
 from harness.supervision.workers import one_thread
@@ -46,6 +47,7 @@ def diagnose(
     progress: Progress | None = None,
     folder: Path | None = None,
     dictionary: Sequence[Effect] | None = None,
+    wanted: Wanted | None = None,
     policy: Policy = POLICY,
 ) -> Diagnosis:
     """Run the closed loop and return all that it found, without writing a report.
@@ -64,6 +66,8 @@ def diagnose(
         Where finished refits are kept, for ``resume``.
     dictionary : sequence of Effect, optional
         By default the built-in effects and those of installed plug-ins.
+    wanted : Wanted, optional
+        Which of them are given, tried and left out.
     policy : Policy
         The deciding numbers.
 
@@ -86,16 +90,17 @@ def diagnose(
         say("first fit of the nominal model", 0.02)
         nominal = nominal_fit(remembered, form, doubts)
         candidates, faults = candidates_of(form, laws)
+        given, candidates = (wanted or Wanted()).chosen(candidates)
         simple = simple_fits_of(kind, form, nominal, candidates, say)
         nominal = at_optimum(remembered, form, nominal, simple, policy)
         # search, unless the records are wrong
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
-        candidates = [] if wrong else candidates
+        given, candidates = ([], []) if wrong else (given, candidates)
         if simple is not None and candidates and form.latent and carried(form, nominal, policy, policy.large):
             remembered.proposed = functools.partial(simple.proposals, policy)
-        outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes)
+        outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes, given=given)
         rival = ""
-        if not wrong:
+        if not (wrong or given):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         outcome = with_rounding(remembered, outcome, dataset, candidates, policy, share=np.array(thinned.noise))
         # grade what is left
@@ -124,6 +129,7 @@ def diagnose(
         alarms=tuple(alarms),
         rival=rival,
         thinned=thinned,
+        wanted=wanted or Wanted(),
     )
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))

@@ -17,6 +17,7 @@ from harness.diagnosis.records.inputs_check import inputs_checked
 from harness.diagnosis.records.stretches import cut_alike
 from harness.diagnosis.steps import Progress
 from harness.diagnosis.systems import AnySystem, by_equations
+from harness.diagnosis.wanted import Wanted
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.jobs.alone import alone_in
@@ -82,6 +83,7 @@ def close_loop(
     resume: bool = False,
     force: bool = False,
     dictionary: Sequence[Effect] | None = None,
+    wanted: str = "",
     name: str | None = None,
     options: Mapping[str, Any] | None = None,
     references: Sequence[Mapping[str, FloatArray]] = (),
@@ -107,6 +109,9 @@ def close_loop(
         Overwrite a finished report in ``out``.
     dictionary : sequence of Effect, optional
         See :func:`diagnose`.
+    wanted : str
+        Which of these are given, tried and left out, such as ``"coulomb_friction(theta); *delay*?"``; see
+        :class:`harness.diagnosis.wanted.Wanted`.
     name : str, optional
         What the nominal model is loaded by (``NAME`` or ``FILE.py:NAME``), for ``model.json``; by default the name of
         the model.
@@ -130,6 +135,7 @@ def close_loop(
     from harness.diagnosis.store import write_atomic
     from harness.supervision.workers import one_thread
 
+    chosen = Wanted.read(wanted)
     folder = _folder(out, resume=resume, force=force)
     with alone_in(folder):
         if folder is not None and force and not resume:
@@ -138,6 +144,13 @@ def close_loop(
         if (arm := _arm(model)) is not None:
             from harness.diagnosis.arm.close import close_arm
 
+            if chosen.items:
+                raise InputError(
+                    "the dictionary of a run on an arm",
+                    expected="all of it: every joint and the whole arm have dictionaries of their own",
+                    got=repr(wanted),
+                    remedy="leave it out",
+                )
             data = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
             return Report(data, folder, arm)
         system = _system(model, parameters, dataset)
@@ -146,7 +159,8 @@ def close_loop(
             with one_thread():
                 dataset = inputs_checked(system, dataset)
         kind = _black_box() if box else Equations()
-        diagnosis = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
+        how: dict[str, Any] = {"kind": kind, "progress": progress, "dictionary": dictionary, "wanted": chosen}
+        diagnosis = diagnose(dataset, system, folder=folder, **how)
         whole = diagnosis.final.model
         if by_equations(whole) and diagnosis.outcome.accepted:
             # what the model lacked may have hidden that the input is late: its equations are whole now
@@ -155,7 +169,7 @@ def close_loop(
                 again = inputs_checked(final, dataset)
             if again.runs != dataset.runs:
                 dataset = again
-                diagnosis = diagnose(dataset, system, kind=kind, progress=progress, dictionary=dictionary)
+                diagnosis = diagnose(dataset, system, **how)
         if progress is not None:
             progress(0.9, "report")
         with one_thread():
@@ -185,6 +199,8 @@ def close_loop_file(
     resume: bool = False,
     force: bool = False,
     progress: Progress | None = None,
+    dictionary: Sequence[Effect] | None = None,
+    wanted: str = "",
 ) -> Report:
     """Do the same for a data set file, a bare CSV or Parquet file, or the name of a recording.
 
@@ -200,7 +216,8 @@ def close_loop_file(
 
         arm: Any = recorded_arm(loaded)  # of a model the data set asks for its channels only
         return close_loop(
-            loaded.for_system(arm), arm, out=out, resume=resume, force=force, progress=progress
+            loaded.for_system(arm), arm, out=out, resume=resume, force=force, progress=progress,
+            dictionary=dictionary, wanted=wanted,
         )  # fmt: skip
     box = loaded.nominal is not None and loaded.nominal.model.endswith(".fmu")
     system = loaded.system() if not box else None
@@ -211,6 +228,8 @@ def close_loop_file(
         resume=resume,
         force=force,
         progress=progress,
+        dictionary=dictionary,
+        wanted=wanted,
         name="" if loaded.nominal is None else loaded.nominal.model,
         options=None if box else _options(loaded),
         references=loaded.references,

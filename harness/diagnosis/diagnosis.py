@@ -18,6 +18,7 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.scores import Lead, ScoreTest
 from harness.diagnosis.stand_in import stand_in_reasons
 from harness.diagnosis.systems import AnySystem
+from harness.diagnosis.wanted import Wanted
 from harness.signals import Dataset, FloatArray
 
 __all__ = ["Diagnosis"]
@@ -46,6 +47,8 @@ class Diagnosis:
     """An effect that alone comes nearer to the validation records in free runs, and that the likelihood refuses."""
     thinned: Thinned | None = None
     """The data at the rate at which the likelihood looks at them."""
+    wanted: Wanted = field(default_factory=Wanted)
+    """What the run gave of the dictionary, tried and left out."""
 
     @property
     def nominal(self) -> Fit:

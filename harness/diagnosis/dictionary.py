@@ -5,18 +5,20 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from harness import registry
 from harness.diagnosis.systems import AnySystem
 from harness.effects import Dictionary, compose, place_all
 from harness.effects.effect import Effect, Placed
-from harness.errors import HarnessError
+from harness.errors import HarnessError, InputError
+from harness.physics.models.catalogue import from_file
 
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["Laws", "laws_of", "placed"]
+__all__ = ["Laws", "laws_of", "placed", "with_effects_of"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,38 @@ class Laws:
     dictionary: Dictionary
     outside: Mapping[str, registry.Entry] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
+
+
+def with_effects_of(files: Sequence[str]) -> list[Effect] | None:
+    """Return the built-in effects with those that files of a user define; None without files.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Each ``FILE.py:NAME``.
+
+    Raises
+    ------
+    InputError
+        If a file has no effect of that name, or its name is taken.
+    """
+    if not files:
+        return None
+    own: list[Effect] = []
+    for text in files:
+        path, _, name = text.rpartition(":") if ".py:" in text else (text, "", "")
+        made, where = from_file(Path(path), name)
+        if not isinstance(made, Effect):
+            raise InputError(
+                f"{text} is no effect",
+                expected="a law made with @effect",
+                got=f"a {type(made).__name__}",
+                remedy="decorate it, see sysid new effect",
+                file=where,
+            )
+        own.append(made)
+    plug_ins = [law for law in laws_of().dictionary if law.name not in {effect.name for effect in own}]
+    return [*plug_ins, *own]
 
 
 def laws_of(dictionary: Sequence[Effect] | None = None) -> Laws:

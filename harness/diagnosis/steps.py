@@ -144,6 +144,8 @@ def what_free_runs_say(
         return outcome, runs, leftover, []
     if leftover.best is None and simple is not None and simple.nearer(outcome.model, policy):
         return outcome, runs, leftover, [STANDS]
+    if any(one.given for one in outcome.accepted):  # what is given is not taken back
+        return outcome, runs, leftover, []
     outcome = outcome.taken_back()
     return outcome, run_freely(outcome), left_over(form, outcome.model, policy), []
 

@@ -166,6 +166,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "converged": {"nominal": found.nominal.converged, "final": answer.fit.converged},
         "intervals": {"hold": found.structure_fits, "meaning": _meaning_of_intervals(found)},
         "policy": numbers(found.policy),
+        "dictionary": str(found.wanted),
         "alarms": list(found.alarms),
         "warnings": _warnings(found, answer.fit, together),
         "seconds": round(found.seconds, 2),
@@ -179,6 +180,10 @@ def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
     said = [*found.warnings, *_taken_back(found)]
     if not found.dataset.test:
         said.append(SELECTED)
+    if found.wanted.items:
+        said.append(f"the dictionary of this run: {found.wanted}")
+    if given := [str(one.placed) for one in found.outcome.accepted if one.given]:
+        said.append(f"{', '.join(given)}: given, and not asked for evidence")
     if together:
         said.append(FREE)
     if not by_equations(found.system):

@@ -52,6 +52,7 @@ def blank() -> dict[str, Any]:
         "inertia": "",
         "inertial_parameters": None,
         "policy": {},
+        "dictionary": "",
         "alarms": [],
         "oddities": [],
         "warnings": [],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,13 +140,19 @@ def _expected(fit: Fit, base: Fit, use: str) -> list[FloatArray]:
 
 
 def judged(
-    form: Form, added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, policy: Policy = POLICY
+    form: Form,
+    added: Sequence[Placed],
+    fit: Fit | None,
+    base: Fit,
+    nominal: Fit,
+    policy: Policy = POLICY,
+    given: Collection[str] = (),
 ) -> Judged:
-    """Apply the acceptance rule to effects that were added to a base."""
+    """Apply the acceptance rule to effects that were added to a base; nothing is asked of those that are ``given``."""
     if fit is None:
         return Judged(tuple(added), None, None, (Refusal(Kind.NOT_SIMULATED),))
     comparison = compared(fit, base, policy)
-    names = {str(placed) for placed in added}
+    names = {*given, *map(str, added)}
     reasons = [*_ended(fit), *_wanting(fit, base, nominal, comparison, policy)]
     for placed in added:
         reasons += impossible(form, placed, fit)

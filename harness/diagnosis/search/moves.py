@@ -219,6 +219,8 @@ def exchange_contradicted(table: Table, answer: Answer, past: Round) -> Iterator
             continue
         new = row.added[0]
         for number, earlier in enumerate(answer.accepted):
+            if earlier.given:
+                continue
             lawless = wrong_signs(earlier.placed, row.fit.values)
             richer = refines(row.added, earlier.placed, table.laws)
             if lawless or (richer and wrong_signs(new, row.fit.values)):
@@ -230,7 +232,7 @@ def exchange_contradicted(table: Table, answer: Answer, past: Round) -> Iterator
 
 def generalise_earlier(table: Table, answer: Answer) -> Iterator[Answer]:
     """Yield answers with what refines an earlier effect in its place; one alone was refined when it was found."""
-    for number, earlier in enumerate(answer.accepted[:-1]):
+    for number, earlier in answer.earlier:
         for rich, fit in generalised(table, answer.model, earlier.placed):
             if table.judged([rich], fit).passed:
                 yield answer.exchanged(number, rich, fit, len(table.rounds) - 1)
@@ -238,7 +240,7 @@ def generalise_earlier(table: Table, answer: Answer) -> Iterator[Answer]:
 
 def exchange(table: Table, answer: Answer) -> Answer:
     """Return an answer in which rivals of earlier effects took their places: the first may have stood in for two."""
-    for number, earlier in enumerate(answer.accepted[:-1]):
+    for number, earlier in answer.earlier:
         if earlier.found >= len(table.rounds):
             continue
         past, best = table.rounds[earlier.found], answer
@@ -286,7 +288,7 @@ def specialise(table: Table, answer: Answer) -> Answer:
     rows = [row for past in table.rounds for row in past.candidates if row.fit is not None]
     for number, earlier in enumerate(answer.accepted):
         rich, others = earlier.placed, answer.without(number)
-        if earlier.beside == named(others):
+        if earlier.given or earlier.beside == named(others):
             continue
         special = {row.added[0]: row.fit for row in rows if rich.generalises(row.added[0])}
         for simple, alone in special.items():
@@ -307,7 +309,7 @@ def specialise(table: Table, answer: Answer) -> Answer:
 
 def drop(table: Table, answer: Answer) -> Answer:
     """Return an answer without the earlier effects that a later one has made needless."""
-    for earlier in answer.accepted[:-1]:
+    for _, earlier in answer.earlier:
         number, model = answer.accepted.index(earlier), answer.model
         left = answer.without(number)
         starts = [model.values, *in_its_place(model.values, earlier.placed, left)]

@@ -35,6 +35,7 @@ def search(
     say: Say = silent,
     sizes: Mapping[str, Mapping[str, float]] | None = None,
     begun: Outcome | None = None,
+    given: Sequence[Placed] = (),
 ) -> Outcome:
     """Find the effects that a model lacks.
 
@@ -51,15 +52,17 @@ def search(
         Sizes of the data by port, for what laws that refine others start from.
     begun : Outcome, optional
         What was found before, to go on from.
+    given : sequence of Placed
+        Effects that are part of the answer, whatever their evidence.
 
     Returns
     -------
     Outcome
     """
     table = Table(form, nominal, candidates, policy, say, sizes or {}, rounds=list(begun.rounds) if begun else [])
-    answer = Answer(nominal) if begun is None else Answer(begun.model, begun.accepted)
-    paired = False
-    while len(answer.accepted) < policy.most:
+    answer = table.given(given) if begun is None else Answer(begun.model, begun.accepted)
+    paired = bool(given)  # a pair would be one in the place of what is given
+    while len(answer.accepted) < policy.most + len(given):
         past = expanded(table, answer.model)
         answer = Answer(past.base, answer.accepted)
         better = _step(table, answer, past)

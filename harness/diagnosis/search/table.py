@@ -10,9 +10,10 @@ import numpy as np
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import Judged, compared, impossible, judged
 from harness.diagnosis.search.fit import Begun, Fit, Form
-from harness.diagnosis.search.scores import ScoreTest
+from harness.diagnosis.search.scores import ScoreTest, score_test
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
+from harness.errors import FitError
 
 __all__ = ["Accepted", "Answer", "Round", "Say", "Table", "named", "value"]
 
@@ -39,7 +40,8 @@ class Accepted:
 
     ``beside`` names the effects beside which the tie set was asked for, None where it was not asked for yet;
     ``found`` counts the rounds before the one that found it, with its rivals; ``part_of`` names the unknown force that
-    it may be a part of, where that is larger than what it explains.
+    it may be a part of, where that is larger than what it explains; ``given`` says that it was not asked for evidence:
+    no move takes it away.
     """
 
     placed: Placed
@@ -49,6 +51,7 @@ class Accepted:
     beside: frozenset[str] | None = None
     found: int = 0
     part_of: str = ""
+    given: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +60,11 @@ class Answer:
 
     model: Fit
     accepted: tuple[Accepted, ...] = ()
+
+    @property
+    def earlier(self) -> list[tuple[int, Accepted]]:
+        """The effects that moves may take away, by number: those that were found, all but the last one."""
+        return [(number, one) for number, one in enumerate(self.accepted[:-1]) if not one.given]
 
     def without(self, gone: int) -> list[Placed]:
         """Return the effects but one."""
@@ -117,6 +125,8 @@ class Table:
         Told what is fitted.
     sizes : mapping
         Sizes of the data by port, for what laws that refine others start from.
+    kept : frozenset of str
+        Names of effects that are given.
     """
 
     form: Form
@@ -125,6 +135,7 @@ class Table:
     policy: Policy = POLICY
     say: Say = silent
     sizes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    kept: frozenset[str] = frozenset()
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     rounds: list[Round] = field(default_factory=list)
 
@@ -180,10 +191,40 @@ class Table:
         fit = self.form.fit(effects, starts, base, rival)
         return None if fit is None else self.put(fit)
 
+    def given(self, effects: Sequence[Placed]) -> Answer:
+        """Return the answer with effects that are given, each begun where the one before ended.
+
+        Raises
+        ------
+        FitError
+            If the model with them cannot be simulated along the data.
+        """
+        answer, self.kept = Answer(self.nominal), named(effects)
+        for placed in effects:
+            base = answer.model
+            test = score_test(self.form, base, [placed], self.policy)
+            starts = [start for lead in (*test.leads, *test.hidden) for start in lead.starts]
+            starts += [start for suspect in self.form.suspects(base, None, [placed]) for start in suspect.starts]
+            self.say(f"{placed}, as given")
+            fit = self.fit([*base.effects, placed], [{**base.values, **start} for start in starts or [{}]], base)
+            if fit is None:
+                raise FitError(
+                    f"the model with {placed}, which the dictionary of this run gives",
+                    expected="one that can be simulated along the data",
+                    got="a state that diverges",
+                    remedy=f"try it instead: {placed.effect.name}({placed.at})?",
+                )
+            gains = compared(fit, base, self.policy)
+            new = Accepted(placed, ((placed,),), gains.evidence, gains.validation, given=True)
+            answer = Answer(fit, (*answer.accepted, new))
+        present = named(answer.model.effects)
+        return Answer(answer.model, tuple(replace(one, beside=present - {str(one.placed)}) for one in answer.accepted))
+
     def judged(self, added: Sequence[Placed], fit: Fit | None, base: Fit | None = None) -> Judged:
         """Return what speaks for and against effects that were added to a base, the nominal model if none is given."""
-        return judged(self.form, added, fit, base or self.nominal, self.nominal, self.policy)
+        return judged(self.form, added, fit, base or self.nominal, self.nominal, self.policy, self.kept)
 
     def lawful(self, fit: Fit) -> bool:
         """Return True for a fit at its end in which physics forbids nothing."""
-        return fit.converged and not any(impossible(self.form, placed, fit) for placed in fit.effects)
+        asked = [placed for placed in fit.effects if str(placed) not in self.kept]
+        return fit.converged and not any(impossible(self.form, placed, fit) for placed in asked)

@@ -191,7 +191,7 @@ def asked_again(table: Table, answer: Answer) -> Answer:
     present, found = named(answer.model.effects), list[Accepted]()
     for effect in answer.accepted:
         others = present - {str(effect.placed)}
-        if effect.beside != others:
+        if effect.beside != others and not effect.given:
             # a rival in the answer lost already without the effect
             rivals = [member for member in effect.tie if not named(member) & present]
             kept = [member for member in rivals if _still_tied(table, answer.model, effect.placed, member)]
@@ -229,11 +229,12 @@ def unknown_parts(table: Table, answer: Answer) -> Answer:
     that a free force could still explain is no such part; of several effects the surest one stands in any case. The
     faintest is asked first, and the next one beside what that leaves.
     """
-    model, standing, marked = answer.model, list(answer.accepted), dict[str, str]()
+    model, marked = answer.model, dict[str, str]()
+    standing = [one for one in answer.accepted if not one.given]
     while len(standing) > 1 and (unknown := left_over(table.form, model, table.policy).best) is not None:
         losses: dict[int, tuple[float, Fit]] = {}
         for number, accepted in enumerate(standing):
-            others = [other.placed for other in standing if other is not accepted]
+            others = [placed for placed in model.effects if str(placed) != str(accepted.placed)]
             table.fit(others, [model.values, {**model.values, **table.nominal.values}], model)
             without = table.best(others)
             if without is not None:

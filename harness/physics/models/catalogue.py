@@ -31,6 +31,7 @@ __all__ = [
     "cart_pole",
     "double_pendulum",
     "drive",
+    "from_file",
     "linear",
     "load_model",
     "oscillator",
@@ -286,7 +287,7 @@ def load_model(name: str, **options: Any) -> System:
     where: Path | None
     if ".py:" in name or name.endswith(".py"):
         path, _, attribute = name.rpartition(":") if ".py:" in name else (name, "", "")
-        maker, where = _from_file(Path(path), attribute)
+        maker, where = from_file(Path(path), attribute)
     elif name.endswith(SUFFIX):
         maker, where = functools.partial(typed_model, Path(name)), Path(name)
     elif is_arm(name):
@@ -328,8 +329,14 @@ def load_model(name: str, **options: Any) -> System:
     return system
 
 
-def _from_file(path: Path, attribute: str) -> tuple[Any, Path]:
-    """Return a function of a user's file."""
+def from_file(path: Path, attribute: str) -> tuple[Any, Path]:
+    """Return what a user's file calls by a name, and the file: its only public function where no name is given.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it cannot be imported, or has nothing of that name.
+    """
     if not path.is_file():
         raise InputError("no such file", expected="a Python file", got=str(path), remedy="correct the path", file=path)
     module_name = f"sysid_harness_user_model_{path.stem}"
