@@ -62,8 +62,8 @@ class GradientDescent:
     """Output-error transfer function learned by gradient descent from its own simulation errors.
 
     ``y[k+1] = sum_i C_i w[k-i] + c`` with ``w = u / (1 + a_1 z^-1 + ... + a_n z^-n)``, all poles shared. After each
-    block one step down the mean squared simulation error of its last three quarters, since its start still feels what was
-    before; then a is put back into a convex set of stable denominators (:func:`acquiescent`): stochastic projected
+    block one step down the mean squared simulation error of its last three quarters, since its start still feels what
+    was before; then a is put back into a convex set of stable denominators (:func:`acquiescent`): stochastic projected
     gradient descent after Hardt, Ma & Recht 2018 (*JMLR* 19(29), algorithm 1; their block companion form for several
     inputs, sec. 6). More order than the system has helps it (theorem 5.1). Outputs are never fed back, so noise on them
     biases nothing; the price is slow convergence beside least squares.

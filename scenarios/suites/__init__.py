@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["measured", "quick", "smoke", "standard"]
+__all__ = ["further", "measured", "quick", "smoke", "standard"]
 
 _here = Path(__file__).resolve().parent
 
@@ -13,6 +13,9 @@ quick = _here / "quick.toml"
 
 standard = _here / "standard.toml"
 """Ten seeds of every plant family under every identifier family, and three axes: what a paper would cite."""
+
+further = _here / "further.toml"
+"""Plants whose state jumps, slow systems online, hidden states: what the standard suite does not hold."""
 
 measured = _here / "measured.toml"
 """The public recordings."""

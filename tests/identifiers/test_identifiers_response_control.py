@@ -1,0 +1,115 @@
+"""Control straight from a response: beside the optimal regulator of the true plant, and inside its certificate."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.errors import FitError, InputError
+from harness.models.lqr import kalman_gain, lqr_gain
+from harness.registry import create
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+from identifiers.linear.response_control import (
+    ResponseController,
+    StateController,
+    _cost,
+    _largest_gain,
+    _unexplained,
+    estimated_response,
+    response_controller,
+)
+
+A = 0.95 * np.array([[0.9, 0.2], [-0.2, 0.9]])
+B, C = np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+Q, R = np.eye(1), 0.1 * np.eye(1)
+TRUE = np.array([np.zeros((1, 1)), *(C @ np.linalg.matrix_power(A, i) @ B for i in range(150))])
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+@functools.cache
+def record(samples: int, seed: int, a: float = 1.0) -> Trajectory:
+    """Return a record under white inputs, white disturbances of both states and white sensor noise."""
+    draw, x, y = rng(seed), np.zeros(2), np.zeros((samples, 1))
+    u = draw.normal(size=(samples, 1))
+    for k in range(samples):
+        y[k] = C @ x + 0.1 * draw.normal()
+        x = a * A @ x + B @ u[k] + 0.3 * draw.normal(size=2)
+    return Trajectory(np.arange(samples, dtype=float), u, y, SPEC)
+
+
+@functools.cache
+def natural() -> np.ndarray:
+    long = record(3200, 999)
+    return _unexplained(TRUE, long.y, long.u)[200:]
+
+
+def optimal() -> float:
+    """Return the cost of the LQG regulator that knows the plant and the covariances."""
+    feedback = lqr_gain(A, B, C.T @ Q @ C, R)
+    gain = kalman_gain(A, C, 0.09 * np.eye(2), 0.01 * np.eye(1))
+    assert feedback is not None
+    assert gain is not None
+    known = StateController(A, B, C, feedback, np.linalg.solve(A, gain))
+    return _cost(known, [natural()], TRUE, Q, R)
+
+
+def test_it_comes_to_the_optimal_regulator_as_the_record_grows():
+    best, lost = optimal(), {}
+    for samples in (1000, 10_000):
+        made = [response_controller(estimated_response([record(samples, s)], 50), Q, R, 10) for s in range(2)]
+        lost[samples] = np.mean([_cost(one, [natural()], TRUE, Q, R) for one in made]) / best - 1.0
+    assert best < 0.7 * _cost(None, [natural()], TRUE, Q, R)
+    assert lost[10_000] < 0.015
+    assert lost[10_000] < 0.5 * lost[1000]
+
+
+def test_the_bound_holds_and_falls_as_the_root_of_the_record():
+    bounds = {}
+    for samples in (500, 2000):
+        found = [estimated_response([record(samples, s)], 50) for s in range(20)]
+        wrong = [_largest_gain(TRUE - np.pad(one.markov, ((0, len(TRUE) - 50), (0, 0), (0, 0)))) for one in found]
+        assert sum(w <= one.bound for w, one in zip(wrong, found, strict=True)) >= 19
+        bounds[samples] = np.mean([one.bound for one in found])
+    assert bounds[500] / bounds[2000] == pytest.approx(2.0, rel=0.35)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.05, 0.9))
+def test_what_is_vouched_for_is_stable(seed, share):
+    """Small gain: any error Delta with ``|Delta| |M| < 1`` leaves the inputs within ``1 / (1 - |Delta| |M|)``."""
+    draw = rng(seed)
+    markov = np.concatenate([np.zeros((1, 1, 1)), draw.normal(size=(9, 1, 1)) * 0.8 ** np.arange(9)[:, None, None]])
+    made = ResponseController(draw.normal(size=(4, 1, 1)), markov)
+    delta = np.concatenate([np.zeros((1, 1, 1)), draw.normal(size=(9, 1, 1))])
+    delta *= share / (made.gain * _largest_gain(delta))
+    noise = draw.normal(size=(600, 1))
+    _, wanted = made.closed(noise, markov)
+    _, given_ = made.closed(noise, markov + delta)
+    assert np.linalg.norm(given_) <= np.linalg.norm(wanted) / (1.0 - share) * 1.01
+
+
+def data(samples: int) -> Dataset:
+    first, second = record(samples, 0), record(1500, 1)
+    return Dataset("lightly damped", (Run(first, "estimation"), Run(second, "validation")))
+
+
+def test_the_analysis_says_whether_the_data_suffice():
+    short, long = (create("analyses", "response-control", length=50).of(data(n), rng=rng()) for n in (400, 20_000))
+    assert "do not suffice" in short.words[1]
+    costs = {row["controller"]: row["cost"] for row in long.rows}
+    assert costs["response"] < 1.05 * costs["LQG"] < costs["none"]
+    margins = {row["controller"]: row["bound x gain"] for row in long.rows}
+    assert margins["response, vouched for"] < 0.9
+    with pytest.raises(InputError, match="taps"):
+        create("analyses", "response-control", taps=0).of(data(400), rng=rng())
+    slow = record(2000, 3, a=1.1)
+    with pytest.raises(FitError, match="died out"):
+        estimated_response([slow], 20)
