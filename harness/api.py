@@ -354,6 +354,7 @@ def halve(
     times: int,
     step: float | None = None,
     out: str | Path | None = None,
+    picture: str | Path | None = None,
     force: bool = False,
     note: Callable[[str], None] | None = None,
     **asked: Any,
@@ -370,8 +371,10 @@ def halve(
         The coarsest step [s]; default that of the file.
     out : path, optional
         ``.csv`` or ``.parquet`` file for the record at the finest step.
+    picture : path, optional
+        ``.svg``, ``.png`` or ``.pdf`` file for the changes over the step.
     force : bool
-        Overwrite ``out`` if it exists.
+        Overwrite what exists.
     note : callable, optional
         Called with what the coarsest run has to say.
     **asked
@@ -386,6 +389,7 @@ def halve(
 
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
+    _refuse_picture(picture, force=force)
     hearers = [note]
 
     def run(chosen: float | None) -> Trajectory:
@@ -396,6 +400,7 @@ def halve(
         from harness.data import write_trajectory
 
         write_trajectory(found.finest, out)
+    _draw(found.figure, picture)
     return found
 
 

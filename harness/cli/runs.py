@@ -68,12 +68,18 @@ def simulate(
         int | None,
         typer.Option(metavar="N", help="of a file without a scenario: halve the step N times"),
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="with --halve: draw the changes over the step (.svg, .png, .pdf)"),
+    ] = None,
     as_json: AsJson = False,
     force: Force = False,
     trust: Trust = None,
 ) -> None:
     """Run a scenario on a plant and record it; an FMU or a system runs as it is where no scenario is given."""
     notes: list[str] = []
+    if picture is not None and halve is None:
+        raise InputError("--picture", expected="--halve as well", got="none", remedy="--halve 4")
     if halve is not None:
         if scenario is not None or hide or scenario_option:
             raise InputError(
@@ -87,6 +93,7 @@ def simulate(
             times=halve,
             step=step,
             out=out,
+            picture=picture,
             force=force,
             note=notes.append,
             start=start,
@@ -101,8 +108,9 @@ def simulate(
             print_json(found.rows())
             return
         print_rows(found.rows())
-        if out is not None:
-            say(f"wrote {out}")
+        for path in (out, picture):
+            if path is not None:
+                say(f"wrote {path}")
         return
     broken: list[PlantError] = []
     with progress_bar("simulating") as bar:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,32 @@ class Convergence:
         known = ~(small[:-1] | small[1:])
         ratio = np.divide(self.changes[:-1], self.changes[1:], out=np.ones_like(self.changes[1:]), where=known)
         return np.where(known, np.log2(ratio), np.nan)
+
+    def figure(self) -> Any:
+        """Return a picture of the changes over the step, in shares of the ranges, with lines of first and second order.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+        axes = figure.subplots()
+        steps = self.steps[:-1]
+        moved = [j for j in range(len(self.outputs)) if (self.shares[:, j] > EXACT).any()]
+        for j in moved:
+            shares = np.where(self.shares[:, j] > EXACT, self.shares[:, j], np.nan)
+            axes.loglog(steps, shares, marker="o", linewidth=1.2, label=self.outputs[j])
+        if moved:
+            top = float(self.shares[0].max())
+            for order, style in ((1, "--"), (2, ":")):
+                line = top * (steps / steps[0]) ** order
+                axes.loglog(steps, line, style, color="#888888", linewidth=0.8, label=f"order {order}")
+            axes.legend(fontsize="small")
+        axes.set_xlabel("communication step [s]")
+        axes.set_ylabel("change with half the step / range")
+        return figure
 
     def rows(self) -> list[dict[str, object]]:
         """Return a row for each pair of steps: that of the output that changes most, with its order."""

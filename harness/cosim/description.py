@@ -21,7 +21,7 @@ __all__ = ["CouplingDescription", "Make", "PartDescription", "Wiring", "couple",
 Make = Callable[[str, dict[str, Any]], Plant]
 """Makes a part from a plant's id and its options; ``"fmu"`` takes a path, ``"mockup"`` a name."""
 
-CHANGEABLE = ("sample_time", "order", "loops", "iterations", "tolerance")
+CHANGEABLE = ("sample_time", "order", "loops", "iterations", "tolerance", "hold", "error")
 
 
 class PartDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -63,6 +63,8 @@ class CouplingDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     loops: Literal["solve", "refuse"] = "solve"
     iterations: int = 1
     tolerance: float = 1e-10
+    hold: Literal["constant", "linear"] = "constant"
+    error: float | None = None
 
 
 def read_coupling(path: str | Path) -> CouplingDescription:
@@ -126,7 +128,7 @@ def couple(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = 
     make : callable
         ``make(id, options) -> Plant``.
     changes : mapping, optional
-        Values that go before those of the file: sample_time, order, loops, iterations, tolerance.
+        Values that go before those of the file: sample_time, order, loops, iterations, tolerance, hold, error.
 
     Raises
     ------

@@ -10,6 +10,7 @@ from typing import Any, Literal, Self, cast
 
 import numpy as np
 
+from harness.cosim.controlled import Controlled, Hold, Lines
 from harness.cosim.graph import followers, reached_at_once, strong_components
 from harness.cosim.loops import newton
 from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower
@@ -51,6 +52,13 @@ class Coupled:
         ``"snapshots"`` of every part.
     tolerance : float
         Relative tolerance of the loop iterations.
+    hold : {"constant", "linear"}
+        What a part takes a real signal of another part for within a step: its value at the beginning, or the mean of
+        the line through its values (extrapolated from the last step, interpolated where the source has stepped).
+        ``"linear"`` is of second order in the step; it needs one rate and one pass.
+    error : float, optional
+        Largest error of a signal per step, relative to one more than its size: the parts exchange as often within a
+        communication step as that asks for, see :class:`harness.cosim.controlled.Controlled`.
     initial : mapping of str to float, optional
         Initial states ``"part.state"`` of every run, where ``reset`` does not say otherwise.
 
@@ -90,6 +98,8 @@ class Coupled:
         loops: Literal["solve", "refuse"] = "solve",
         iterations: int = 1,
         tolerance: float = 1e-10,
+        hold: Hold = "constant",
+        error: float | None = None,
         initial: Mapping[str, float] | None = None,
     ) -> None:
         if not parts:
@@ -130,6 +140,8 @@ class Coupled:
         self._one_rate = all(part.every == 1 for part in self._parts)
         # bound methods looked up once: the loop over the parts is the hot path
         self._calls = [(part, part.read, part.plant.step, part.outputs, part.plant.spec.ny) for part in self._sequence]
+        self._lines = Lines(self._parts, self._ny) if self._checked_hold(hold) == "linear" else None
+        self._controlled = None if error is None else Controlled(self._parts, error, self._late, iterations)
         self._tick = 0
         self._signals = [0.0] * (self._ny + len(external) + len(self._late))
 
@@ -221,6 +233,10 @@ class Coupled:
         for part, stream in zip(self._parts, rng.spawn(len(self._parts)), strict=True):
             self._put(part, part.plant.reset(rng=stream, x0=own[part.name] or None))
         self._tick = 0
+        if self._lines is not None:
+            self._lines.forget()
+        if self._controlled is not None:
+            self._controlled.forget()
         signals = self._signals
         signals[self._outside] = [0.0] * len(self._spec.inputs)
         for group in self._direct:  # a delay line starts with its source's first value
@@ -261,7 +277,9 @@ class Coupled:
     def step(self, u: FloatArray) -> FloatArray:
         """Advance every part that is due by the communication step; returns the outputs (ny,)."""
         self._apply(u)
-        if self._iterations > 1:
+        if self._controlled is not None:
+            self._controlled.step(self._snapshot, self._restore, self._through, lambda: self._signals[: self._ny])
+        elif self._iterations > 1:
             self._iterate()
         elif self._late:
             start = self._signals.copy()
@@ -329,6 +347,9 @@ class Coupled:
     def _advance(self, held: dict[str, FloatArray] | None) -> None:
         """Step the parts that are due, in sequence; under Gauss-Seidel with what is already new."""
         tick, signals = self._tick, self._signals
+        if self._lines is not None:
+            self._along_lines(self._lines, 0, 1)
+            return
         if held is None and self._order == "jacobi":
             held = {part.name: part.read(signals) for part in self._sequence if tick % part.every == 0}
         if held is None and self._one_rate:
@@ -345,6 +366,55 @@ class Coupled:
                 values = part.plant.step(part.held).tolist()
                 self._check_outputs(part, values)
                 signals[part.outputs] = values
+
+    def _through(self, count: int) -> None:
+        """Advance through a communication step in so many equal exchanges."""
+        for k in range(count):
+            if self._lines is not None:
+                self._along_lines(self._lines, k, count)
+            else:
+                jacobi = [part.read(self._signals) for part in self._sequence] if self._order == "jacobi" else None
+                for number, part in enumerate(self._sequence):
+                    u = part.read(self._signals) if jacobi is None else jacobi[number]
+                    self._step_part(part, u, k, count)
+                if self._direct and k < count - 1:
+                    self._evaluate(self._direct)
+
+    def _along_lines(self, lines: Lines, k: int, count: int) -> None:
+        """Step every part over the k-th of so many pieces, signals of others being lines within it."""
+        start, h = self._signals.copy(), self._spec.sample_time / count
+        middle = lines.extrapolated(start, h)
+        for part in self._sequence:
+            self._step_part(part, part.read(middle), k, count)
+            if self._order == "gauss-seidel" and not part.feeds_through:  # else it shows what it held, not the end
+                lines.interpolate(middle, start, self._signals, part)
+        if self._direct:
+            self._evaluate(self._direct)
+        lines.remember(start, self._signals, h)
+
+    def _step_part(self, part: Part, u: FloatArray, k: int, count: int) -> None:
+        """Step one part over the k-th of so many equal pieces of the communication step."""
+        y = part.plant.step(u) if count == 1 else cast(Any, part.plant).step_part(u, k, count)
+        values = y.tolist()
+        self._check_outputs(part, values)
+        self._signals[part.outputs] = values
+
+    def _checked_hold(self, hold: str) -> str:
+        """Return how signals are held within a step, or refuse it."""
+        if hold not in ("constant", "linear"):
+            raise InputError("hold", expected="'constant' or 'linear'", got=repr(hold), remedy="choose one")
+        slow = [part.name for part in self._parts if part.every > 1]
+        if hold == "linear" and (slow or self._iterations > 1 or self._late):
+            got = (
+                f"{', '.join(slow)} at another rate" if slow else "several passes" if self._iterations > 1 else "delays"
+            )
+            raise InputError(
+                "signals as lines within a step",
+                expected="parts of one rate, one pass, no delayed wires",
+                got=got,
+                remedy="hold='constant'",
+            )
+        return hold
 
     def _check_outputs(self, part: Part, values: list[float]) -> None:
         """Refuse outputs of a wrong number or that are not finite."""
@@ -421,10 +491,13 @@ class Coupled:
     def _snapshot(self) -> Any:
         parts = [cast(Snapshots, part.plant).get_state() for part in self._parts]
         memories = [tuple(wire.memory) for wire in self._late]
-        return parts, self._tick, tuple(self._signals), memories, [part.held for part in self._parts]
+        lines = None if self._lines is None else tuple(self._lines.rates)
+        return parts, self._tick, tuple(self._signals), memories, [part.held for part in self._parts], lines
 
     def _restore(self, state: Any) -> None:
-        parts, self._tick, signals, memories, inputs = state
+        parts, self._tick, signals, memories, inputs, rates = state
+        if self._lines is not None and rates is not None:
+            self._lines.rates[:] = rates
         for part, own, kept in zip(self._parts, parts, inputs, strict=True):
             cast(Snapshots, part.plant).set_state(own)
             part.held = kept

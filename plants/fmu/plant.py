@@ -251,6 +251,34 @@ class FmuPlant(Beyond):
             self._finish(engine)
         return engine.y.copy()
 
+    @property
+    def divides(self) -> bool:
+        """Whether :meth:`step_part` is to be had: co-simulation with variable communication steps, no event mode."""
+        able = bool(getattr(self.file.interface(self.kind), "canHandleVariableCommunicationStepSize", False))
+        return self.kind == "cs" and able and not self._instance.event_mode
+
+    def step_part(self, u: FloatArray, k: int, count: int) -> FloatArray:
+        """Hold ``u`` (nu,) for the k-th of so many equal parts of a sample; returns the output (ny,) at its end.
+
+        The parts of a sample are to be stepped through in order.
+
+        Raises
+        ------
+        PlantError
+            As :meth:`step` does.
+        """
+        if count == 1:
+            return self.step(u)
+        self._leave_record()
+        loop = self._engine.loop
+        h, sample = loop.h, loop.k
+        loop.h, loop.k = h / count, sample * count + k
+        try:
+            y = self.step(u)
+        finally:
+            loop.h, loop.k = h, sample + (k == count - 1)
+        return y
+
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Apply ``inputs`` (N, nu) from the present state in one call; returns (N, ny), equal to stepping."""
         return self._rolled(self._engine, inputs)

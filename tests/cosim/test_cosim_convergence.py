@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness import api
 from harness.command import main
-from harness.cosim.convergence import halved
+from harness.cosim.convergence import Convergence, halved
 from harness.errors import InputError
 from harness.signals import Channel, PlantSpec, Trajectory
 
@@ -69,3 +69,17 @@ def test_what_cannot_be_halved_is_refused(tmp_path: Path) -> None:
         api.halve("pendulum-ode", times=0)
     with pytest.raises(InputError, match="no scenario"):
         api.halve("pendulum-ode", times=1)
+
+
+def test_the_picture_shows_the_outputs_that_change() -> None:
+    found = Convergence(
+        steps=np.array([0.1, 0.05, 0.025]),
+        outputs=("$x$", "rests"),
+        changes=np.array([[0.1, 0.0], [0.05, 0.0]]),
+        ranges=np.array([1.0, 0.0]),
+        finest=None,  # type: ignore[arg-type]
+    )
+    axes = found.figure().axes[0]
+    labels = [line.get_label() for line in axes.lines]
+    assert labels == ["$x$", "order 1", "order 2"]
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), [0.1, 0.05])
