@@ -497,7 +497,8 @@ def _resampled(
     elif _coarser(steps, new):
         text += f"; nothing was filtered: content above {0.5 / new:g} Hz folds back"
     if made:
-        text += f"; {made} samples lie between readings of an output, which count as missing there"
+        text += f"; {made} samples lie between readings of an output, which count as missing there (a grid of "
+        text += f"{float(np.median(steps)):.4g} s has as many samples as there are readings)"
     notes.append(text)
     return pieces
 
