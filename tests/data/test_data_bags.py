@@ -170,3 +170,25 @@ def test_a_broken_bag_is_refused_in_one_line(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"no bag at all, but long enough to be looked at by a reader")
         with pytest.raises(InputError, match=r"not an? (ROS bag|MCAP) file"):
             contents_of(tmp_path / name)
+
+
+def test_a_topic_whose_definition_cannot_be_read_does_not_take_the_others_with_it(tmp_path: Path) -> None:
+    """As recorders write events of services beside topics; and constants of a type are no data."""
+    writer_of = pytest.importorskip("mcap.writer", reason="mcap is not installed")
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    path = tmp_path / "mixed.mcap"
+    with path.open("wb") as stream:
+        writer = writer_of.Writer(stream)
+        writer.start(profile="ros2")
+        service = writer.register_schema("pkg/srv/Sum_Event", "ros2msg", b"int64 a\n---\nint64 sum\n")
+        battery = writer.register_schema("pkg/msg/Level", "ros2msg", b"byte LOW=1\nbyte HIGH=2\nfloat64 volt\n")
+        asked = writer.register_channel("/sum/_service_event", "cdr", service)
+        told = writer.register_channel("/battery", "cdr", battery)
+        for k in range(50):
+            raw = store.serialize_cdr(store.types["std_msgs/msg/Float64"](12.0 + k), "std_msgs/msg/Float64")
+            writer.add_message(told, START + k * 10**7, bytes(raw), START + k * 10**7)
+            writer.add_message(asked, START + k * 10**7, b"\x00\x01\x00\x00", START + k * 10**7)
+        writer.finish()
+    found = contents_of(path)
+    assert [channel.column for channel in found.channels] == ["/battery.volt"]
+    assert any("/sum/_service_event is left out" in fact for fact in api.describe_file(path)["facts"])

@@ -51,28 +51,23 @@ class BagFile:
     paths = True
 
     def __init__(self, path: Path) -> None:
-        highlevel = optional("rosbags.highlevel", "a bag")
-        typesys = optional("rosbags.typesys", "a bag")
-        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         columns: dict[str, list[float]] = {}
         stamps: dict[str, list[tuple[int, int]]] = {}
         self._units: dict[str, str] = {}
         unread: dict[str, str] = {}
+        readable: set[str] = set()
         try:
-            with highlevel.AnyReader([path], default_typestore=store) as reader:
-                readable = {one.msgtype for one in reader.connections}
-                for connection, logged, raw in reader.messages():
-                    try:
-                        message = reader.deserialize(raw, connection.msgtype)
-                    except Exception as error:  # a type whose definition the bag does not hold
-                        unread[connection.topic] = f"{connection.msgtype} ({type(error).__name__})"
-                        continue
-                    at = (int(logged), _header(message))
-                    for name, value, unit in _numbers(connection.topic, message):
-                        columns.setdefault(name, []).append(value)
-                        stamps.setdefault(name, []).append(at)
-                        if unit is not None:
-                            self._units.setdefault(name, unit)
+            for topic, kind, logged, message in _messages(path):
+                readable.add(kind)
+                if isinstance(message, Exception):
+                    unread[topic] = f"{kind} ({type(message).__name__})"
+                    continue
+                at = (logged, _header(message))
+                for name, value, unit in _numbers(topic, message):
+                    columns.setdefault(name, []).append(value)
+                    stamps.setdefault(name, []).append(at)
+                    if unit is not None:
+                        self._units.setdefault(name, unit)
         except Exception as error:  # the library raises whatever a damaged bag makes it meet
             raise broken(path, "ROS bag", error) from error
         if not columns:
@@ -119,6 +114,61 @@ class BagFile:
         return self._units.get(title)
 
 
+def _messages(path: Path) -> Iterator[tuple[str, str, int, Any]]:
+    """Yield topic, type, time of recording [ns] and content of every message.
+
+    The content is an exception where a type is not known, or its definition in the bag cannot be read (events of
+    services): a topic that cannot be read does not take the others with it.
+    """
+    highlevel = optional("rosbags.highlevel", "a bag")
+    typesys = optional("rosbags.typesys", "a bag")
+    usual = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    bag = highlevel.AnyReader([path], default_typestore=usual)
+    for part in bag.readers:
+        with part:
+            stores = {connection.id: _types(connection, typesys, usual) for connection in part.connections}
+            for connection, logged, raw in part.messages():
+                store = stores[connection.id]
+                message: Any = store
+                if not isinstance(store, Exception):
+                    read = store.deserialize_cdr if bag.is2 else store.deserialize_ros1
+                    try:
+                        message = read(raw, connection.msgtype)
+                    except Exception as error:  # a type whose definition the bag does not hold
+                        message = error
+                yield connection.topic, connection.msgtype, int(logged), message
+
+
+def _types(connection: Any, typesys: Any, usual: Any) -> Any:
+    """Return the types that the messages of a connection are made of, or what is wrong with their definition."""
+    definition = connection.msgdef
+    if definition.format.name == "NONE":
+        return usual
+    try:
+        store = typesys.get_typestore(typesys.Stores.EMPTY)
+        if definition.format.name == "MSG":
+            store.register(typesys.get_types_from_msg(definition.data, connection.msgtype))
+        else:
+            rule = "=" * 80 + "\n"
+            texts = [part.partition("\n")[2] for part in definition.data.split(rule) if part.startswith("IDL: ")]
+            for text in texts or [definition.data]:
+                store.register(typesys.get_types_from_idl(text))
+    except Exception as error:  # the library raises whatever a definition makes it meet
+        return error
+    return store
+
+
+def _fields(message: Any) -> Iterator[str]:
+    """Yield the names of what a message holds, without constants of its type and the filler of an empty one."""
+    for field in dataclasses.fields(message):
+        constant = field.name.isupper() and hasattr(type(message), field.name)
+        if not constant and field.name not in ("header", "__msgtype__", "layout", _FILLER):
+            yield field.name
+
+
+_FILLER = "structure_needs_at_least_one_member"
+
+
 def _header(message: Any) -> int:
     """Return the stamp of a message's header [ns]; 0 where it has none."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
@@ -128,16 +178,13 @@ def _header(message: Any) -> int:
 def _numbers(topic: str, message: Any) -> Iterator[tuple[str, float, str | None]]:
     """Yield name, value and unit of every number of a message; of a joint's lists by the joint's name."""
     joints = list(message.name) if message.__msgtype__ == "sensor_msgs/msg/JointState" else None
-    for field in dataclasses.fields(message):
-        if field.name in ("header", "__msgtype__", "layout", "name" if joints is not None else ""):
-            continue
-        value = getattr(message, field.name)
-        if joints is not None:
+    for field in _fields(message):
+        value = getattr(message, field)
+        if joints is None:
+            yield from _inside(f"{topic}.{field}", value, REP_103.get((message.__msgtype__, field)))
+        elif field != "name":
             for joint, number in zip(joints, value, strict=False):
-                yield f"{topic}.{field.name}[{joint}]", float(number), None
-        else:
-            unit = REP_103.get((message.__msgtype__, field.name))
-            yield from _inside(f"{topic}.{field.name}", value, unit)
+                yield f"{topic}.{field}[{joint}]", float(number), None
 
 
 def _inside(path: str, value: Any, unit: str | None) -> Iterator[tuple[str, float, str | None]]:
@@ -150,10 +197,8 @@ def _inside(path: str, value: Any, unit: str | None) -> Iterator[tuple[str, floa
                 yield from _inside(f"{path}[{number}]", one, unit)
     elif dataclasses.is_dataclass(value):
         kind = getattr(value, "__msgtype__", "")
-        for field in dataclasses.fields(value):
-            if field.name not in ("header", "__msgtype__", "layout"):
-                inner = getattr(value, field.name)
-                yield from _inside(f"{path}.{field.name}", inner, REP_103.get((kind, field.name), unit))
+        for field in _fields(value):
+            yield from _inside(f"{path}.{field}", getattr(value, field), REP_103.get((kind, field), unit))
 
 
 def holds_json(path: Path) -> bool:
