@@ -21,7 +21,7 @@ from identifiers.common.one_step_estimate import jackknife_estimate, least_squar
 from identifiers.common.records import missing_notes, moving, real_signals, usable
 from identifiers.common.regression import Solution
 from identifiers.common.scaling import sizes
-from identifiers.common.stability import clip_eigenvalues, nearest_stable
+from identifiers.common.stability import clip_eigenvalues, convex_stable, nearest_stable
 from identifiers.linear.arx import Arx, design, lag_model, one_step, solution_notes, with_lag_neighbours
 from identifiers.linear.norms import largest_components
 
@@ -45,8 +45,10 @@ class StateLeastSquares:
         Least squares; instrumental variables or total least squares, which white noise on the outputs does not bias
         where it biases least squares at any length of the record; least sum of absolute errors, which bears outliers;
         least sum over samples of the largest component of the error.
-    stable : bool
-        Nearest stable model where the fit is unstable (:func:`identifiers.common.stability.nearest_stable`).
+    stable : bool or "convex"
+        Nearest stable model where the fit is unstable (:func:`identifiers.common.stability.nearest_stable`, a local
+        search), or that of a convex program (:func:`identifiers.common.stability.convex_stable`). The notes say how far
+        from the fit it is, in its own equation error.
     scaled : bool
         Compare the components of ``linf`` relative to the size of their output; by default as they are, so that this
         one criterion depends on the units of the outputs.
@@ -75,7 +77,7 @@ class StateLeastSquares:
 
     offset: bool = False
     method: Literal["ls", "iv", "tls", "l1", "linf"] = "ls"
-    stable: bool = False
+    stable: bool | Literal["convex"] = False
     scaled: bool = False
     least_excitation: float = 2.0
     intervals: int | None = None
@@ -87,6 +89,10 @@ class StateLeastSquares:
         real_signals(spec, what)
         moving(records, what)
         refuse_law(records, what, self.least_excitation)
+        if self.stable not in (False, True, "convex"):
+            raise FitError(
+                f"{what}: stable", expected="true, false, convex", got=repr(self.stable), remedy="correct it"
+            )
         if self.method not in ("ls", "iv", "tls", "l1", "linf"):
             raise FitError(
                 f"{what}: method", expected="ls, iv, tls, l1 or linf", got=repr(self.method), remedy="use one of these"
@@ -103,10 +109,14 @@ class StateLeastSquares:
         }
         estimate = self._estimate(records, solution, coefficients, what)
         if self.stable and spectral_radius(coefficients[: spec.ny]) >= 1.0:
-            notes["stabilized"] = True
             weights = 1.0 / sizes([record.y for record in records])
-            factor = solution.factor * solution.scale
-            coefficients = nearest_stable(coefficients, factor, spec.ny, clip_eigenvalues, weights)
+            factor, fitted = solution.factor * solution.scale, coefficients
+            if self.stable == "convex":
+                coefficients = convex_stable(coefficients, factor, spec.ny, weights)
+            else:
+                coefficients = nearest_stable(coefficients, factor, spec.ny, clip_eigenvalues, weights)
+            moved = float(np.linalg.norm(factor @ (coefficients - fitted) * weights))
+            notes.update({"stabilized": True, "moved by": moved})
         elif estimate is not None:  # of the nearest stable model the spread of the fit says nothing
             notes["estimate"] = estimate.to_dict()
         model = lag_model(spec, coefficients, 1, self.offset, notes)
