@@ -217,8 +217,22 @@ def _residual_covariance(records: Sequence[Trajectory], solution: Solution, lags
     return found
 
 
-def foretold_output(records: Sequence[Trajectory], theta: FloatArray, lags: int, offset: bool) -> str | None:
-    """Return the output whose residuals those one sample before foretell most, None where chance explains all."""
+def foretold_output(
+    records: Sequence[Trajectory],
+    theta: FloatArray,
+    lags: int,
+    offset: bool,
+    columns: Sequence[Sequence[int]] | None = None,
+) -> str | None:
+    """Return the output whose residuals those one sample before foretell most, None where chance explains all.
+
+    Parameters
+    ----------
+    records, theta, lags, offset
+        As of :func:`least_squares_estimate`.
+    columns : sequence of sequence of int, optional
+        Regressors of each output, where not all are.
+    """
     from scipy.stats import chi2
 
     rows, before, later, left = [], [], [], CHECKED
@@ -237,15 +251,20 @@ def foretold_output(records: Sequence[Trajectory], theta: FloatArray, lags: int,
     phi, past, now = map(np.concatenate, (rows, before, later))
     if len(now) <= phi.shape[1] + past.shape[1]:
         return None
-    both = np.hstack([phi, past])
-    size = np.linalg.norm(both, axis=0)
-    q, values, _ = np.linalg.svd(both / np.where(size > 0, size, 1.0), full_matrices=False)
-    q = q[:, values > 1e-10 * values[0]]
+    own = [phi] if columns is None else [phi[:, list(chosen)] for chosen in columns]
     power = np.sum(now**2, axis=0)
-    share = np.sum((q.T @ now) ** 2, axis=0) / np.where(power > 0, power, 1.0)
+    explained = [np.sum((_basis(np.hstack([rows, past])).T @ now) ** 2, axis=0) for rows in own]
+    share = (explained[0] if columns is None else np.diag(explained)) / np.where(power > 0, power, 1.0)
     probability = chi2.sf(len(now) * share, past.shape[1])
     worst = int(np.argmin(probability))
     return records[0].spec.outputs[worst].name if probability[worst] < DOUBT / share.size else None
+
+
+def _basis(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of what columns span but for rounding."""
+    size = np.linalg.norm(columns, axis=0)
+    q, values, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    return np.asarray(q[:, values > 1e-10 * values[0]], dtype=np.float64)
 
 
 def _without(records: Sequence[Trajectory], low: int, high: int) -> list[Trajectory]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,8 @@ from identifiers.common.records import lagged, lagged_blocks, missing_notes, mov
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import lively, sizes
 from identifiers.common.stability import nearest_stable, stable_lags
+from identifiers.linear.arx_channels import arx_by_channel, arx_orders_of, channel_neighbours
+from identifiers.linear.polynomials.orders import Counts
 
 __all__ = ["Arx", "design", "lag_model", "one_step", "solution_notes", "with_lag_neighbours"]
 
@@ -35,7 +37,7 @@ _EXACT = 1e-9
 
 @dataclass(frozen=True)
 class Arx:
-    """ARX model of one order for all channels; order and delay by validation where none is given.
+    """ARX model of one order for all channels, or of one for every pair; chosen by validation where none is given.
 
     Parameters
     ----------
@@ -54,6 +56,12 @@ class Arx:
     least_excitation : float
         As of ``least-squares``: inputs must depart from any law of the other regressors by so many times the noise
         that the law passes on. Not asked with a ridge.
+    na, nb : int, list of int or list of lists, optional
+        Past values of the outputs, and coefficients of the inputs: a number for all, one for each channel, or rows of
+        outputs by columns of channels. With any of ``na``, ``nb``, ``nk`` what is not given is ``order``, or chosen by
+        Schwarz's criterion.
+    nk : int, list, list of lists or "auto", optional
+        Delays, at least 1; ``"auto"`` finds each from the data, and the notes say how sure it is.
     """
 
     order: int | None = None
@@ -62,6 +70,9 @@ class Arx:
     ridge: float = 0.0
     stable: bool = False
     least_excitation: float = 2.0
+    na: Counts | None = None
+    nb: Counts | None = None
+    nk: Counts | Literal["auto"] | None = None
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a model whose state is the past outputs and inputs."""
@@ -70,6 +81,8 @@ class Arx:
         real_signals(spec, what)
         moving(records, what)
         refuse_law(records, what, self.least_excitation)
+        if (self.na, self.nb, self.nk) != (None, None, None):
+            return self._by_channel(records, missing_notes(trajectories, records), what)
         ladder: dict[str, Any] = {}
         order, delay = self.order, self.delay
         if order is None:
@@ -103,6 +116,36 @@ class Arx:
             return lag_model(spec, coefficients, order, self.offset, notes)
         model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})
         return with_lag_neighbours(model, records, solution, order, self.offset, delay=delay, estimate=estimate)
+
+    def _by_channel(self, records: list[Trajectory], said: dict[str, Any], what: str) -> LinearModel:
+        """Return the model whose channels have orders of their own."""
+        spec = records[0].spec
+        orders, notes = arx_orders_of(records, self.na, self.nb, self.nk, self.order, what)
+        records, _ = usable(records, samples=orders.lags + 2, what=what)
+        fitted = arx_by_channel(records, orders, self.offset, self.ridge, self.least_excitation, what)
+        theta, solutions, estimate = fitted
+        notes |= {"na": list(map(list, orders.na)), "nb": list(map(list, orders.nb)), "nk": list(map(list, orders.nk))}
+        notes |= {
+            "residual_rms": [float(one.residual_rms[0]) for one in solutions],
+            "samples": solutions[0].rows,
+            **said,
+        }
+        if self.stable and spectral_radius(lag_model(spec, theta, orders.lags, self.offset).a_matrix) >= 1.0:
+            raise FitError(
+                f"{what}: the model is unstable",
+                expected="a stable one, as asked",
+                got="a pole on or outside the unit circle",
+                remedy="use prediction-error with structure arx and stable, or one order for all channels",
+            )
+        if estimate is not None:
+            notes["estimate"] = estimate.to_dict()
+        model = lag_model(spec, theta, orders.lags, self.offset, notes)
+        model = replace(model, notes={**notes, KEY: determined_bands(model.matrices, records)})
+        found = channel_neighbours(records, orders, theta, solutions, self.offset)
+        if found is None:
+            return model
+        near = [lag_model(spec, one, orders.lags, self.offset).matrices for one in found[0]]
+        return replace(model, spread=spread_of(near, factor=found[1], warning=found[2]))
 
     def _chosen(self, records: list[Trajectory], what: str) -> tuple[int, int, dict[str, Any]]:
         """Return order and delay that predict the last third of the records best, and the ladder of errors."""

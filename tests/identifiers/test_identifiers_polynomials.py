@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from harness.errors import FitError
 from harness.models.arx_orders import arx_order_grid, input_delays
+from harness.registry import create
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.polynomials.holes import misses_of
 from identifiers.linear.polynomials.model import Orders, Part, Polynomials, block_form
@@ -205,3 +206,66 @@ def test_delays_are_as_sure_as_they_say(noise):
 def test_delays_of_short_records_are_refused():
     with pytest.raises(FitError, match="delays"):
         input_delays([two_inputs(0, 60)])
+
+
+# ---- arx by channel ----
+
+MIMO = PlantSpec((Channel("u", "V"), Channel("v", "A")), (Channel("y", "m"), Channel("z", "rad")), 0.1)
+
+
+def coupled(seed: int, n: int = 800, noise: float = 0.2) -> Trajectory:
+    """Return y+ = .8 y + u(k-1), z+ = .5 z + .3 y - .2 z(k-2) + 2 v(k-3), noise in the equations."""
+    rng = np.random.default_rng(seed)
+    u, y, z, e = rng.normal(size=(n, 2)), np.zeros(n), np.zeros(n), noise * rng.normal(size=(n, 2))
+    for k in range(4, n):
+        y[k] = 0.8 * y[k - 1] + u[k - 2, 0] + e[k, 0]
+        z[k] = 0.5 * z[k - 1] + 0.3 * y[k - 1] - 0.2 * z[k - 2] + 2.0 * u[k - 4, 1] + e[k, 1]
+    return Trajectory(np.arange(n) * 0.1, u, np.column_stack([y, z]), MIMO)
+
+
+def test_arx_keeps_to_the_orders_of_every_pair():
+    options = {"na": [[1, 0], [1, 2]], "nb": [[1, 0], [0, 1]], "nk": [[2, 1], [1, 4]]}
+    wrong = []
+    for seed in range(30):
+        model = create("identifiers", "arx", offset=False, **options).fit([coupled(seed)], rng=RNG)
+        found = model.notes["estimate"]
+        values = dict(zip(found["names"], found["values"], strict=True))
+        true = {
+            "y on y[k]": 0.8,
+            "y on u[k-1]": 1.0,
+            "z on y[k]": 0.3,
+            "z on z[k]": 0.5,
+            "z on z[k-1]": -0.2,
+            "z on v[k-3]": 2.0,
+        }
+        assert values.keys() == true.keys()
+        low, high = np.array(found["intervals"]).T
+        wanted = np.array([true[name] for name in found["names"]])
+        wrong.append((wanted < low) | (wanted > high))
+    assert 0.01 < np.mean(wrong) < 0.12
+    assert model.spread is not None
+    assert model.impulse_response(6)[4, 1, 1] == pytest.approx(2.0, abs=0.05)
+    assert model.impulse_response(6)[:4, 1, 1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_arx_of_one_order_is_the_same_with_it_for_every_pair():
+    data = coupled(1, 300)
+    plain = create("identifiers", "arx", order=2).fit([data], rng=RNG)
+    pairs = create("identifiers", "arx", na=2, nb=2).fit([data], rng=RNG)
+    for one, other in zip(plain.matrices, pairs.matrices, strict=True):
+        assert one == pytest.approx(other, abs=1e-10)
+    assert plain.spread.a == pytest.approx(pairs.spread.a, abs=1e-9)
+    assert plain.notes["estimate"]["values"] == pytest.approx(pairs.notes["estimate"]["values"], abs=1e-10)
+
+
+def test_arx_finds_the_delays_and_what_is_not_given():
+    model = create("identifiers", "arx", nk="auto").fit([coupled(2, 1500)], rng=RNG)
+    assert model.notes["delays"]["z from v"]["samples"] == 4
+    assert model.notes["delays"]["y from u"]["interval"] == [2, 2]
+    assert model.notes["na"][0][0] >= 1
+
+
+def test_arx_by_channel_refuses_what_makes_no_sense():
+    for options in ({"nk": 0}, {"na": [1, 2, 3]}, {"nb": [[1, 2]]}):
+        with pytest.raises(FitError, match="arx"):
+            create("identifiers", "arx", **{"order": 1, **options}).fit([coupled(0, 100)], rng=RNG)

@@ -11,7 +11,7 @@ from harness.errors import FitError
 from harness.signals import PlantSpec
 from identifiers.linear.polynomials.model import Orders
 
-__all__ = ["LETTERS", "Counts", "by_input", "by_output", "orders_by_output"]
+__all__ = ["LETTERS", "Counts", "by_output", "by_pair", "orders_by_output"]
 
 Counts = int | list[int] | list[list[int]]
 """A number for all; one for each input (nb, nf, nk) or output (na, nc, nd); or rows of outputs, columns of inputs."""
@@ -68,11 +68,12 @@ def orders_by_output(
 
     na, nc, nd = (counts(letter) for letter in "acd")
     delays = given.get("nk")
-    nb, nk = by_input("nb", of("b"), spec, what), by_input("nk", 1 if delays is None else delays, spec, what)
+    nb = by_pair("nb", of("b"), spec.ny, spec.nu, what)
+    nk = by_pair("nk", 1 if delays is None else delays, spec.ny, spec.nu, what)
     nf: list[tuple[int, ...]] = [()] * spec.ny
     if "f" in letters:
         shared = isinstance(of("f"), int) or spec.nu == 1
-        nf = [row[:1] if shared else row for row in by_input("nf", of("f"), spec, what)]
+        nf = [row[:1] if shared else row for row in by_pair("nf", of("f"), spec.ny, spec.nu, what)]
     return [Orders(na[i], nb[i], nc[i], nd[i], nf[i], nk[i]) for i in range(spec.ny)]
 
 
@@ -84,20 +85,30 @@ def by_output(name: str, value: Counts, spec: PlantSpec, what: str) -> list[int]
     return [int(one) for one in found]
 
 
-def by_input(name: str, value: Counts, spec: PlantSpec, what: str) -> list[tuple[int, ...]]:
-    """Return for each output a number for each input, of a number for all, a list by input or a matrix."""
+def by_pair(name: str, value: Counts, ny: int, columns: int, what: str) -> list[tuple[int, ...]]:
+    """Return for each output a number for each column (an input, or an output of the past).
+
+    Parameters
+    ----------
+    name : str
+    value : int, list or list of lists
+        A number for all, one for each column, or rows of outputs.
+    ny, columns : int
+    what : str
+        For messages.
+    """
     rows: list[Any]
     if isinstance(value, int):
-        rows = [[value] * spec.nu] * spec.ny
+        rows = [[value] * columns] * ny
     elif all(_whole(one) for one in value):
-        rows = [list(value)] * spec.ny
+        rows = [list(value)] * ny
     else:
         rows = list(value)
-    fine = len(rows) == spec.ny and all(
-        isinstance(row, Sequence) and len(row) == spec.nu and all(map(_whole, row)) for row in rows
+    fine = len(rows) == ny and all(
+        isinstance(row, Sequence) and len(row) == columns and all(map(_whole, row)) for row in rows
     )
     if not fine:
-        wanted = f"a whole number from 0 on, {spec.nu} of them by input, or {spec.ny} rows of {spec.nu}"
+        wanted = f"a whole number from 0 on, a list of {columns} by channel, or {ny} rows of {columns}"
         raise _wrong(name, value, wanted, what)
     return [tuple(int(one) for one in row) for row in rows]
 
