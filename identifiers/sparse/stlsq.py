@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -223,12 +224,24 @@ class Stlsq:
         refuse_law(records, what, self.least_excitation)
         refuse_feedback_of_records(records, self.order or 1, self.least_excitation, what)
         if self.time == "discrete" or self.order is not None or _rates_measured(spec):
-            return self._fitted(records, spec, self.order or 1, what, rng)
+            return self._told(self._fitted(records, spec, self.order or 1, what, rng), spec)
         models = [self._fitted(records, spec, order, what, rng) for order in (1, 2)]
         errors = [_ahead_error(model, records) for model in models]
         best = 0 if errors[0] <= 1.05 * errors[1] else 1
         notes = {**models[best].notes, "order_error": {"1": _json(errors[0]), "2": _json(errors[1])}}
         return replace(models[best], notes=notes)
+
+    def _told(self, model: SparseModel, spec: PlantSpec) -> SparseModel:
+        """Return the model with a warning, if it is in discrete time and an input is in none of its equations."""
+        terms = " ".join(term for chosen in model.support for term in chosen)
+        idle = [c.name for c in spec.inputs if not re.search(rf"(?<!\w){re.escape(c.name)}(?!\w)", terms)]
+        if self.time != "discrete" or not idle:
+            return model
+        text = (
+            f"{' and '.join(idle)} is in no equation: what it does within one sample lies below the noise of the "
+            'outputs; where it does move the plant, time = "continuous" or slower samples show it'
+        )
+        return replace(model, notes={**model.notes, "warning": text})
 
     def _check(self, what: str) -> None:
         """Refuse options that make no sense."""

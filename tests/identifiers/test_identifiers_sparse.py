@@ -267,3 +267,17 @@ def test_a_slow_plant_in_discrete_time_keeps_its_input_and_no_term_of_rounding(r
     model = Stlsq(time="discrete", degree=1, rule=rule).fit([record], rng=np.random.default_rng(0))
     assert model.coefficients.ravel() == pytest.approx([0.0, pole, 1 - pole], abs=1e-9)
     assert model.support == (("x", "u"),)
+
+
+@pytest.mark.parametrize(("noise", "said"), [(0.0, False), (1e-2, True)])
+def test_an_input_that_falls_out_of_a_discrete_model_is_said(noise: float, said: bool) -> None:
+    """A slow plant: in one sample the input does less than the noise of the outputs."""
+    rng = np.random.default_rng(0)
+    u, x = np.repeat(rng.choice([0.0, 1.0], 30), 100), np.zeros(3000)
+    for k in range(2999):
+        x[k + 1] = 0.99 * x[k] + 0.01 * u[k]
+    spec = PlantSpec((Channel("heat"),), (Channel("x"),), 0.1)
+    data = Trajectory(np.arange(3000) * 0.1, u[:, None], (x + noise * rng.standard_normal(3000))[:, None], spec)
+    model = Stlsq(time="discrete").fit([data], rng=rng)
+    assert ("heat is in no equation" in model.notes.get("warning", "")) == said
+    assert any("heat" in term for chosen in model.support for term in chosen) != said
