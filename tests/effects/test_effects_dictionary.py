@@ -36,7 +36,8 @@ sensor_saturation sensor_quantisation sensor_nonlinearity position_dependent_dam
 periodic_disturbance overflow level_saturation leak yield_friction
 lugre_friction lugre_coulomb_friction lugre_asymmetric_friction lugre_load_dependent_friction
 lugre_position_dependent_friction lugre_sublinear_friction lugre_yield_friction
-parallel_hysteresis hardening_elasticity unilateral_backlash drifting_damping drifting_gain""".split()
+parallel_hysteresis hardening_elasticity unilateral_backlash drifting_damping drifting_gain
+sensor_drift""".split()
 
 
 LAWS = Dictionary.builtin()

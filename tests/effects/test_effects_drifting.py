@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness.effects import builtin
 
-DAMPING, GAIN = builtin()["drifting_damping"], builtin()["drifting_gain"]
+DAMPING, GAIN, SENSOR = (builtin()[name] for name in ("drifting_damping", "drifting_gain", "sensor_drift"))
 
 
 def force(d: float, T: float, v: float, t: float) -> float:
@@ -43,3 +43,12 @@ def test_a_damping_that_would_drive_at_the_end_of_a_record_is_forbidden() -> Non
     assert not DAMPING.violations_along({"d": 0.5, "T": 20.0}, places, np.full(5, 0.1))
     assert not GAIN.violations({"g": -1.0, "T": 20.0})
     assert GAIN.violations({"g": -2.5, "T": 20.0})
+
+
+@given(d=st.floats(-2.0, 2.0), y=st.floats(-5.0, 5.0), share=st.floats(0.0, 1.0))
+def test_a_sensor_that_drifts_reads_right_at_first_and_is_wrong_by_d_in_the_end(
+    d: float, y: float, share: float
+) -> None:
+    p = SimpleNamespace(d=d, T=20.0)
+    read = [float(SENSOR.function(y, None, p, 0.0, 0.0, t)) for t in (0.0, 20.0 * share, 20.0, 1e4)]
+    assert read == pytest.approx([y, y + d * share, y + d, y + d], abs=1e-9)

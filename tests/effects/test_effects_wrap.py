@@ -70,6 +70,7 @@ U = (np.sin(np.arange(400) * 0.05) + 0.5 * np.sin(np.arange(400) * 0.17))[:, Non
         ("input_compression", "u", {"c": 0.1}, 1e-12),
         ("maxwell_element", "theta", {"k": 0.5, "tau": 0.2}, 0.02),
         ("drifting_damping", "theta", {"d": -0.3, "T": 4.0}, 0.02),
+        ("sensor_drift", "theta", {"d": 0.2, "T": 4.0}, 1e-12),
         ("drifting_gain", "u", {"g": -0.3, "T": 4.0}, 2e-3),  # its change within a sample
         ("position_dependent_damping", "theta", {"c1": 0.1, "c2": 0.2}, 0.02),
         ("sensor_quantisation", "theta", {"step": 0.01}, 1e-12),

@@ -233,11 +233,11 @@ def reading_directions(
                     column[:, row, 0] = delay(y, given[placed.effect.parameters[0].name], trace.dt) - y
                 elif linear:
                     nothing = {**complete, **{n: placed.effect.parameter(n).neutral or 0.0 for n in linear}}
-                    before = _sensor(placed, y, nothing)
+                    before = _sensor(placed, trace, y, nothing)
                     for k, name in enumerate(linear):
-                        column[:, row, k] = _sensor(placed, y, {**nothing, name: nothing[name] + 1.0}) - before
+                        column[:, row, k] = _sensor(placed, trace, y, {**nothing, name: nothing[name] + 1.0}) - before
                 else:
-                    column[:, row, 0] = _sensor(placed, y, complete) - y
+                    column[:, row, 0] = _sensor(placed, trace, y, complete) - y
                 readings[use].append(column)
         directions.append(Direction(placed, given, names, _nothing(traces, ports, len(names)), readings))
     return directions
@@ -262,16 +262,17 @@ def _waves_of_readings(
                 column = np.zeros((len(y), nominal.ny, 2))
                 for number, phase in enumerate((0.0, 0.5 * np.pi)):
                     at = {wave_number.name: k, turn.name: phase, main.name: 1.0}
-                    column[:, row, number] = _sensor(placed, y, at) - y
+                    column[:, row, number] = _sensor(placed, trace, y, at) - y
                 readings[use].append(column)
         given = {wave_number.name: k}
         directions.append(Direction(placed, given, WAVE, _nothing(traces, ports, 2), readings, "wave"))
     return directions
 
 
-def _sensor(placed: Placed, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
-    """Return what a sensor reads."""
-    value, _ = placed.effect.evaluate(y, [0.0] * len(placed.effect.states), values, y, 0.0, t=0.0, a=0.0, load=0.0)
+def _sensor(placed: Placed, trace: Along, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    """Return what a sensor reads along a record."""
+    still = [0.0] * len(placed.effect.states)
+    value, _ = placed.effect.evaluate(y, still, values, y, 0.0, t=trace.record.t, a=0.0, load=0.0)
     return np.asarray(value) * np.ones_like(y)
 
 

@@ -1,4 +1,4 @@
-"""What changes along a record: dampings and gains of a machine that warms up or tires."""
+"""What changes along a record: dampings, gains and sensors of a machine that warms up or tires."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from harness.effects.effect import EffectParameter, effect, par
 from harness.effects.functions import larger, smaller
 
-__all__ = ["drifting_damping", "drifting_gain"]
+__all__ = ["drifting_damping", "drifting_gain", "sensor_drift"]
 
 
 def _length() -> EffectParameter:
@@ -16,9 +16,14 @@ def _length() -> EffectParameter:
                meaning="time of the change: the longest record")  # fmt: skip
 
 
+def _part(t: Any, p: Any) -> Any:
+    """Return 0 where a record begins, 1 from the end of the change on."""
+    return smaller(larger(t / p.T, 0.0), 1.0)
+
+
 def _drift(t: Any, p: Any) -> Any:
     """Return -1/2 where a record begins, 0 in the middle of the change, 1/2 from its end on."""
-    return smaller(larger(t / p.T, 0.0), 1.0) - 0.5
+    return _part(t, p) - 0.5
 
 
 @effect(
@@ -61,3 +66,20 @@ def drifting_damping(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
 def drifting_gain(u: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
     """Gain of a drive that changes along a record: a supply that sags, magnets and windings that warm up."""
     return (1.0 + p.g * _drift(t, p)) * u
+
+
+@effect(
+    "output",
+    [
+        par("d", "y", scale="0.05 y", neutral=0.0, main=True, linear=True,
+            meaning="error that the reading has gained within the time T"),
+        _length(),
+    ],
+    formula="y' = y + d t/T, t the time since the record began, constant beyond T",
+    family=("sensor_offset", "drifting_gain", "drifting_damping"),
+    limits={"sensor_offset": "for a record far shorter than the drift takes"},
+    experiment="bring the plant back to where it began at the end of the record: the reading is another one",
+)  # fmt: skip
+def sensor_drift(y: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
+    """Zero of a sensor that wanders along a record: a strain gauge that warms up, a gyro that is integrated."""
+    return y + p.d * _part(t, p)
