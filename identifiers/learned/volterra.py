@@ -14,6 +14,7 @@ from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.excitation import excited_lags
 from identifiers.common.records import moving, real_signals, usable
 
 __all__ = ["Volterra", "VolterraModel"]
@@ -190,7 +191,12 @@ class Volterra:
         more = self._sums(held, size)
         gram, right, count = gram + more[0], right + more[1], count + more[2]
         theta = np.asarray(np.linalg.solve(gram + best[1] * count * np.diag(weight), right), dtype=float)
-        notes = {"coefficients": size, "ridge": best[1], "samples": count}
+        notes: dict[str, Any] = {"coefficients": size, "ridge": best[1], "samples": count}
+        if (lags := excited_lags(records, self.memory)) < self.memory:
+            notes["warning"] = (
+                f"the inputs excite {lags} lags of {self.memory}: the rest of the kernel is what the regularisation "
+                "prefers, and other inputs may be answered wrongly; use a richer input, or a shorter memory"
+            )
         return VolterraModel(
             spec,
             self.memory,

@@ -18,9 +18,9 @@ from harness.scoring import equation_error, predict, simulation_error
 from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.common.lag_state import regression_data
+from identifiers.hybrid.piecewise_affine import PiecewiseAffine
 from identifiers.learned.trees import RandomForest, grow_tree
 from identifiers.learned.volterra import Volterra
-from identifiers.hybrid.piecewise_affine import PiecewiseAffine
 from identifiers.linear.least_squares import Arx
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
@@ -153,3 +153,15 @@ def test_refusals():
     alone = Trajectory(data.t, np.zeros((20, 0)), data.y, PlantSpec((), SPEC.outputs, 0.1))
     with pytest.raises(FitError, match="no inputs"):
         Volterra(memory=4).fit([alone], rng=rng())
+
+
+@pytest.mark.parametrize(("lines", "said"), [(1, True), (4, True), (15, False)])
+def test_an_input_of_few_lines_leaves_most_of_a_kernel_open_and_that_is_said(lines: int, said: bool) -> None:
+    rng, k = np.random.default_rng(0), np.arange(1000)
+    u = sum(
+        np.sin(w * k + phase) for w, phase in zip(np.linspace(0.1, 3.0, lines), rng.uniform(0, 6, lines), strict=True)
+    )
+    y = np.r_[0.0, np.convolve(u, 0.5 ** np.arange(30))[:999]] + 0.01 * rng.standard_normal(1000)
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
+    model = Volterra(memory=20, order=1).fit([Trajectory(k * 0.1, u[:, None], y[:, None], spec)], rng=rng)
+    assert (f"the inputs excite {2 * lines} lags of 20" in model.notes.get("warning", "")) == said
