@@ -239,6 +239,8 @@ def test_only_what_lies_behind_the_window_counts(window: int, seed: int) -> None
     assert found == pytest.approx(np.linalg.norm((modelled - measured)[window:], axis=0) / np.sqrt(30))
     modelled[:window] = 1e9
     assert window_rmse(measured, modelled, window) == pytest.approx(found)
+    modelled[-1, 1] = 1e9  # the model grows, which tells nothing of the plant
+    assert window_rmse(measured, modelled, window)[1] == np.inf
     modelled[-1, 0] = np.nan
     assert window_rmse(measured, modelled, window)[0] == np.inf
     with pytest.raises(InputError, match="the same shape"):
@@ -263,8 +265,8 @@ def test_a_free_run_is_shown_no_output_behind_the_window(seed: int) -> None:
 
 def test_a_figure_is_the_mean_over_records_and_outputs_in_the_unit_of_the_set() -> None:
     rule = RULES["fine-steering-mirror"]
-    still = np.zeros((110, 3))
-    assert figure(rule, [still, still], [still + np.array([1e-6, 2e-6, 3e-6]), still]) == pytest.approx(1.0)
+    moved = np.random.default_rng(0).normal(size=(110, 3))
+    assert figure(rule, [moved, moved], [moved + np.array([1e-6, 2e-6, 3e-6]), moved]) == pytest.approx(1.0)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))

@@ -10,6 +10,7 @@ from harness.benchmark.public.rules import Rule
 from harness.errors import InputError
 from harness.protocols import Model
 from harness.scoring import free_run
+from harness.scoring.prediction import DIVERGED
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["figure", "horizon_errors", "simulated", "window_rmse"]
@@ -21,7 +22,9 @@ def window_rmse(measured: FloatArray, modelled: FloatArray, window: int) -> Floa
     Parameters
     ----------
     measured, modelled : array (N, ny)
-        Outputs; where the model's are not finite, the error is infinite.
+        Outputs; where the model's are not finite, or miss by
+        :data:`harness.scoring.prediction.DIVERGED` times the scatter of what was measured,
+        the error is infinite.
     window : int
         Samples at the start that are not scored.
 
@@ -37,7 +40,7 @@ def window_rmse(measured: FloatArray, modelled: FloatArray, window: int) -> Floa
 
     Examples
     --------
-    >>> window_rmse(np.zeros((4, 1)), np.array([[9.0], [9.0], [3.0], [-3.0]]), 2)
+    >>> window_rmse(np.array([[0.0], [0.0], [1.0], [2.0]]), np.array([[9.0], [9.0], [4.0], [-1.0]]), 2)
     array([3.])
     """
     if measured.shape != modelled.shape or len(measured) <= window:
@@ -49,7 +52,8 @@ def window_rmse(measured: FloatArray, modelled: FloatArray, window: int) -> Floa
         )
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.sqrt(np.mean((modelled[window:] - measured[window:]) ** 2, axis=0))
-    return np.where(np.isfinite(error), error, np.inf)
+        grown = error > DIVERGED * np.std(measured[window:], axis=0)
+    return np.where(np.isfinite(error) & ~grown, error, np.inf)
 
 
 def simulated(model: Model, test: Trajectory, window: int | None) -> FloatArray:
