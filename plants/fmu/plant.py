@@ -21,7 +21,7 @@ from plants.fmu.instance import Instance
 from plants.fmu.options import check_event_mode, chosen_kind, complaints, count_substeps, default, encoded, refused
 from plants.fmu.stops import finish, stopped
 from plants.fmu.trust import FirstRun
-from plants.fmu.variables import Port, channels, choose, describe, feeds_through, starts, states_of
+from plants.fmu.variables import Port, channels, choose, describe, feeds_through, resize, starts, states_of
 from plants.mockups import mockup
 
 __all__ = ["FmuPlant", "describe"]
@@ -115,6 +115,7 @@ class FmuPlant(Beyond):
     ) -> None:
         self._options = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.file: FmuFile = read_fmu(path)
+        resize(self.file, parameters)
         self.kind: Kind = chosen_kind(self.file, kind)
         check_event_mode(self.file, self.kind, event_mode=event_mode, early_return=early_return)
         dt = default(self.file, "stepSize") if sample_time is None else sample_time

@@ -55,9 +55,10 @@ def _scalar(file: FmuFile, variable: Any, value: Any, scale: float, offset: floa
             raise _unfit(file, variable, "a text", repr(value))
         return value
     if kind == "Binary":
-        if not isinstance(value, bytes):
-            raise _unfit(file, variable, "bytes", repr(value))
-        return value
+        try:
+            return bytes.fromhex(value) if isinstance(value, str) else bytes(memoryview(value))
+        except (ValueError, TypeError):
+            raise _unfit(file, variable, "bytes, or pairs of hexadecimal digits", repr(value)) from None
     if kind == "Enumeration" and isinstance(value, str):
         items = variable.declaredType.items if variable.declaredType is not None else []
         found = [int(item.value) for item in items if item.name == value]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +14,7 @@ from harness.signals import Channel
 from plants.fmu.archive import FmuFile, Kind, read_fmu
 from plants.fmu.units import si_conversion
 
-__all__ = ["Port", "channels", "choose", "describe", "feeds_through", "port", "starts", "states_of"]
+__all__ = ["Port", "channels", "choose", "describe", "feeds_through", "port", "resize", "starts", "states_of"]
 
 REALS = frozenset({"Real", "Float64", "Float32"})
 INTEGERS = frozenset(
@@ -79,6 +79,30 @@ def port(file: FmuFile, variable: Any) -> Port:
     made = tuple(Channel(n, found.unit, min(low, high), max(low, high)) for n in names)
     complaint = None if found.complaint is None else f"{variable.name}: {found.complaint}"
     return Port(variable, made, found.scale, found.offset, complaint)
+
+
+def resize(file: FmuFile, parameters: object) -> None:
+    """Give arrays the shapes that structural parameters among the given ones make (FMI 3.0.2 sec. 2.4.7.5)."""
+    given = parameters if isinstance(parameters, Mapping) else {}
+    known = file.variables
+    sizes = {
+        name: value
+        for name, value in given.items()
+        if name in known and known[name].causality == "structuralParameter" and isinstance(value, int | float)
+    }
+    for variable in known.values() if sizes else ():
+        if variable.dimensions:
+            ends = [(one.start, one.variable) for one in variable.dimensions]
+            shape = [start if by is None else sizes.get(by.name, by.start) for start, by in ends]
+            variable.shape = tuple(int(size) for size in shape)
+    if sizes:
+        described = file.description
+        counted = {
+            "numberOfContinuousStates": described.derivatives,
+            "numberOfEventIndicators": described.eventIndicators,
+        }
+        for name, unknowns in counted.items():
+            setattr(described, name, int(sum(np.prod(one.variable.shape or ()) for one in unknowns)))
 
 
 def _limit(variable: Any, declared: Any, side: Literal["min", "max"]) -> float:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from harness.errors import InputError
 from plants.fmu import engine as fmu_engine
+from plants.fmu.archive import read_fmu
+from plants.fmu.options import encoded
 from plants.fmu.plant import FmuPlant, describe
+from plants.fmu.values import encode
+from plants.fmu.variables import channels, choose, resize
 
 RNG = np.random.default_rng(0)
+SIZED = '<UInt64 name="n" valueReference="90" causality="structuralParameter" variability="fixed" start="2"/>'
 
 
 @pytest.fixture(params=[True, False], ids=["c-loop", "python-loop"])
@@ -93,3 +101,29 @@ def test_describe_shows_shapes_and_types(odd_fmu: Callable[..., Path]) -> None:
     assert rows["A"]["shape"] == [2, 2]
     assert rows["label"]["type"] == "String"
     assert rows["label"]["start"] == "zoo"
+
+
+def test_structural_parameters_give_arrays_their_shape(odd_fmu: Callable[..., Path], tmp_path: Path) -> None:
+    """The description alone tells the channels; the matrices that are set must fit them."""
+    path = tmp_path / "sized.fmu"
+    with zipfile.ZipFile(odd_fmu("zoo", 3)) as old, zipfile.ZipFile(path, "w") as new:
+        for entry in old.infolist():
+            content = old.read(entry)
+            if entry.filename == "modelDescription.xml":
+                text = content.decode().replace("<ModelVariables>", f"<ModelVariables>{SIZED}")
+                content = re.sub(r'<Dimension start="2"\s*/>', '<Dimension valueReference="90"/>', text).encode()
+            new.writestr(entry, content)
+    for n, values in ((None, [1, 0, 0, 1]), (3, list(range(9)))):
+        file = read_fmu(path)
+        resize(file, {} if n is None else {"n": n})
+        assert [c.name for c in channels(choose(file, ["u"], "input"))] == [f"u[{k + 1}]" for k in range(n or 2)]
+        assert encoded(file, {"A": values}, "parameters", None) == {"A": [float(x) for x in values]}
+
+
+@pytest.mark.parametrize("value", ["00ff", b"\x00\xff", bytearray(b"\x00\xff")])
+def test_a_binary_value_is_bytes_or_hexadecimal_digits(odd_fmu: Callable[..., Path], value: object) -> None:
+    file = read_fmu(odd_fmu("zoo", 3))
+    variable = SimpleNamespace(name="blob", type="Binary", shape=None)
+    assert encode(file, variable, value) == b"\x00\xff"
+    with pytest.raises(InputError, match="hexadecimal"):
+        encode(file, variable, "0xzz")
