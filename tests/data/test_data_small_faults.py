@@ -9,6 +9,7 @@ import pytest
 
 from harness.data import load_dataset
 from harness.data.conditioning.suspicion import _gain
+from harness.data.tables.binary_files import _inside
 from harness.data.tables.headers import stated_unit
 from harness.data.tables.text_files import TextFile
 from harness.errors import InputError
@@ -79,3 +80,15 @@ def test_no_row_of_a_text_is_lost(tmp_path: Path) -> None:
     read = TextFile(file)
     assert list(read.titles) == ["a [m]", "b [s]"]
     assert read.values("b [s]").tolist() == [2.0, 4.0]
+
+
+def test_the_columns_of_a_matrix_are_named_along_its_longer_side() -> None:
+    def itself(value: object) -> object:
+        return value
+
+    assert _inside("m", np.zeros((5, 2)), itself) == ["m[:,0]", "m[:,1]"]
+    assert _inside("m", np.zeros((2, 5)), itself) == ["m[0]", "m[1]"]
+    for whole in (np.zeros(5), np.zeros((5, 1)), np.zeros((1, 5)), np.zeros((5, 2), dtype="U3")):
+        assert _inside("m", whole, itself) is None
+    deep = np.zeros(3, dtype=[("a", float, (2,)), ("b", float)])
+    assert _inside("m", deep, itself) == ["m.a[:,0]", "m.a[:,1]", "m.b"]
