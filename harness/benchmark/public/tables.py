@@ -232,11 +232,12 @@ def _value(cell: Cell | None, number: int, *, whole: bool = False) -> str:
     """Return a figure, or the status of a cell without one."""
     if cell is None:
         return ""
-    value = _at(cell.whole_record if whole else cell.figures, number)
+    values = cell.whole_record if whole else cell.figures
+    value = _at(values, number)
     if value is not None:
         return figure(value)
     if cell.status == "ok":
-        return "diverged"
+        return "diverged" if values else ""
     return "" if whole or cell.status == "missing" else cell.status
 
 
