@@ -206,6 +206,8 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """A filter on every input and output; for linear models only."""
     undriven: tuple[str, ...] = ()
     """Inputs of the model that nothing drove."""
+    feedthrough: bool = False
+    """Outputs answer the input of the same sample (an accelerometer, a contact force)."""
     source: SourceSection | None = None
     """Where public data come from."""
     description: str = ""

@@ -26,13 +26,15 @@ from identifiers.common.stability import nearest_stable, stable_lags
 from identifiers.linear.arx_channels import arx_by_channel, arx_orders_of, channel_neighbours
 from identifiers.linear.polynomials.orders import Counts
 
-__all__ = ["Arx", "design", "lag_model", "one_step", "solution_notes", "with_lag_neighbours"]
+__all__ = ["Arx", "design", "lag_model", "one_step", "operating_point", "solution_notes", "with_lag_neighbours"]
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 # An order is kept only if it lowers the validated error by this much: below it the gain is chance.
 _GAIN = 0.98
 # Errors below this share of an output are rounding, and decide nothing.
 _EXACT = 1e-9
+# A constant is missed where it lowers the mean square by so much, and chance would not do so once in a million.
+_MISSED, _CHANCE = 1.05, 1e-6
 
 
 @dataclass(frozen=True)
@@ -301,6 +303,36 @@ def with_lag_neighbours(
         biased = estimate.covariance is not None and estimate.intervals is None
     near = [lag_model(spec, _widened(one, spec, lags, delay), lags, offset).matrices for one in found[0]]
     return replace(model, spread=spread_of(near, factor=found[1], warning=BIAS if biased else ""))
+
+
+def operating_point(records: Sequence[Trajectory], solution: Solution, lags: int, what: str) -> dict[str, str]:
+    """Return a warning for the notes where a fit without a constant misses one: records about an operating point.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    solution : Solution
+        Without the constant.
+    lags : int
+    what : str
+    """
+    from scipy.stats import chi2
+
+    try:
+        more = one_step(records, lags, True, 0.0, what)
+    except FitError:  # the constant follows from the others
+        return {}
+    size = sizes([record.y for record in records])
+    before, after = (np.maximum(one.residual_rms, _EXACT * size) ** 2 for one in (solution, more))
+    ratio = before / after
+    worst = int(np.argmax(ratio))
+    if ratio[worst] < _MISSED or chi2.sf(solution.rows * np.log(ratio[worst]), 1) > _CHANCE:
+        return {}
+    name = records[0].spec.outputs[worst].name
+    return {
+        "warning": f"a constant is missing ({name} stands about an operating point): offset = true makes the residual "
+        f"{float(np.sqrt(1 / ratio[worst])):.2g} of this one"
+    }
 
 
 def _one_step_blocks(

@@ -23,7 +23,7 @@ from identifiers.common.records import missing_notes, moving, real_signals, usab
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import Scaling, lively, noise_levels, sizes
 from identifiers.common.stability import clip_eigenvalues, nearest_stable, stable_lags
-from identifiers.linear.arx import lag_model, one_step, solution_notes, with_lag_neighbours
+from identifiers.linear.arx import lag_model, one_step, operating_point, solution_notes, with_lag_neighbours
 
 __all__ = ["Dmdc"]
 
@@ -154,6 +154,8 @@ class Dmdc:
         if self.ridge == 0.0:
             refuse_feedback(solution, Columns(spec, self.delays), self.least_excitation, what)
         coefficients, notes = solution.coefficients, solution_notes(solution)
+        if not self.offset and self.ridge == 0.0:
+            notes |= operating_point(records, solution, self.delays, what)
         estimate = None
         if self.ridge == 0.0:
             estimate = least_squares_estimate(records, solution, self.delays, self.offset)

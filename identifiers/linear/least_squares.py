@@ -22,7 +22,15 @@ from identifiers.common.records import missing_notes, moving, real_signals, usab
 from identifiers.common.regression import Solution
 from identifiers.common.scaling import sizes
 from identifiers.common.stability import clip_eigenvalues, convex_stable, nearest_stable
-from identifiers.linear.arx import Arx, design, lag_model, one_step, solution_notes, with_lag_neighbours
+from identifiers.linear.arx import (
+    Arx,
+    design,
+    lag_model,
+    one_step,
+    operating_point,
+    solution_notes,
+    with_lag_neighbours,
+)
 from identifiers.linear.norms import largest_components
 
 __all__ = ["Arx", "LinearModel", "StateLeastSquares"]
@@ -107,6 +115,8 @@ class StateLeastSquares:
             **missing_notes(trajectories, records),
             "method": self.method if self.method != "ls" else solution.method,
         }
+        if not self.offset:
+            notes |= operating_point(records, solution, 1, what)
         estimate = self._estimate(records, solution, coefficients, what)
         if self.stable and spectral_radius(coefficients[: spec.ny]) >= 1.0:
             weights = 1.0 / sizes([record.y for record in records])

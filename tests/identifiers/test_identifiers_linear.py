@@ -215,3 +215,20 @@ def test_the_residual_of_a_perfect_fit_is_read_off_the_data():
     phi = RNG.normal(size=(300, 3))
     found = solve(blocks_of(phi, 1e6 * phi[:, :1]), "test")
     assert found.residual_rms[0] < 1e-8
+
+
+@pytest.mark.parametrize("name", ["least-squares", "dmdc"])
+def test_a_constant_that_is_missed_is_said_and_none_where_there_is_none(name):
+    from scipy.signal import lfilter
+
+    from harness.registry import create
+
+    rng = np.random.default_rng(0)
+    spec, u = PlantSpec((Channel("u"),), (Channel("y"),), 1.0), rng.normal(size=(1500, 1))
+    y = lfilter([0.0, 1.0], [1.0, -0.8], u[:, 0] + 0.05 * rng.normal(size=1500))[:, None]
+    for level, missed in ((0.0, False), (100.0, True)):
+        data = Trajectory(np.arange(1500.0), u, y + level, spec)
+        plain, whole = (create("identifiers", name, offset=offset).fit([data], rng=rng) for offset in (False, True))
+        assert ("offset = true" in plain.notes.get("warning", "")) == missed
+        assert "warning" not in whole.notes
+        assert whole.a_matrix[0, 0] == pytest.approx(0.8, abs=0.01)

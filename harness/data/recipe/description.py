@@ -68,8 +68,8 @@ def parse_description(text: str, *, file: str | Path | None = None) -> Descripti
     ... except InputError as error:
     ...     print(error)
     sampel_time: unknown key: expected one of name, signals, runs, nominal, sample_time, time, intersample, gaps,
-    duplicates, resample, detrend, filter, undriven, source, description, got 'sampel_time'; remedy: did you mean
-    sample_time?
+    duplicates, resample, detrend, filter, undriven, feedthrough, source, description, got 'sampel_time'; remedy: did
+    you mean sample_time?
     """
     try:
         content = tomllib.loads(text)

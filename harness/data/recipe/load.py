@@ -555,6 +555,7 @@ class _Reader:
             tuple(channels[name] for name in self.plan.inputs),
             tuple(channels[name] for name in self.plan.outputs),
             sample_time,
+            feedthrough=self.description.feedthrough,
         )
 
     def _trajectory(self, piece: Piece, spec: PlantSpec) -> tuple[Trajectory, dict[str, FloatArray]]:
