@@ -60,6 +60,7 @@ _HOMES = {
     "isolability": "api",
     "bench": "api",
     "export_fmu": "api",
+    "equations": "export.equations",
     "compare": "api",
     "spectrum": "api",
     "order": "api",

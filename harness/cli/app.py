@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
+from harness.cli.equations import equations
 from harness.cli.loop import close_loop, isolability, learn_residual
 from harness.cli.models import check_data, compare, export, identify, order, spectrum
 from harness.cli.opening import open_page
@@ -43,7 +44,7 @@ app = typer.Typer(
 )
 
 _NAMED_ALIKE = (simulate, bench, table, query, identify, compare, spectrum, order, modes, analyse, isolability)
-for _command in (*_NAMED_ALIKE, export, check):
+for _command in (*_NAMED_ALIKE, export, equations, check):
     app.command()(_command)
 app.command(name="check-data")(check_data)
 app.command(name="close-loop")(close_loop)

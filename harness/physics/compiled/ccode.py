@@ -20,7 +20,7 @@ from harness.fmi.build import compiler, tell_without_compiler
 from harness.fmi.compiled import cache_folder
 from harness.signals import FloatArray
 
-__all__ = ["Compilation", "c_function", "system_source"]
+__all__ = ["Compilation", "c_function", "formats", "system_source"]
 
 # No fused multiply-add: the compiled code repeats CasADi's virtual machine bit for bit. The vectors are written out, so
 # -O1 gives as fast a roll-out as -O2, compiled a third sooner.
@@ -92,7 +92,7 @@ _UNARY = {
 
 
 @functools.cache
-def _formats() -> dict[int, str]:
+def formats() -> dict[int, str]:
     """Return the C text of every operation by its CasADi number."""
     return {getattr(ca, name): text for name, text in {**_BINARY, **_UNARY}.items() if hasattr(ca, name)}
 
@@ -128,7 +128,7 @@ def c_function(name: str, function: Any) -> str:
       o0[0] = w0;
     }
     """
-    formats = _formats()
+    known = formats()
     lines = []
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
@@ -139,8 +139,8 @@ def c_function(name: str, function: Any) -> str:
             lines.append(f"w{out[0]} = i{into[0]}[{into[1]}];")
         elif operation == ca.OP_OUTPUT:
             lines.append(f"o{out[0]}[{out[1]}] = w{into[0]};")
-        elif operation in formats:
-            lines.append(f"w{out[0]} = {formats[operation].format(*(f'w{operand}' for operand in into))};")
+        elif operation in known:
+            lines.append(f"w{out[0]} = {known[operation].format(*(f'w{operand}' for operand in into))};")
         else:
             raise ValueError(f"no C text for CasADi operation {operation} in {name}")
     inputs = [f"const double *i{row}" for row in range(function.n_in())]

@@ -15,7 +15,7 @@ from harness.physics.symbolic.lumping import Split
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import FloatArray
 
-__all__ = ["jumping_mean", "motion_functions", "test_function_on"]
+__all__ = ["jumping_mean", "motion_functions", "motion_terms", "test_function_on"]
 
 
 def test_function_on(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -41,7 +41,12 @@ def jumping_mean(
 
 
 def motion_functions(mechanism: Mechanism, parts: Split) -> dict[str, Vectorised]:
-    """Return the functions of the motion behind the three forms, by CasADi's differentiation."""
+    """Return the functions of the motion behind the three forms, for whole records."""
+    return {name: Vectorised(inputs, outputs) for name, (inputs, outputs) in motion_terms(mechanism, parts).items()}
+
+
+def motion_terms(mechanism: Mechanism, parts: Split) -> dict[str, tuple[list[Any], list[Any]]]:
+    """Return the same as CasADi columns, by its differentiation: the symbols (q, v, u, t, a) and what they make."""
     n, nu, k = len(mechanism.q), len(mechanism.u), len(parts.combinations)
     q, v, a = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("a", n)
     u, t = ca.SX.sym("u", nu), ca.SX.sym("t")
@@ -79,11 +84,11 @@ def motion_functions(mechanism: Mechanism, parts: Split) -> dict[str, Vectorised
         return ca.vec(ca.horzcat(*columns).T) if k else ca.SX(0, 1)
 
     return {
-        "torque": Vectorised([*inputs, a], [rows(torques)]),
-        "torque_known": Vectorised([*inputs, a], [known_push + known_pull - rate(known_momentum)]),
-        "energy": Vectorised(inputs, [ca.vertcat(*energies) if k else ca.SX(0, 1)]),
-        "momentum": Vectorised(inputs, [rows(momenta)]),
-        "force": Vectorised(inputs, [rows(pulls), known_pull + known_push]),
-        "generalized": Vectorised(inputs, [rows(pushes), known_push]),
-        "known": Vectorised(inputs, [known_energy, known_momentum]),
+        "torque": ([*inputs, a], [rows(torques)]),
+        "torque_known": ([*inputs, a], [known_push + known_pull - rate(known_momentum)]),
+        "energy": (inputs, [ca.vertcat(*energies) if k else ca.SX(0, 1)]),
+        "momentum": (inputs, [rows(momenta)]),
+        "force": (inputs, [rows(pulls), known_pull + known_push]),
+        "generalized": (inputs, [rows(pushes), known_push]),
+        "known": (inputs, [known_energy, known_momentum]),
     }

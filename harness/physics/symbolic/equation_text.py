@@ -6,11 +6,16 @@ from typing import Any, Literal
 
 import sympy as sp
 
-from harness.physics.symbolic.lumping import lagrangian
+from harness.physics.symbolic.lumping import lagrangian, without_squared_sines
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.physics.symbolic.ode import Ode
 
-__all__ = ["equations"]
+__all__ = ["equations", "written"]
+
+SIMPLE = 200
+"""Operations up to which identities of several angles are tried: minutes for an arm with all its parameters."""
+SHORT = 12
+"""Largest denominator of a fraction that is read more easily than a decimal."""
 
 
 def equations(model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -> list[str]:
@@ -36,18 +41,34 @@ def equations(model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -
     """
     if isinstance(model, Mechanism):
         rows = _mechanical(model)
-        names = {str(symbol): 1 for symbol in model.v}
-        plain = [str(symbol) for symbol in model.q]
     else:
         rows = [(sp.Symbol(f"v_{state}"), sp.sympify(rhs)) for state, rhs in zip(model.x, model.rhs, strict=True)]
-        names, plain = {}, [str(symbol) for symbol in model.x]
-    symbols = _Names({**names, **{f"v_{name}": 1 for name in plain}, **{f"a_{name}": 2 for name in plain}})
+    symbols = _names(model)
     lines = [f"{symbols.write(left, form)} = {symbols.write(right, form)}" for left, right in rows]
     for name, given in model.outputs.items():
         expression = sp.sympify(given[0] if isinstance(given, tuple) else given)
         if str(expression) != name:
             lines.append(f"{symbols.write(sp.Symbol(name), form)} = {symbols.write(expression, form)}")
     return lines
+
+
+def written(expression: Any, model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -> str:
+    """Return one expression as :func:`equations` writes it; ``v_theta`` is a rate, ``a_theta`` an acceleration.
+
+    Examples
+    --------
+    >>> from harness.physics.models import pendulum
+    >>> written(sp.Symbol("J") * sp.Symbol("a_theta"), pendulum())
+    "J*theta''"
+    """
+    return _names(model).write(_short(sp.sympify(expression)), form)
+
+
+def _names(model: Mechanism | Ode) -> _Names:
+    """Return the writer of the derivatives of a model."""
+    rates = {str(symbol): 1 for symbol in model.v} if isinstance(model, Mechanism) else {}
+    plain = [str(symbol) for symbol in (model.q if isinstance(model, Mechanism) else model.x)]
+    return _Names({**rates, **{f"v_{name}": 1 for name in plain}, **{f"a_{name}": 2 for name in plain}})
 
 
 def _mechanical(model: Mechanism) -> list[tuple[Any, Any]]:
@@ -75,8 +96,11 @@ def _mechanical(model: Mechanism) -> list[tuple[Any, Any]]:
 def _short(expression: Any) -> Any:
     """Return an expression with the trigonometry simplified where that makes it shorter."""
     expanded = sp.expand(expression)
-    shorter = sp.expand(sp.trigsimp(expanded)) if sp.count_ops(expanded) < 400 else expanded
-    return shorter if sp.count_ops(shorter) < sp.count_ops(expanded) else expanded
+    tried = [expanded, without_squared_sines(expanded)]
+    angles = {node.args[0] for node in expanded.atoms(sp.sin, sp.cos)}
+    if len(angles) > 1 and min(map(sp.count_ops, tried)) < SIMPLE:
+        tried.append(sp.expand(sp.trigsimp(expanded)))
+    return min(tried, key=sp.count_ops)
 
 
 class _Names:
@@ -106,7 +130,7 @@ class _Names:
 
 
 def _tidy(expression: Any) -> Any:
-    """Return floats that are whole numbers as such."""
-    return expression.xreplace(
-        {number: sp.Integer(round(number)) for number in expression.atoms(sp.Float) if float(number).is_integer()}
-    )
+    """Return floats that are whole numbers as such, and long fractions as decimals."""
+    whole = {number: sp.Integer(round(number)) for number in expression.atoms(sp.Float) if float(number).is_integer()}
+    long = {number: sp.Float(float(number), 15) for number in expression.atoms(sp.Rational) if number.q > SHORT}
+    return expression.xreplace({**whole, **long})

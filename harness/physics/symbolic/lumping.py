@@ -93,16 +93,30 @@ def known_symbols(mechanism: Mechanism, known: Mapping[str, float]) -> dict[Any,
     return {symbols[name]: sp.Float(float(value), 17) for name, value in known.items()}
 
 
-def lagrangian(mechanism: Mechanism) -> Any:
-    """Return T - V of a mechanism, bodies included."""
-    total = sp.sympify(mechanism.T) - sp.sympify(mechanism.V)
+def energies(mechanism: Mechanism) -> tuple[Any, Any]:
+    """Return kinetic energy T and potential energy V of a mechanism, bodies included.
+
+    Examples
+    --------
+    >>> from harness.physics.models import pendulum
+    >>> [str(energy) for energy in energies(pendulum())]
+    ['J*v_theta**2/2', '-mgl*cos(theta)']
+    """
+    kinetic, potential = sp.sympify(mechanism.T), sp.sympify(mechanism.V)
     rates = list(zip(mechanism.q, mechanism.v, strict=True))
     for body in mechanism.bodies:
         velocity = [sum(sp.diff(part, q) * v for q, v in rates) + sp.diff(part, mechanism.t) for part in body.position]
         spin = sum(sp.diff(body.angle, q) * v for q, v in rates) + sp.diff(body.angle, mechanism.t)
-        total += body.mass * sum(sp.expand(part**2) for part in velocity) / 2
-        total += body.inertia * sp.expand(spin**2) / 2 - body.weight * body.position[1]
-    return total
+        kinetic += body.mass * sum(sp.expand(part**2) for part in velocity) / 2
+        kinetic += body.inertia * sp.expand(spin**2) / 2
+        potential += body.weight * body.position[1]
+    return kinetic, potential
+
+
+def lagrangian(mechanism: Mechanism) -> Any:
+    """Return T - V of a mechanism, bodies included."""
+    kinetic, potential = energies(mechanism)
+    return kinetic - potential
 
 
 class _Table:
@@ -120,7 +134,7 @@ class _Table:
         if expanded is None:
             expanded = sp.expand(expression)
         # cos^2 + sin^2 = 1, found term by term where it matters: the kinetic energy of rotating bodies.
-        for term in sp.Add.make_args(_pythagoras(expanded)):
+        for term in sp.Add.make_args(without_squared_sines(expanded)):
             inside, outside = (
                 term.as_independent(*self.parameters, as_Add=False) if self.parameters else (term, sp.Integer(1))
             )
@@ -188,7 +202,7 @@ class _Table:
         return Split(tuple(combinations), tuple(lagrangians), tuple(forces), known_energy, tuple(known_force))
 
 
-def _pythagoras(expanded: Any) -> Any:
+def without_squared_sines(expanded: Any) -> Any:
     """Return a sum in which ``a sin(x)^2 + a cos(x)^2`` is replaced by ``a``, for every angle x."""
     angles = sorted({node.args[0] for node in expanded.atoms(sp.sin)}, key=str)
     for angle in angles:
