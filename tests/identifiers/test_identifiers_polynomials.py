@@ -50,6 +50,11 @@ def test_every_input_has_a_denominator_and_a_delay_of_its_own(nk):
     assert found["b"][1] == pytest.approx([0.5], abs=0.03)
     names = model.notes["estimate"]["names"]
     assert {"y: f1 of u", "y: f1 of v", "y: b4 of v"} <= set(names)
+    assert model.notes["estimate"]["intervals"] is not None
+    for name, low_high in zip(names, model.notes["estimate"]["intervals"], strict=True):
+        if name in (true := {"y: f1 of u": -1.5, "y: f1 of v": -0.6, "y: b4 of v": 0.5, "y: b2 of u": 1.0}):
+            middle, half = np.mean(low_high), np.ptp(low_high) / 2
+            assert abs(true[name] - middle) < 2 * half  # four standard deviations
     assert model.notes["residual_rms"][0] == pytest.approx(0.1, rel=0.1)
     if nk == "auto":
         assert model.notes["delays"]["y from v"]["interval"] == [4, 4]

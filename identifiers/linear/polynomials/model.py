@@ -56,8 +56,16 @@ class Orders:
 
     @property
     def starts_x(self) -> tuple[int, ...]:
-        """Of every group, the coefficients of the free response of B/F at the start of a record."""
-        return tuple(max(n, self._reach(group)) if n else 0 for n, group in zip(self.degrees, self.groups, strict=True))
+        """Of every group, the coefficients of the free response of B/F at the start of a record.
+
+        As many as the degree of F, and for what inputs before the record still do as many more as they reach beyond
+        that: of the group with most of them alone, for they are pulses, the same for all.
+        """
+        more = [self._reach(group) - n if n else 0 for n, group in zip(self.degrees, self.groups, strict=True)]
+        most = int(np.argmax(more)) if more else 0
+        return tuple(
+            n + (max(extra, 0) if g == most else 0) for g, (n, extra) in enumerate(zip(self.degrees, more, strict=True))
+        )
 
     @property
     def start_x(self) -> int:
