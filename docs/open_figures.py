@@ -42,6 +42,8 @@ def main() -> None:
             page.click("#go")
             page.wait_for_selector("#frame:not([hidden])")
             page.frame_locator("#frame").locator("h1").wait_for()
+            page.locator("#frame").scroll_into_view_if_needed()
+            page.wait_for_timeout(3000)  # a frame is painted once it was in sight
             page.evaluate("() => { document.getElementById('opened').textContent = 'run.csv'; scrollTo(0, 0); }")
             page.screenshot(path=PICTURE, full_page=True)
             browser.close()
