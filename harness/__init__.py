@@ -60,7 +60,7 @@ _HOMES = {
     "isolability": "api",
     "bench": "api",
     "export_fmu": "api",
-    "equations": "export.equations",
+    "equations": "written",
     "compare": "api",
     "spectrum": "api",
     "order": "api",

@@ -32,7 +32,7 @@ def equations(
     trust: Trust = None,
 ) -> None:
     """Print the equations of a model: motion, energy, lumped parameters, regressor, as text, LaTeX, Python or C."""
-    from harness.export.equations import equations as written
+    from harness.written import equations as written
 
     text = written(model, form=form.value, out=out, force=force, **option_pairs(option, "--option"))
     say(text.rstrip() if out is None else f"wrote {out}")

@@ -17,11 +17,12 @@ from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.errors import InputError
-from harness.export.equations import WrittenModel, equations, written_model
+from harness.export.equations import WrittenModel, written_model
 from harness.fmi.build import compiler
 from harness.physics.compiled.ccode import Compilation
 from harness.physics.lumps.lumped_model import lumped
 from harness.physics.models import load_model
+from harness.written import equations
 
 MODELS = (
     "pendulum",
