@@ -21,7 +21,7 @@ identifiers = [{id = "hold"}, {id = "dmdc"}]
 """
 
 
-@pytest.mark.parametrize("name", ["quick", "smoke", "standard", "measured"])
+@pytest.mark.parametrize("name", ["quick", "smoke", "standard", "measured", "further"])
 def test_bundled_suites_load(name: str) -> None:
     suite = load_suite(name)
     pairs = cells_of(tasks_of(suite))
