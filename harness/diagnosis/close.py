@@ -14,7 +14,7 @@ from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.records.inputs_check import inputs_checked
-from harness.diagnosis.records.stretches import cut_alike
+from harness.diagnosis.records.stretches import cut_alike, parted
 from harness.diagnosis.steps import Progress
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.diagnosis.wanted import Wanted
@@ -140,7 +140,8 @@ def close_loop(
     with alone_in(folder):
         if folder is not None and force and not resume:
             shutil.rmtree(folder / "candidates", ignore_errors=True)
-        dataset = _looked_at(dataset)
+        whole_runs = _looked_at(dataset)
+        dataset = parted(whole_runs)
         if (arm := _arm(model)) is not None:
             from harness.diagnosis.arm.close import close_arm
 
@@ -173,10 +174,10 @@ def close_loop(
         if progress is not None:
             progress(0.9, "report")
         with one_thread():
-            data = evidence_data(diagnosis, cut_alike(references, dataset, diagnosis.dataset))
-            data["oddities"] = oddities_data(dataset)
+            data = evidence_data(diagnosis, cut_alike(references, whole_runs, diagnosis.dataset))
+            data["oddities"] = oddities_data(whole_runs)
             if folder is not None:
-                write_evidence(diagnosis, data, folder / HTML, odd_pictures(dataset))
+                write_evidence(diagnosis, data, folder / HTML, odd_pictures(whole_runs))
         if folder is not None:
             if box:
                 repaired = _repaired_fmu(diagnosis, folder)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from harness import api
 from harness.data.oddities import examined
+from harness.diagnosis import close_loop
 from harness.physics.compiled.kalman_pass import KalmanPass, Noise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.physics.fitting.likelihood_fit import fit_likelihood
@@ -193,3 +194,41 @@ def test_check_data_tells_that_the_input_is_late(
 def test_check_data_leaves_an_input_in_time_alone(tmp_path: Path, clean: tuple[FloatArray, FloatArray]) -> None:
     check = api.check_data(written(tmp_path / "log.csv", *clean), model="pendulum")
     assert check.faults == ()
+
+
+@given(first=st.integers(60, N - 200), many=st.integers(8, 60), seed=st.integers(0, 20))
+@settings(max_examples=25, deadline=None)
+def test_lost_rows_are_named_where_the_motion_would_have_to_meet(first: int, many: int, seed: int) -> None:
+    u = multisine(seed)
+    y = swing(u, seed)
+    gone = np.arange(first, first + many)
+    leap = y[first + many] - y[first - 1]
+    _, odd = found(np.delete(u, gone), np.delete(y, gone))
+    rows = [one.rows[0] for one in odd if one.kind == "leap"]
+    if abs(leap) > 6 * np.abs(np.diff(y)).max():
+        assert rows == [first]
+    assert all(abs(row - first) <= 1 for row in rows)
+    assert not [one for one in found(u, y)[1] if one.kind == "leap"]
+
+
+def test_a_stop_is_no_leap(clean: tuple[FloatArray, FloatArray]) -> None:
+    """A motion that is turned back in one row bends there, and meets; a relay's force leaves it whole."""
+    u, y = clean
+    _, odd = found(u, np.abs(y) + 1e-3 * np.random.default_rng(3).standard_normal(N))
+    assert not [one for one in odd if one.kind == "leap"]
+
+
+def test_the_loop_looks_at_what_follows_lost_rows_as_a_record_of_its_own() -> None:
+    """It was called play: a friction or a spring has to explain how the pendulum came elsewhere in no time."""
+    runs, many, row = [], 30, 0
+    for seed, use in ((1, "estimation"), (2, "validation")):
+        u, keep = multisine(seed), np.arange(N)
+        y = swing(u, seed)
+        if use == "estimation":  # where it moves most meanwhile
+            row = 300 + int(np.argmax(np.abs(y[300 + many : 900 + many] - y[299:899])))
+            keep = np.delete(keep, np.arange(row, row + many))
+        runs.append(Run(Trajectory(np.arange(len(keep)) * DT, u[keep][:, None], y[keep][:, None], SPEC), use))
+    report = close_loop(Dataset("lost", tuple(runs)), pendulum().system())
+    assert report.verdict == "nothing_missing"
+    assert [(odd["kind"], odd["rows"]) for odd in report.data["oddities"]] == [("leap", [row])]
+    assert report.data["parameters"]["before"]["J"]["value"] == pytest.approx(TRUE["J"], rel=0.02)

@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter1d
 
 from harness.data.oddities.between import mismatched
 from harness.data.oddities.held import held_readings, stuck_rows
+from harness.data.oddities.leaps import POSITIONS, leaps_of
 from harness.data.oddities.levels import coarse_step, saturated, stuck
 from harness.data.oddities.numbers import ODD
 from harness.data.oddities.pace import band_of, trend_of
@@ -138,6 +139,7 @@ class _Look:
             return
         fresh = ~self.missing[:, column]
         self._spikes(column, channel, plain, fresh)
+        self._leaps(column, channel, plain)
         step = coarse_step(y[fresh])
         if step:
             turn = f", {2 * np.pi / step:.4g} a turn" if channel.unit == "rad" else ""
@@ -201,6 +203,20 @@ class _Look:
                 self.missing[:, column] |= ~good
             else:
                 self._leave(column, good, mended)
+
+    def _leaps(self, column: int, channel: Channel, plain: FloatArray) -> None:
+        """Find rows between which a position leaps."""
+        if channel.unit not in POSITIONS or self.missing[:, column].mean() > ODD.most:
+            return
+        rows, sizes = leaps_of(np.where(self.missing[:, column], self.y[:, column], plain))
+        for row, size in zip(rows, sizes, strict=True):
+            when = f"row {row} (t = {self.record.t[row]:g} s)"
+            words = (
+                f"{channel.name} leaps by {size:.3g} {channel.unit} before {when}, where the motion before and after "
+                "would have to meet: rows were lost, or the sensor slipped; close-loop takes what follows as a record "
+                "of its own"
+            )
+            self._add("leap", channel, np.array([row]), words)
 
     def _leave(self, column: int, fresh: npt.NDArray[np.bool_], plain: FloatArray) -> None:
         """Count readings as missing, with what those beside them foretell in their place."""

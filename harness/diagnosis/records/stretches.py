@@ -5,6 +5,7 @@ A search simulates thousands of times; what 20 000 samples cannot decide, it doe
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -14,7 +15,7 @@ import numpy as np
 from harness.diagnosis.policy import DATA_POLICY
 from harness.signals import Dataset, FloatArray, Run
 
-__all__ = ["about_lines", "cut_alike", "stretched", "uncut", "windowed"]
+__all__ = ["about_lines", "cut_alike", "parted", "stretched", "uncut", "windowed"]
 
 
 def stretched(
@@ -115,6 +116,27 @@ def _place(piece: Run, run: Run) -> int | None:
     inside = 0 <= first <= len(run.trajectory) - len(piece.trajectory)
     same = inside and np.array_equal(run.trajectory.y[first : first + len(piece.trajectory)], piece.trajectory.y)
     return first if same else None
+
+
+def parted(dataset: Dataset) -> Dataset:
+    """Return a data set whose records end where a position leaps: what follows is a record of its own.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        One that was examined, see :func:`harness.data.oddities.examined`.
+    """
+    cuts: dict[int, set[int]] = {}
+    for odd in dataset.oddities or ():
+        if odd.kind == "leap":
+            cuts.setdefault(odd.run, set()).update(odd.rows)
+    if not cuts:
+        return dataset
+    runs: list[Run] = []
+    for number, run in enumerate(dataset):
+        edges = [0, *sorted(cuts.get(number, ())), len(run.trajectory)]
+        runs += [replace(run, trajectory=run.trajectory[a:b]) for a, b in itertools.pairwise(edges)]
+    return replace(dataset, runs=tuple(runs))
 
 
 def windowed(dataset: Dataset, seconds: float | None) -> Dataset:
