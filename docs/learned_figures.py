@@ -20,9 +20,9 @@ from identifiers.finite.bisimulation import bisimulation, quotient
 from identifiers.finite.decision import optimal_values
 from identifiers.finite.hmm import HiddenMarkov
 from identifiers.finite.mdp import MdpCounting, weissman_bound
+from identifiers.hybrid.piecewise_affine import PiecewiseAffine
 from identifiers.learned.gaussian_process import GaussianProcess
 from identifiers.learned.recurrent import NeuralOutputError
-from identifiers.hybrid.piecewise_affine import PiecewiseAffine
 from identifiers.linear.least_squares import Arx
 from plants.finite.mdp import FiniteMdp
 from plants.finite.pomdp import FinitePomdp

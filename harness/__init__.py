@@ -64,7 +64,6 @@ _HOMES = {
     "compare": "api",
     "spectrum": "api",
     "order": "api",
-    "arx_orders": "api",
     "modes": "api",
     "analyse": "api",
     "check": "api",

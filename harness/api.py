@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack, cast
+from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 
 import numpy as np
 
@@ -66,6 +66,7 @@ __all__ = [
     "describe_fmu",
     "describe_part",
     "describe_system",
+    "equations",
     "export",
     "halve",
     "identify",
@@ -943,6 +944,20 @@ def close_loop(
         what = f"the FMU {Path(loaded.nominal.model).name}"
         return cast("Report", guarded(diagnosis.close_loop_file, loaded, what=what, **how))
     return diagnosis.close_loop_file(loaded, **how)  # data that are read already pass through
+
+
+def equations(
+    model: Any,
+    *,
+    form: Literal["text", "latex", "python", "c"] = "text",
+    out: str | Path | None = None,
+    force: bool = False,
+    **options: Any,
+) -> str:
+    """Return the equations of a model as text, LaTeX, Python or C: see :func:`harness.written.equations`."""
+    from harness import written
+
+    return written.equations(model, form=form, out=out, force=force, **options)
 
 
 def learn_residual(

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from harness import api
 from harness.cli.options import Force, OptionPairs, Trust
 from harness.cli.terminal import option_pairs, say
 
@@ -32,7 +33,5 @@ def equations(
     trust: Trust = None,
 ) -> None:
     """Print the equations of a model: motion, energy, lumped parameters, regressor, as text, LaTeX, Python or C."""
-    from harness.written import equations as written
-
-    text = written(model, form=form.value, out=out, force=force, **option_pairs(option, "--option"))
+    text = api.equations(model, form=form.value, out=out, force=force, **option_pairs(option, "--option"))
     say(text.rstrip() if out is None else f"wrote {out}")

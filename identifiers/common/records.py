@@ -119,8 +119,8 @@ def without_holes(trajectories: Sequence[Trajectory], *, samples: int, what: str
             f"{what}: no stretch without a missing reading is long enough",
             expected=f"at least {samples} samples in a row with all outputs read",
             got=f"{max(map(len, parts), default=0)}",
-            remedy="lower the order, leave out an output that is seldom read, bring a record that was resampled to more "
-            "samples than it has readings onto a coarser grid ([resample] sample_time), or use prediction-error",
+            remedy="lower the order, leave out an output that is seldom read, bring a record that was resampled to "
+            "more samples than it has readings onto a coarser grid ([resample] sample_time), or use prediction-error",
         )
     return long_enough
 

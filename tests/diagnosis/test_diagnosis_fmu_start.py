@@ -15,7 +15,6 @@ from harness.blackbox.simulator import FmuSimulator
 from harness.blackbox.system import FmuSystem
 from harness.diagnosis.fmu.kind import BlackBox
 from harness.diagnosis.fmu.prepare import FmuWindows, measured_states, nominal_fmu, rough_values
-from harness.diagnosis.records.thinning import block_means, thinned_dataset
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 from plants.mockups import mockup
 
@@ -69,28 +68,6 @@ def test_windows_are_differentiated_where_a_step_needs_it_and_nowhere_else(slow:
     pruned = windows.trial(p, x0, budget=0.5 * plain.cost)
     assert np.isinf(pruned.cost)
     assert not pruned.gram.any()
-
-
-def test_a_fast_record_is_thinned_with_held_inputs() -> None:
-    fast = records(0.002, 3000)
-    thin = BlackBox().thinned(fast)
-    assert thin.factor > 3
-    assert thin.dataset.intersample == "zoh"
-    assert "Hz instead of 500 Hz" in thin.dataset.warnings[-1]
-    system = fmu_system(mockup("pendulum"), fast.spec)
-    p, x0 = system.vector(TRUE), np.array([0.4, 0.0])
-    u = fast.estimation[0].u
-    full = FmuSimulator(system, Runner(system, 0.002)).run(p, x0, u)[1]
-    coarse = FmuSimulator(system, Runner(system, 0.002 * thin.factor)).run(p, x0, block_means(u, thin.factor))[1]
-    assert np.sqrt(np.mean((coarse - full[:: thin.factor]) ** 2)) < 2e-4, "a fifth of the noise"
-
-
-def test_inputs_that_jump_within_a_block_are_not_thinned_away() -> None:
-    fast = records(0.002, 3000)
-    rng = np.random.default_rng(0)
-    jumping = tuple(replace(run, trajectory=replace(run.trajectory, u=rng.choice([-1.0, 1.0], run.trajectory.u.shape)))
-                    for run in fast)  # fmt: skip
-    assert thinned_dataset(replace(fast, runs=jumping), held=True).factor == 1
 
 
 class _Solver:

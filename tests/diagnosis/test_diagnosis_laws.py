@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sysid_lab.truths.context import Context, Hidden
 from sysid_lab.plan import Task
 from sysid_lab.records import make_records
+from sysid_lab.truths.context import Context, Hidden
 
 from harness.diagnosis import diagnose
 from harness.diagnosis.dictionary import laws_of, placed

@@ -15,7 +15,7 @@ from harness.diagnosis.fmu.runs import FmuRuns
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.horizon import Horizon
-from harness.diagnosis.records.thinning import Thinned, thinned_dataset
+from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.errors import HarnessError
@@ -33,8 +33,8 @@ class BlackBox:
         return replace(dataset, warnings=(*dataset.warnings, *system.notes)), []
 
     def thinned(self, dataset: Dataset) -> Thinned:
-        """Return the data at the rate that their motion needs, inputs held: the FMU's steps are the work."""
-        return thinned_dataset(dataset, held=True)
+        """Return the data as they are: an FMU takes its own steps within a sample, and its inputs stay held."""
+        return Thinned.not_at_all(dataset)
 
     def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
         """Return how far a free run is compared, from how an error of the start grows."""

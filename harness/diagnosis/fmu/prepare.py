@@ -17,7 +17,6 @@ from harness.blackbox.system import FmuSystem
 from harness.calibration.search import drawn
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.horizon import Horizon, short_window
-from harness.diagnosis.records.thinning import thinned_dataset
 from harness.errors import InputError
 from harness.parts.files import describe_fmu
 from harness.physics.compiled.windows import Evaluation, Windows
@@ -75,7 +74,7 @@ def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any
         for k, parameter in enumerate(system.parameters)
     )
     system = replace(system, parameters=kept)
-    judged = thinned_dataset(dataset, held=True).dataset.estimation
+    judged = dataset.estimation
     noise = sensor_noise([record.measured() for record in judged])
     told = describe_fmu(path)["experiment"]["tolerance"]
     return settled(system, judged[0].measured(), noise, x0, told)

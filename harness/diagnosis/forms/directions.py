@@ -101,7 +101,8 @@ def signals_of(trace: Trace, nominal: System) -> Signals:
     """Return the smoothed motion of a mechanical system; accelerations with the latent force in them."""
     q = trace.x[:, [c.q for c in nominal.coordinates]]
     v = trace.x[:, [c.v for c in nominal.coordinates]]
-    return Signals(trace.record.t, trace.record.u, q, v, _rate(trace)[:, [c.v for c in nominal.coordinates]])
+    a = _rate(trace)[:, [c.v for c in nominal.coordinates]]
+    return Signals(trace.record.t, trace.record.u, q, v, a, others=trace.x[0, 2 * q.shape[1] : nominal.nx])
 
 
 def _rate(trace: Trace) -> FloatArray:

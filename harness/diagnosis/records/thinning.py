@@ -26,7 +26,6 @@ from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = [
     "Thinned",
-    "block_means",
     "hat_projection",
     "local_cubics",
     "thinned_by",
@@ -63,14 +62,12 @@ class Thinned:
         return cls(dataset, 1, (1.0,) * dataset.spec.ny)
 
 
-def thinned_dataset(dataset: Dataset, *, held: bool = False) -> Thinned:
+def thinned_dataset(dataset: Dataset) -> Thinned:
     """Return a data set at the rate that its motion needs, with a warning that says so.
 
     Parameters
     ----------
     dataset : Dataset
-    held : bool
-        True where inputs must stay held between rows, as an FMU takes them: each is then its mean over the block.
 
     Returns
     -------
@@ -86,7 +83,7 @@ def thinned_dataset(dataset: Dataset, *, held: bool = False) -> Thinned:
         return Thinned.not_at_all(dataset)
     factor = int(1 / (DATA_POLICY.per_period * max(bands) * dt))
     factor = min(factor, min(len(run) for run in runs) // (DATA_POLICY.fewest + (0 if moves else 2 * SPAN)))
-    while factor > 1 and moves and not _follows_inputs(runs, factor, dataset.intersample, held=held):
+    while factor > 1 and moves and not _follows_inputs(runs, factor, dataset.intersample):
         factor -= 1
     if factor < 2:
         return Thinned.not_at_all(dataset)
@@ -94,11 +91,11 @@ def thinned_dataset(dataset: Dataset, *, held: bool = False) -> Thinned:
         f"the motion lies below {max(bands):.3g} Hz: the search looks at {1 / (factor * dt):.4g} Hz instead of "
         f"{1 / dt:.4g} Hz; free runs are compared at the full rate"
     )
-    found = thinned_by(dataset, factor, held=held) if moves else _filtered(dataset, factor)
+    found = thinned_by(dataset, factor) if moves else _filtered(dataset, factor)
     return replace(found, dataset=replace(found.dataset, warnings=(*dataset.warnings, words)))
 
 
-def thinned_by(dataset: Dataset, factor: int, *, held: bool = False) -> Thinned:
+def thinned_by(dataset: Dataset, factor: int) -> Thinned:
     """Return a data set with every so many rows of it.
 
     Parameters
@@ -106,8 +103,6 @@ def thinned_by(dataset: Dataset, factor: int, *, held: bool = False) -> Thinned:
     dataset : Dataset
     factor : int
         1 leaves it as it is.
-    held : bool
-        Inputs by :func:`block_means`, else by :func:`hat_projection`.
     """
     if factor < 2:
         return Thinned.not_at_all(dataset)
@@ -118,7 +113,7 @@ def thinned_by(dataset: Dataset, factor: int, *, held: bool = False) -> Thinned:
     for run in dataset:
         record = run.trajectory
         rows = np.arange(0, len(record), factor)
-        u = block_means(record.u, factor) if held else hat_projection(record.u, factor, dataset.intersample)
+        u = hat_projection(record.u, factor, dataset.intersample)
         periods = [channel.period for channel in record.spec.outputs]
         columns = zip(record.readings.T, widths, periods, strict=True)
         y = np.stack([local_cubics(read, factor, width, period) for read, width, period in columns], axis=1)
@@ -126,7 +121,7 @@ def thinned_by(dataset: Dataset, factor: int, *, held: bool = False) -> Thinned:
         y = np.where(missing, record.y[rows], y)
         runs.append(Run(Trajectory(record.t[rows], u, y, spec, missing=missing), run.use, run.label))
     share_of = dict(zip((channel.name for channel in spec.outputs), shares, strict=True))
-    made = replace(_averaged(dataset, share_of), runs=tuple(runs), intersample="zoh" if held else "foh")
+    made = replace(_averaged(dataset, share_of), runs=tuple(runs), intersample="foh")
     return Thinned(made, factor, shares)
 
 
@@ -321,23 +316,8 @@ def hat_projection(u: FloatArray, factor: int, intersample: str = "zoh") -> Floa
     return np.asarray(solveh_banded(mass, load))
 
 
-def block_means(u: FloatArray, factor: int) -> FloatArray:
-    """Return the means of held inputs (N, nu) over blocks of so many rows; a rest at the end is a block by itself.
-
-    What they leave has no mean over any block: a mass at a kept instant is as fast as the inputs themselves made it.
-
-    Examples
-    --------
-    >>> block_means(np.arange(9.0)[:, None], 4).ravel().tolist()
-    [1.5, 5.5, 8.0]
-    """
-    first = np.arange(0, len(u), factor)
-    counts = np.minimum(factor, len(u) - first)[:, None]
-    return np.asarray(np.add.reduceat(u, first, axis=0) / counts)
-
-
-def _follows_inputs(runs: Sequence[Trajectory], factor: int, intersample: str, *, held: bool) -> bool:
-    """Return True if the inputs between kept rows leave little of those that were applied, and move the plant as these.
+def _follows_inputs(runs: Sequence[Trajectory], factor: int, intersample: str) -> bool:
+    """Return True if piecewise linear inputs leave little of those that were applied, and move the plant as these do.
 
     Between two kept instants a mass is elsewhere for a moment, and what depends on its place goes on from there: by no
     more than the part of the noise that an average may be off. How much an input accelerates an output is taken from
@@ -346,12 +326,11 @@ def _follows_inputs(runs: Sequence[Trajectory], factor: int, intersample: str, *
     spec = runs[0].spec
     left, whole, astray, count = (np.zeros(spec.nu) for _ in range(4))
     for run in runs:
-        nodes = block_means(run.u, factor) if held else hat_projection(run.u, factor, intersample)
+        nodes = hat_projection(run.u, factor, intersample)
         rows = (np.arange((len(nodes) - 1) * factor) + (0.0 if intersample == "foh" else 0.5)) / factor
         for k in range(spec.nu):
             used = run.u[: len(rows), k]
-            taken = np.repeat(nodes[:-1, k], factor) if held else np.interp(rows, np.arange(len(nodes)), nodes[:, k])
-            rest = used - taken
+            rest = used - np.interp(rows, np.arange(len(nodes)), nodes[:, k])
             left[k] += float(np.sum(rest**2))
             whole[k] += float(np.sum((used - used.mean()) ** 2))
             astray[k] += float(np.sum(np.cumsum(np.cumsum(rest)) ** 2))
