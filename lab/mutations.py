@@ -212,6 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--room", nargs="+", default=list(ROOMS), choices=list(ROOMS))
     parser.add_argument("--count", type=int, default=20, help="faults of each room")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--strict", action="store_true", help=f"exit status 1 below {AIM:.0%} noticed")
     asked = parser.parse_args(arguments)
     known, met = known_results(asked.out), True
     for room in asked.room:
@@ -239,7 +240,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         met = met and noticed >= AIM * len(rows)
         print(f"{room}: noticed {noticed} of {len(rows)}; not: "
               + "; ".join(row["fault"] for row in rows if row["result"] != "noticed"), flush=True)  # fmt: skip
-    return 0 if met else 1
+    return 0 if met or not asked.strict else 1
 
 
 if __name__ == "__main__":
