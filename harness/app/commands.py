@@ -208,18 +208,7 @@ def _columns(choice: Choice, known: Mapping[str, tuple[str, str]] | None) -> lis
             got="none",
             remedy="choose 'output' beside the column that was measured",
         )
-    by_title = {one.title: (one.use, one.port) for one in used}
-    silent = known is not None and all(by_title.get(title) == one for title, one in known.items())
-    for one in used:
-        if silent:
-            if known is not None and one.title not in known:
-                found += _flag("--column", f"{one.port}={one.title}")
-            continue
-        found += _flag(f"--{one.use}", one.port or one.title)
-        if one.port and known is not None:
-            found += _flag("--column", f"{one.port}={one.title}")
-    if not silent and not any(one.use == "input" for one in used):
-        found += ["--input", "none"]
+    found += _channels(used, known)
     for one in used:
         if one.unit:
             found += _flag("--unit", f"{one.port or _name(one.title)}={one.unit}")
@@ -230,6 +219,19 @@ def _columns(choice: Choice, known: Mapping[str, tuple[str, str]] | None) -> lis
     if choice.sample_time is not None:
         found += _flag("--sample-time", f"{choice.sample_time:.12g}")
     return found
+
+
+def _channels(used: Sequence[Column], known: Mapping[str, tuple[str, str]] | None) -> list[str]:
+    """Return what is said of inputs and outputs."""
+    by_title = {one.title: (one.use, one.port) for one in used}
+    if known is not None and all(by_title.get(title) == one for title, one in known.items()):
+        return [word for one in used if one.title not in known for word in _flag("--column", f"{one.port}={one.title}")]
+    found: list[str] = []
+    for one in used:
+        found += _flag(f"--{one.use}", one.port or one.title)
+        if one.port and known is not None:
+            found += _flag("--column", f"{one.port}={one.title}")
+    return found if any(one.use == "input" for one in used) else [*found, "--input", "none"]
 
 
 def _name(title: str) -> str:

@@ -23,6 +23,14 @@ __all__ = ["Coupled", "Order"]
 Order = Literal["jacobi", "gauss-seidel"]
 
 
+def _check_asked(parts: Mapping[str, Plant], order: str) -> None:
+    """Refuse nothing to couple, and an order that does not exist."""
+    if not parts:
+        raise InputError("nothing to couple", expected="at least one part", got="none", remedy="name the parts")
+    if order not in ("jacobi", "gauss-seidel"):
+        raise InputError("order", expected="'jacobi' or 'gauss-seidel'", got=repr(order), remedy="choose one")
+
+
 class Coupled:
     """Several plants as one.
 
@@ -102,10 +110,7 @@ class Coupled:
         error: float | None = None,
         initial: Mapping[str, float] | None = None,
     ) -> None:
-        if not parts:
-            raise InputError("nothing to couple", expected="at least one part", got="none", remedy="name the parts")
-        if order not in ("jacobi", "gauss-seidel"):
-            raise InputError("order", expected="'jacobi' or 'gauss-seidel'", got=repr(order), remedy="choose one")
+        _check_asked(parts, order)
         step = sample_time if sample_time is not None else min(plant.spec.sample_time for plant in parts.values())
         self._parts = place(parts, step)
         self._order: Order = order
@@ -125,11 +130,8 @@ class Coupled:
         states = [replace(c, name=f"{part.name}.{c.name}") for part in knowing for c in part.plant.spec.states]
         touched = reached_at_once(self._parts, self._wires)
         through = self._feeds_through(seen, touched)
-        abilities = self._rollback(iterations)
-        if knowing:
-            abilities.add("truth")
-        if through:
-            abilities.add("feedthrough")
+        told: dict[Ability, bool] = {"truth": bool(knowing), "feedthrough": bool(through)}
+        abilities = self._rollback(iterations) | {name for name, there in told.items() if there}
         self._show = shower([(i, one.transform) for i, one in zip(seen, shown, strict=True)])
         self._spec = PlantSpec(tuple(external), tuple(one.channel for one in shown), step, tuple(states), through)
         self._abilities = frozenset(abilities)

@@ -17,6 +17,7 @@ from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.physics.compiled.kalman_pass import Filtered
+from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
 __all__ = ["USES", "Change", "Detail", "Equation", "RegressionForm", "TorqueRegression"]
@@ -287,12 +288,7 @@ class RegressionForm:
         logs = [system.parameters[k].minimum > 0 for k in free]
         deviations = _deviations(self.whitened(jacobian["estimation"], "estimation", errors))
         values = dict(zip(names, map(float, p), strict=True))
-        bound = [
-            names[k]
-            for k in free
-            for side in (system.parameters[k].minimum, system.parameters[k].maximum)
-            if np.isfinite(side) and abs(p[k] - side) <= 2 * NEAR * max(abs(side), 1.0)
-        ]
+        bound = [names[k] for k in free if _on_bound(system.parameters[k], float(p[k]))]
         relative = [abs(p[k]) if log else 1.0 for k, log in zip(free, logs, strict=True)]
 
         innovations = {use: self._innovations(parts, use, errors) for use, parts in residual.items()}
@@ -303,7 +299,7 @@ class RegressionForm:
             {use: [-Filtered(e, s).terms for e, s in parts] for use, parts in innovations.items()},
             {names[k]: d / max(size, 1e-300) for k, d, size in zip(free, deviations, relative, strict=True)},
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
-            converged, tuple(dict.fromkeys(bound)),
+            converged, tuple(bound),
             own={names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
             innovations=innovations, detail=Detail(errors, residual, jacobian),
         )  # fmt: skip
@@ -419,6 +415,12 @@ class RegressionForm:
         errors = fit.detail.errors
         made = {use: self.whitened(change.torque[use], use, errors) for use in USES}
         return Column(change.placed, change.given, change.names, made["estimation"], made["validation"], change.kind)
+
+
+def _on_bound(parameter: Parameter, value: float) -> bool:
+    """Return True for a value that lies on a bound of its parameter."""
+    bounds = [side for side in (parameter.minimum, parameter.maximum) if np.isfinite(side)]
+    return any(abs(value - side) <= 2 * NEAR * max(abs(side), 1.0) for side in bounds)
 
 
 def _deviations(jacobian: FloatArray) -> FloatArray:

@@ -370,14 +370,8 @@ class LikelihoodForm(SystemForm[SystemT]):
         factor e.
         """
         names = set(system.parameter_names)
-        idle = {
-            placed.name(parameter.name)
-            for placed in effects
-            for parameter in placed.effect.parameters
-            if parameter.nuisance and _untold(placed.name(parameter.name), best)
-        }
-        states = {*_states(passes, best.point)}
-        counted = [name for name in best.names if name not in states and name not in idle]
+        idle = {*_states(passes, best.point), *_nuisances(effects, best)}
+        counted = [name for name in best.names if name not in idle]
         each = expected.price / sum(len(record) for record in self.records["validation"])
         fit = Fit(
             tuple(effects),
@@ -445,17 +439,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         own = [name for name in _own(system.effects) if not system.parameter(name).fixed]
         turning = set(_own(system.effects, "phase"))
         free = [name for name in likelihood.names if name not in system.parameter_names] + own
-        noises = [best.point.noise] if base is None else [best.point.noise, base.detail.points["validation"].noise]
-        longest = max(len(run) for run in self.records["validation"]) * self.dt
-        points: list[tuple[float, Point]] = []
-        for part in EFFORT.own_starts if own else (0.0,):
-            p = best.point.p.copy()
-            for name in own:
-                p[system.parameter_names.index(name)] = part * (2 * np.pi if name in turning else longest)
-            for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
-                x0 = self._starts(system, passes, p, "validation", origin)
-                tries = [Point(p, x0, self._woken(noise, best)) for noise in noises]
-                points.append(min(((likelihood.nll(point), point) for point in tries), key=lambda pair: pair[0]))
+        points = self._outside_starts(likelihood, best, base, own, turning)
         enough = min(value for value, _ in points) + EFFORT.close
         tried = self._looked(likelihood, [point for value, point in points if value <= enough], free=free)
         before = -np.inf if base is None else base.log_likelihood("validation")
@@ -475,6 +459,24 @@ class LikelihoodForm(SystemForm[SystemT]):
         phases = [name for name in own if name in turning]
         told = self._told_by_halves(system, passes, expected.point, phases) if phases else []
         return {name: chosen.parameters[name] for name in own}, told, expected
+
+    def _outside_starts(
+        self, likelihood: Likelihood, best: LikelihoodFit, base: Fit | None, own: Sequence[str], turning: set[str]
+    ) -> list[tuple[float, Point]]:
+        """Return where the fit of what belongs to the validation records starts from, each with its value."""
+        system, passes = cast("SystemT", likelihood.system), likelihood.filter
+        noises = [best.point.noise] if base is None else [best.point.noise, base.detail.points["validation"].noise]
+        longest = max(len(run) for run in self.records["validation"]) * self.dt
+        points: list[tuple[float, Point]] = []
+        for part in EFFORT.own_starts if own else (0.0,):
+            p = best.point.p.copy()
+            for name in own:
+                p[system.parameter_names.index(name)] = part * (2 * np.pi if name in turning else longest)
+            for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
+                x0 = self._starts(system, passes, p, "validation", origin)
+                tries = [Point(p, x0, self._woken(noise, best)) for noise in noises]
+                points.append(min(((likelihood.nll(point), point) for point in tries), key=lambda pair: pair[0]))
+        return points
 
     def _told_by_halves(
         self, system: SystemT, passes: Pass, whole: Point, phases: Sequence[str]
@@ -648,6 +650,17 @@ def _own(effects: Sequence[Placed], role: Role = "") -> list[str]:
         for parameter in placed.effect.parameters
         if parameter.per_record and role in ("", parameter.role)
     ]
+
+
+def _nuisances(effects: Sequence[Placed], fit: LikelihoodFit) -> list[str]:
+    """Return the names of smoothing widths and the like of which the data say nothing."""
+    names = [
+        placed.name(parameter.name)
+        for placed in effects
+        for parameter in placed.effect.parameters
+        if parameter.nuisance
+    ]
+    return [name for name in names if _untold(name, fit)]
 
 
 def _untold(name: str, fit: LikelihoodFit) -> bool:
