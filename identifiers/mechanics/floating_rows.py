@@ -120,8 +120,8 @@ def rows_of(
     ) for k, turn in enumerate(turns)]  # fmt: skip
     titles, units = zip(*inertial, *drag, strict=True)
     sample = np.broadcast_to(np.arange(len(q))[:, None], target.shape)
-    kind = np.broadcast_to(np.zeros(6 + n, dtype=np.intp) if hidden else np.arange(6 + n), target.shape)
-    return Rows(matrix[keep], target[keep], sample[keep], kind[keep], titles, units)
+    told_of = np.broadcast_to(np.zeros(6 + n, dtype=np.intp) if hidden else np.arange(6 + n), target.shape)
+    return Rows(matrix[keep], target[keep], sample[keep], told_of[keep], titles, units)
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,7 +145,7 @@ def test_the_better_model_is_seen(folder: Path, capsys: pytest.CaptureFixture[st
     assert not rows["arx1", "validation"]["independent"]
     assert rows["arx2", "validation"]["independent"]
     text = page.read_text()
-    assert text.count("data:image/svg+xml") == 4  # residuals, Bode, step responses, poles
+    assert text.count("data:image/svg+xml") == 5  # motion over time, residuals, Bode, step responses, poles
     assert "is determined by its data: " in text
     assert "modulus of the pole" in text
     assert "\N{PLUS-MINUS SIGN}" in text

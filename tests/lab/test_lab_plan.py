@@ -36,7 +36,8 @@ def test_every_effect_that_fits_is_hidden_or_named_as_left_out():
     from harness.physics import load_model
 
     left = {"viscous_friction@theta", "viscous_friction@x", "quadratic_spring@x", "periodic_disturbance@theta",
-            "cogging@theta", "yield_friction@theta", "yield_friction@x", "mass_step@mp"}  # fmt: skip
+            "cogging@theta", "yield_friction@theta", "yield_friction@x", "mass_step@mp",
+            "sensor_drift@theta", "sensor_drift@x"}  # fmt: skip
     # hardware hides laws of bristles under the names of their levels
     left |= {f"{name}@{at}" for name, law in builtin().items() if law.grows for at in ("theta", "x")}
     for plant in ("pendulum", "cart-pole"):

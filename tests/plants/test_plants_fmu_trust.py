@@ -20,7 +20,7 @@ SOUND, KEEPS_STATE, KEEPS_START, KEEPS_LIBRARY, LOSES_SNAPSHOT, STANDS_STILL = r
 INPUTS = np.linspace(0.5, 2.0, 30)[:, None]
 
 
-def without_memory(path: Path, mode: int) -> dict[str, object]:
+def forgetful(path: Path, mode: int) -> dict[str, object]:
     """Return the options of a plant that forgets to forget."""
     return {"path": str(path), "sample_time": 0.1, "parameters": {"mode": mode}}
 
@@ -40,7 +40,7 @@ def test_a_second_run_is_the_first_one(
 ) -> None:
     with (
         caplog.at_level(logging.WARNING, "plants.fmu.plant"),
-        FmuPlant(**without_memory(odd_fmu("without_memory"), mode)) as plant,
+        FmuPlant(**forgetful(odd_fmu("forgetful"), mode)) as plant,
     ):
         runs = [rolled(plant, how) for _ in range(4)]
         assert plant.way_back == found
@@ -52,7 +52,7 @@ def test_a_second_run_is_the_first_one(
 
 
 def test_a_start_value_does_not_outlive_its_run(odd_fmu: Callable[..., Path]) -> None:
-    with FmuPlant(**without_memory(odd_fmu("without_memory"), KEEPS_START)) as plant:
+    with FmuPlant(**forgetful(odd_fmu("forgetful"), KEEPS_START)) as plant:
         assert rolled(plant, "batch", {"y": 100.0})[0] == [100.0]
         assert rolled(plant, "batch")[0] == [0.0]
         assert plant.way_back == "instance"
@@ -60,7 +60,7 @@ def test_a_start_value_does_not_outlive_its_run(odd_fmu: Callable[..., Path]) ->
 
 def test_a_loop_in_c_is_held_against_a_fresh_instance(odd_fmu: Callable[..., Path]) -> None:
     for mode, found in ((SOUND, "reset"), (KEEPS_STATE, "instance")):
-        with FmuPlant(**without_memory(odd_fmu("without_memory"), mode)) as plant:
+        with FmuPlant(**forgetful(odd_fmu("forgetful"), mode)) as plant:
             plant.reset(rng=RNG)
             assert plant.native_step() is not None
             plant._engine.u[:] = 1.0
@@ -70,7 +70,7 @@ def test_a_loop_in_c_is_held_against_a_fresh_instance(odd_fmu: Callable[..., Pat
 
 
 def test_where_only_a_fresh_process_helps_an_isolated_plant_takes_one(odd_fmu: Callable[..., Path]) -> None:
-    options = without_memory(odd_fmu("without_memory"), KEEPS_LIBRARY)
+    options = forgetful(odd_fmu("forgetful"), KEEPS_LIBRARY)
     with IsolatedPlant("fmu", options) as plant:
         runs = [rolled(plant, "batch") for _ in range(3)]
         assert len(plant.warnings) == 1
@@ -84,7 +84,7 @@ def test_where_only_a_fresh_process_helps_an_isolated_plant_takes_one(odd_fmu: C
 
 
 def test_states_that_are_not_kept_are_refused_once_they_are_asked_for(odd_fmu: Callable[..., Path]) -> None:
-    with FmuPlant(**without_memory(odd_fmu("without_memory"), LOSES_SNAPSHOT)) as plant:
+    with FmuPlant(**forgetful(odd_fmu("forgetful"), LOSES_SNAPSHOT)) as plant:
         plant.reset(rng=RNG)
         plant.step(np.ones(1))
         assert "snapshots" in plant.abilities
@@ -98,7 +98,7 @@ def test_states_that_are_not_kept_are_refused_once_they_are_asked_for(odd_fmu: C
 def test_an_fmu_that_stands_still_where_a_way_back_is_asked_for_runs_and_gives_no_states(
     how: str, odd_fmu: Callable[..., Path]
 ) -> None:
-    with FmuPlant(**without_memory(odd_fmu("without_memory"), STANDS_STILL)) as plant:
+    with FmuPlant(**forgetful(odd_fmu("forgetful"), STANDS_STILL)) as plant:
         wanted = rolled(plant, how)
         assert wanted[-1] == pytest.approx([0.1 * INPUTS.sum()])
         plant.reset(rng=RNG)
@@ -127,11 +127,11 @@ def test_trying_a_state_leaves_the_run_as_it_was(fmi: int) -> None:
 
 
 def test_the_probe_says_it(odd_fmu: Callable[..., Path]) -> None:
-    result = probe(odd_fmu("without_memory"), sample_time=0.1, parameters={"mode": KEEPS_STATE}, samples=40)
+    result = probe(odd_fmu("forgetful"), sample_time=0.1, parameters={"mode": KEEPS_STATE}, samples=40)
     found = {finding.check: finding for finding in result.findings}
     assert found["reset"].passed is False
     assert "fresh instance" in found["reset"].note
-    result = probe(odd_fmu("without_memory"), sample_time=0.1, parameters={"mode": LOSES_SNAPSHOT}, samples=40)
+    result = probe(odd_fmu("forgetful"), sample_time=0.1, parameters={"mode": LOSES_SNAPSHOT}, samples=40)
     assert {f.check: f.passed for f in result.findings}["restore"] is False
 
 

@@ -94,6 +94,42 @@ def test_units_leave_scores_of_slow_identifiers_unchanged(name):
     hold((name, {}), LinearSystem(a, b, np.eye(2), spec), 0, [3, 0, -3, 2, 0], base=8.0)
 
 
+def test_units_leave_scores_of_blocks_around_a_static_curve_unchanged():
+    system = LinearSystem(
+        np.array([[0.8, 0.3], [-0.2, 0.7]]), np.array([[1.0], [0.5]]), np.array([[1.0, 0.0]]),
+        PlantSpec((Channel("u0"),), (Channel("y0"),), 0.1),
+    )  # fmt: skip
+    hold(("wiener-hammerstein", {}), system, 0, [3, 0, -3, 2, 0], base=8.0)
+
+
+def bounces(seed: int) -> Trajectory:
+    """Return a mass that falls on a floor, which gives back 0.8 of its speed: height and speed, with a little noise."""
+    rng, dt = np.random.default_rng(seed), 0.01
+    x, rows = np.array([rng.uniform(0.8, 1.2), 0.0]), []
+    for _ in range(400):
+        rows.append(x)
+        x = x + dt * np.array([x[1] - 0.5 * 9.81 * dt, -9.81])
+        x = np.array([-x[0], -0.8 * x[1]]) if x[0] < 0 else x
+    y = np.array(rows) + 1e-4 * rng.standard_normal((400, 2))
+    spec = PlantSpec((Channel("u0"),), (Channel("z"), Channel("z_rate")), dt)
+    return Trajectory(dt * np.arange(400), np.zeros((400, 1)), y, spec)
+
+
+def test_units_leave_jumps_of_the_state_where_they_are():
+    inputs, outputs = np.array([1.0]), np.array([64.0, 64.0])  # a rate goes with its position
+    models = [
+        create("identifiers", "hybrid-automaton").fit(
+            [rescaled(bounces(seed), inputs, scale) for seed in (0, 1)], rng=np.random.default_rng(0)
+        )
+        for scale in (np.ones(2), outputs)
+    ]
+    errors = [
+        simulation_error(model, rescaled(bounces(2), inputs, scale)).nrmse
+        for model, scale in zip(models, (np.ones(2), outputs), strict=True)
+    ]
+    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
+
+
 def hold(
     case: tuple[str, dict[str, Any]], system: LinearSystem, seed: int, exponents: list[int], base: float = 10.0
 ) -> None:
@@ -126,7 +162,7 @@ def test_no_identifier_is_forgotten():
         for one in entries("identifiers")
         if one.distribution == "sysid-harness" and hasattr(create_class(one.id), "fit")
     }
-    tested = {name for name, _ in OPTIONS} | set(PHYSICAL) | set(SLOW)
+    tested = {name for name, _ in OPTIONS} | set(PHYSICAL) | set(SLOW) | {"wiener-hammerstein", "hybrid-automaton"}
     assert own <= tested, f"ask for their units too: {sorted(own - tested)}"
 
 

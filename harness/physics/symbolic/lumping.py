@@ -99,7 +99,7 @@ def energies(mechanism: Mechanism) -> tuple[Any, Any]:
     Examples
     --------
     >>> from harness.physics.models import pendulum
-    >>> [str(energy) for energy in energies(pendulum())]
+    >>> [str(sp.trigsimp(energy)) for energy in energies(pendulum())]
     ['J*v_theta**2/2', '-mgl*cos(theta)']
     """
     kinetic, potential = sp.sympify(mechanism.T), sp.sympify(mechanism.V)
