@@ -47,7 +47,7 @@ def misfit_reasons(
         return tuple(wrong)
     reasons = []
     left, noisy = _left(form, runs)
-    if not left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy):
+    if not left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy, factor):
         if noisy:  # a fit to noise is none, and says nothing about the model
             return (noisy,)
         share = "diverges" if not np.isfinite(left) else f"leaves {100 * np.sqrt(left):.0f} % of the motion"
@@ -70,12 +70,13 @@ def misfit_reasons(
     return tuple(reasons)
 
 
-def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy) -> bool:
+def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, factor: int = 1) -> bool:
     """Return True if a free run errs only where the model itself says that a small unknown force takes it away.
 
     Near its top a pendulum turns the smallest push into any error. What the forces of the fit add to the state goes on
     by the transitions of the filter's pass, from a known start of every window; from where that makes half of what is
-    asked, at two standard errors, the free run is no evidence until the next window.
+    asked, at two standard errors, the free run is no evidence until the next window. The fit looks at one of ``factor``
+    samples of the free run; where it looks at stretches of the records only, nothing tells.
     """
     noise = final.detail.points["estimation"].noise
     small = np.sqrt(noise.s**2 + noise.w**2) <= policy.large * form.noise_model.force_scale
@@ -85,7 +86,10 @@ def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy) ->
     size = np.sqrt(runs.motion)
     steps = None if runs.horizon.seconds is None else max(round(runs.horizon.seconds / final.detail.passes.dt), 1)
     squares: list[FloatArray] = []
-    for passed, error in zip(paths, runs.after.validation, strict=True):
+    errors = [error[::factor] for error in runs.after.validation]
+    if list(map(len, errors)) != [len(passed.e) for passed in paths]:
+        return False
+    for passed, error in zip(paths, errors, strict=True):
         path = passed.path
         assert path is not None
         p, sure = np.zeros_like(path.p_after[0]), True

@@ -226,15 +226,16 @@ def test_a_free_run_is_no_evidence_from_where_a_small_force_explains_any_error(
     form: Any = SimpleNamespace(
         latent=True,
         noise_model=SimpleNamespace(force_scale=np.ones(1)),
-        paths=lambda fit, use: ([SimpleNamespace(path=path)], None),
+        paths=lambda fit, use: ([SimpleNamespace(path=path, e=error)], None),
     )
     runs: Any = SimpleNamespace(
-        after=SimpleNamespace(finite=True, validation=(error,)),
+        after=SimpleNamespace(finite=True, validation=(np.repeat(error, 4, axis=0),)),
         motion=np.ones(1),
         horizon=Horizon(None, ""),
         output=SimpleNamespace(weights=np.ones(1)),
     )
-    assert carried_away(form, final, runs, POLICY) is away
+    assert carried_away(form, final, runs, POLICY, 4) is away, "the fit looks at one of four samples"
+    assert not carried_away(form, final, runs, POLICY), "a fit to a part of the records tells nothing of the rest"
 
 
 def test_a_force_that_remembers_is_also_asked_without_its_memory() -> None:
