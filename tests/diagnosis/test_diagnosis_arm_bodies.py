@@ -108,5 +108,5 @@ def test_a_torque_that_no_body_needs_is_not_hidden_in_one(tmp_path: Path) -> Non
     bodies = report.data["inertial_parameters"]
     assert bodies["impossible"]
     assert is_consistent(np.array(bodies["values"]))
-    assert report.verdict in ("unexplained", "model_does_not_fit"), report.data["summary"]
+    assert report.verdict != "nothing_missing", report.data["summary"]  # no plant is like that: a name is a stand-in
     assert report.data["joints"][0]["after"]["validation"] > 2 * NOISE
