@@ -176,13 +176,16 @@ def doubted(
         noise_model=SimpleNamespace(force_scale=np.array([2.0])),
         latent=False,
     )
-    error = np.sqrt(left * y.var(axis=0)) / 0.5 * np.ones((len(y), 1))
+    deviation = np.maximum(noises.r, 1e-3)
+    error = np.sqrt(left * y.var(axis=0)) / deviation * np.ones((len(y), 1))
     runs: Any = SimpleNamespace(
         left=left,
         motion=y.var(axis=0),
         horizon=SimpleNamespace(seconds=None),
         after=SimpleNamespace(validation=(error,)),
-        output=SimpleNamespace(weights=np.array([0.5]), records={"validation": dataset().validation}),
+        output=SimpleNamespace(
+            weights=deviation, records={use: dataset().using(use) for use in ("estimation", "validation")}
+        ),
     )
     return misfit_reasons(form, final, runs, POLICY, doubts)
 
@@ -257,7 +260,7 @@ def test_an_input_that_is_late_or_early_is_named_with_the_samples(foreign_pendul
         return replace(record, u=u)[20:-20]
 
     runs = tuple(replace(run, trajectory=moved(run.trajectory)) for run in good)
-    found = list(_shifted(Equations().form(load_model("pendulum"), replace(good, runs=runs))))
+    found = list(_shifted(Equations().form(load_model("pendulum"), replace(good, runs=runs)), 1))
     assert len(found) == bool(words)
     for text, repaired, _ in found:
         assert words in text
@@ -272,7 +275,7 @@ def test_an_input_that_is_late_is_named_where_the_model_fits_after_a_fashion(for
         replace(run, trajectory=replace(run.trajectory, u=np.roll(run.trajectory.u, 3, axis=0))[20:-20]) for run in good
     )
     found = diagnose(replace(good, runs=runs), load_model("pendulum"))
-    assert (found.verdict, found.outcome.accepted) == ("unexplained", [])
+    assert (found.verdict, found.outcome.accepted) == ("unexplained", ())
     assert any("whether u is recorded about 3 samples late" in warning for warning in found.warnings)
 
 
