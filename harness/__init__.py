@@ -60,7 +60,7 @@ _HOMES = {
     "isolability": "api",
     "bench": "api",
     "export_fmu": "api",
-    "equations": "written",
+    "equations": "api",
     "compare": "api",
     "spectrum": "api",
     "order": "api",

@@ -21,6 +21,7 @@ from harness.parts.listing import LISTED, describe_part, list_parts
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
 from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory, Use
+from harness.trust import names_fmu
 
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
@@ -123,7 +124,7 @@ def describe_file(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix in (".urdf", ".xml", ".mjcf"):
-        from harness.physics.arms.robot_files import robot_contents
+        from harness.physics.arms.formats.robot_files import robot_contents
 
         robot = robot_contents(path)
         facts = [f"{path.name}: {robot['format']} {robot['name']!r}, {robot['bodies']} bodies, "
@@ -314,7 +315,7 @@ def simulate(
             )
     options = dict(options or {})
     if exchange is not None:
-        if plant.endswith(".fmu") or not is_plant_file(plant):
+        if names_fmu(plant) or not is_plant_file(plant):
             raise InputError(
                 "exchange", expected="a coupling or a system of FMUs", got=plant, remedy="leave --exchange out"
             )
@@ -814,7 +815,7 @@ def calibrate(
         if path is not None:
             _refuse_overwrite(Path(path), force=force)
     name, system = str(model), is_system(str(model))
-    if not (system or name.endswith(".fmu")):
+    if not (system or names_fmu(name)):
         raise InputError(
             "model to calibrate",
             expected="an FMU or a system of them (.fmu, .ssp, .ssd, OspSystemStructure.xml)",
@@ -938,7 +939,7 @@ def close_loop(
     )
     how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
     how |= {"dictionary": laws, "wanted": dictionary}
-    if loaded.nominal is not None and loaded.nominal.model.endswith(".fmu"):
+    if loaded.nominal is not None and names_fmu(loaded.nominal.model):
         from harness.supervision.guarded import guarded
 
         what = f"the FMU {Path(loaded.nominal.model).name}"
@@ -954,10 +955,43 @@ def equations(
     force: bool = False,
     **options: Any,
 ) -> str:
-    """Return the equations of a model as text, LaTeX, Python or C: see :func:`harness.written.equations`."""
-    from harness import written
+    """Return the equations of a model: of motion, energies, lumped parameters and regressor, with units.
 
-    return written.equations(model, form=form, out=out, force=force, **options)
+    Parameters
+    ----------
+    model : str, path, System, Mechanism, Ode or fitted model
+        A name (``sysid list models``), a URDF or MJCF, ``FILE.py:NAME``; the ``model.json`` of ``identify``, or the
+        folder of ``close_loop``: then with the effects that were found, and the values.
+    form : {"text", "latex", "python", "c"}
+        The last two are programs with the functions ``derivative``, ``output``, ``energy``, ``lumped``, ``regressor``
+        and ``known``, as far as the model has them; ``regressor @ lumped = known``.
+    out : path, optional
+        File to write as well.
+    force : bool
+        Overwrite it.
+    **options
+        Of a model by name.
+
+    Raises
+    ------
+    InputError
+        If it is no model of equations, too large to be read in symbols (then Python and C are written), or the file
+        exists.
+
+    Examples
+    --------
+    >>> print(equations("pendulum").splitlines()[3])
+      J*theta'' + b*theta' + mgl*sin(theta) = u
+    """
+    from harness.export.equations import written_model
+    from harness.fitted import load_model
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    text = written_model(load_model(model, **options) if isinstance(model, str | Path) else model).write(form)
+    if out is not None:
+        _write_text(Path(out), text)
+    return text
 
 
 def learn_residual(
@@ -1110,7 +1144,7 @@ def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: boo
     if fmi not in ("2", "3", "both"):
         raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
     target = Path(out)
-    second = [target.with_name(f"{target.stem}-fmi3.fmu")] if fmi == "both" and target.suffix == ".fmu" else []
+    second = [target.with_name(f"{target.stem}-fmi3.fmu")] if fmi == "both" and names_fmu(target) else []
     for path in (target, *second):
         _refuse_overwrite(path, force=force)
     return room.export(source, out=out, fmi=cast(Any, fmi))
@@ -1545,7 +1579,7 @@ def check_data(
     path = registry.dataset_path(dataset)
     loaded = load_dataset(path, model=model, validation=validation, undriven=undriven, **signals)
     data, nominal = loaded.dataset, loaded.nominal
-    if nominal is not None and not nominal.model.endswith(".fmu") and not is_arm(nominal.model):
+    if nominal is not None and not names_fmu(nominal.model) and not is_arm(nominal.model):
         system = loaded.system()
         data = inputs_checked(system, loaded.for_system(system))
     found = DataCheck(data)
@@ -1714,7 +1748,7 @@ def _as_is(
     names = {"start": "start_time", "step": "sample_time"}  # the same things, said as options
     told = {name: chosen.pop(names[name], None) if name in names else None for name in asked}
     window = {name: told[name] if value is None else value for name, value in asked.items()}
-    if not plant.endswith(".fmu"):
+    if not names_fmu(plant):
         found = _system_as_is(plant, window, chosen, progress)
         return _told(found, note, broke)
     found = registry.load("tools", "fmu-as-is")(
@@ -1781,7 +1815,7 @@ def _started(experiment: Experiment, start: Any) -> Experiment:
 
 def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:
     """Return the options of an identifier, with the nominal model of the data where it fits a model and names none."""
-    if nominal is None or nominal.model.endswith(".fmu"):
+    if nominal is None or names_fmu(nominal.model):
         return options
     known = registry.named_options("identifiers", identifier)
     if "model" not in known or options.get("model") is not None:

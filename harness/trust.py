@@ -18,7 +18,7 @@ from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["registered_only", "runs_python", "trusted", "trusting"]
+__all__ = ["names_fmu", "registered_only", "runs_python", "trusted", "trusting"]
 
 _TRUSTED: ContextVar[frozenset[Path]] = ContextVar("trusted", default=frozenset())
 NATIVE = (".fmu", ".ssp", ".so", ".dll", ".dylib", ".pyd")
@@ -213,8 +213,19 @@ def _is_code(path: Path) -> bool:
             return False
         with zipfile.ZipFile(path) as archive:
             return any(name in DESCRIPTIONS for name in archive.namelist())
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # no archive of code: its reader says why
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # not read: what does read it says why
         return False
+
+
+def names_fmu(name: str | Path) -> bool:
+    """Return True if a name is that of an FMU file; FMI 2.0.4, section 2.3: a zip file with the extension ``fmu``.
+
+    Examples
+    --------
+    >>> names_fmu("tank.fmu"), names_fmu("TANK.FMU"), names_fmu("tank")
+    (True, True, False)
+    """
+    return Path(name).suffix.lower() == ".fmu"
 
 
 def _importable(module: str, folder: Path) -> bool:

@@ -13,6 +13,7 @@ import msgspec
 
 from harness.app.reach import Reach
 from harness.errors import InputError
+from harness.trust import names_fmu
 
 __all__ = ["LINEAR", "Choice", "Column", "matched", "ports_told", "read_choice", "spoken", "words"]
 
@@ -108,7 +109,7 @@ def words(choice: Choice, reach: Reach, *, shown: bool = False) -> list[str]:
         found += _flag("--identifier", choice.identifier) if choice.identifier else []
         for option in choice.options:
             found += _flag("--option", option)
-    if is_file and model.lower().endswith(".fmu") and choice.task != "check-data":
+    if is_file and names_fmu(model) and choice.task != "check-data":
         if not choice.trusted and not shown:
             raise InputError(
                 "an FMU is machine code",

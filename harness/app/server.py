@@ -32,6 +32,7 @@ from harness.app.jobs import Job, Jobs
 from harness.app.logs import Logs
 from harness.app.reach import Reach
 from harness.errors import HarnessError, InputError
+from harness.trust import names_fmu
 
 __all__ = ["Session", "application", "serve"]
 
@@ -265,7 +266,7 @@ class _Asked:
         source = self.jobs.find(_chosen(await _body(request))[0])
         if source.status != "done" or source.out is None or source.task not in ("close-loop", "identify"):
             raise InputError("nothing to export", expected="a fit that is done", got=source.status, remedy="run one")
-        trusted = [word for word in source.words if word.lower().endswith(".fmu")]
+        trusted = [word for word in source.words if names_fmu(word)]
         out = self.session.target("export", "repaired.ssp" if trusted else "model.fmu")
         given = ["export", str(source.out)]
         trust = ["--trust", str(source.out)] if trusted else []

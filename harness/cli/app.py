@@ -28,6 +28,7 @@ from harness.errors import HarnessError, InputError
 from harness.parts.files import is_system
 from harness.registry import singular
 from harness.supervision.interrupts import INTERRUPTED, Interrupts
+from harness.trust import names_fmu
 
 __all__ = ["app", "run"]
 
@@ -58,7 +59,7 @@ def list_command(
     as_json: AsJson = False,
 ) -> None:
     """Show what is registered, or what is inside a file: data, a robot, an FMU or a system of them, a model.json."""
-    if what is not None and what.endswith(".fmu"):
+    if what is not None and names_fmu(what):
         description = api.describe_fmu(what)
         if as_json:
             print_json(description)

@@ -11,6 +11,7 @@ from harness import api
 from harness.cli.options import AsJson, Force, Junit, OptionPairs, judged
 from harness.cli.terminal import noted, option_pairs, print_json, print_rows, progress_bar, say, text_pairs
 from harness.errors import InputError
+from harness.trust import names_fmu
 
 __all__ = ["check"]
 
@@ -76,7 +77,7 @@ def check(
             got="none",
             remedy="name the reference",
         )
-    if name.endswith(".fmu"):
+    if names_fmu(name):
         with progress_bar("checking") as bar:
             task = bar.add_task(name, total=None)
             vetted = api.vet(

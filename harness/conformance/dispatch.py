@@ -21,6 +21,7 @@ from harness.conformance.scenarios import check_scenario
 from harness.conformance.workloads import KINDS, PLANT
 from harness.errors import HarnessError, InputError
 from harness.protocols import Identifier, OnlineIdentifier, Plant, Scenario
+from harness.trust import names_fmu
 
 __all__ = ["check"]
 
@@ -52,7 +53,7 @@ def check(name: str) -> list[CheckResult]:
     >>> all(result.passed for result in check("models/oscillator"))
     True
     """
-    if name.endswith(".fmu"):
+    if names_fmu(name):
         return _check_fmu(name)
     if ".py:" in name or name.endswith(".py"):
         factory = _from_file(name)

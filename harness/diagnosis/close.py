@@ -23,6 +23,7 @@ from harness.errors import InputError
 from harness.jobs.alone import alone_in
 from harness.physics.arms.arm import ArmModel, is_arm, load_arm
 from harness.signals import Dataset, FloatArray
+from harness.trust import names_fmu
 
 if TYPE_CHECKING:
     from harness.blackbox.system import FmuSystem
@@ -220,7 +221,7 @@ def close_loop_file(
             loaded.for_system(arm), arm, out=out, resume=resume, force=force, progress=progress,
             dictionary=dictionary, wanted=wanted,
         )  # fmt: skip
-    box = loaded.nominal is not None and loaded.nominal.model.endswith(".fmu")
+    box = loaded.nominal is not None and names_fmu(loaded.nominal.model)
     system = loaded.system() if not box else None
     return close_loop(
         loaded.dataset if system is None else loaded.for_system(system),
@@ -340,7 +341,7 @@ def _system(
     model: AnySystem | ArmModel | Definition | str | Path, parameters: Mapping[str, Any] | None, dataset: Dataset
 ) -> AnySystem:
     """Return the nominal system from a name, a file, a definition or a system."""
-    if isinstance(model, str | Path) and str(model).endswith(".fmu"):
+    if isinstance(model, str | Path) and names_fmu(model):
         from harness.diagnosis.fmu.prepare import nominal_fmu
 
         return nominal_fmu(model, dataset, parameters)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from harness.diagnosis.forms.form import WholeForm
-from harness.diagnosis.policy import Policy
+from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
 from harness.physics.fitting.likelihood_fit import sensor_noise
@@ -17,8 +17,6 @@ from harness.signals import Dataset, FloatArray, Run, Trajectory
 __all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise"]
 
 DEGREES = np.pi / 180
-MOSTLY = 0.5
-"""Share of a variance that is most of it."""
 SHIFTS = (1, 2, 5, 10, 20)
 """Samples by which an input is tried late and early; then those between the best one and its neighbours."""
 LATEST = SHIFTS[-1]
@@ -62,7 +60,7 @@ def misfit_reasons(
                 f"a force that nobody measured would have to be {least}{100 * size / scale:.0f} % of what moves "
                 f"{port.port}"
             )
-    bound = [name for name in final.on_bound if "@" not in name]
+    bound = [name for name in final.on_bound if name in final.values]
     if bound and reasons:
         reasons.append(f"{', '.join(bound)} ended on a bound")
     if reasons:
@@ -126,7 +124,7 @@ def _told_noise(deviation: FloatArray, records: Sequence[Trajectory]) -> FloatAr
 def _noisy(form: WholeForm, shares: FloatArray) -> str:
     """Return that readings are noise."""
     pairs = zip(form.dataset.spec.outputs, np.minimum(shares, 1.0), strict=True)
-    outputs = {channel.name: float(share) for channel, share in pairs if share > MOSTLY}
+    outputs = {channel.name: float(share) for channel, share in pairs if share > POLICY.mostly}
     names = " and ".join(outputs)
     share = f"{100 * min(outputs.values()):.0f} % of the variance"
     return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
@@ -150,7 +148,7 @@ def _left(form: WholeForm, runs: FreeRuns) -> tuple[float, str]:
     left = np.maximum(np.mean(error**2, axis=0) - noise, 0.0) / moved
     worst = int(np.argmax(left))
     shares = noise / moved
-    return float(left[worst]), _noisy(form, shares) if shares[worst] > MOSTLY else ""
+    return float(left[worst]), _noisy(form, shares) if shares[worst] > POLICY.mostly else ""
 
 
 def _length(runs: FreeRuns) -> str:

@@ -173,6 +173,19 @@ class Policy:
         "share of the variance left beyond which accepted effects are a proxy at best, whatever the likelihood says",
         "half of the motion unexplained is no model of it",
     )
+    mostly: float = _number(
+        0.5, "share of a variance, or of what a channel errs, from which on it is said to be most of it", "the word"
+    )
+    changed: float = _number(
+        1.05,
+        "factor between two errors below which nothing is said to have changed",
+        "5 % of an error is seen by nobody",
+    )
+    widest: float = _number(
+        1e4,
+        "ends of an interval of something positive that differ by more than this factor determine nothing",
+        "judgement: two decades to either side of its middle",
+    )
     chance: float = _number(
         0.02,
         "probability that a reading lies within 1 % of a step of a grid point though there is no grid",
@@ -419,6 +432,25 @@ class ArmPolicy:
         "rotors of .01 to .2 kg m^2 at joints on multisine torques of 8 Hz",
     )
     still: float = _number(0.1, "speed over its rms below which a joint stands still", "a tenth of its motion")
+    several: int = _number(
+        2, "effects from which on they may be another arm together", "one alone is what it is called"
+    )
+    moved: float = _number(
+        1e-4,
+        "relative size below which torques do not move with a direction of the inertial parameters",
+        "judgement: far above rounding, far below what is felt",
+    )
+    by_chance: float = _number(
+        0.001, "level of the test whether what real bodies cost is chance", "judgement: one false alarm in a thousand"
+    )
+    turning: float = _number(
+        0.02,
+        "width of the sign of a joint's speed over its rms speed",
+        "a sine spends 0.9 % of its time there",
+    )
+    rounded: float = _number(
+        1e-4, "share of a rotor's torque below which what bodies leave of it is rounding", "as for a direction"
+    )
 
 
 ARM_POLICY = ArmPolicy()
@@ -506,6 +538,10 @@ class DataPolicy:
         "a bias of a tenth changes the chance of a reading by half a percent; averages over wider windows made the "
         "corners of an engine's friction Stribeck friction",
         "seeds below 1000",
+    )
+    rows_late: int = _number(2, "rows by which a recorded input may be late", "a log is written a step or two off")
+    rows_tried: tuple[float, ...] = _number(
+        (1.0, 1.5, 2.0, 2.5), "rows that are tried as long as each is likelier than the one before", "halves of a row"
     )
     input_left: float = _number(
         0.05,

@@ -227,20 +227,34 @@ class WrittenModel:
         return "\n".join(lines) + "\n"
 
 
-def written_model(system: System, values: Mapping[str, float] | None = None) -> WrittenModel:
+def written_model(model: Any) -> WrittenModel:
     """Return a model ready to be written.
 
     Parameters
     ----------
-    system : System
-        Nominal, or with effects built in.
-    values : mapping, optional
-        Values of its parameters; by default its own.
+    model : System, Mechanism, Ode or fitted model
+        Nominal, or with effects built in; a fitted model is written with the values that were found.
+
+    Raises
+    ------
+    InputError
+        If it is no model of equations.
     """
     import casadi as ca
 
     from harness.physics.compiled.ccode import dense
 
+    given = getattr(model, "model", model)  # what was fitted
+    fitted = getattr(given, "parameters", None)
+    values = fitted if isinstance(fitted, Mapping) else None
+    system = given.system() if callable(getattr(given, "system", None)) else given
+    if not hasattr(system, "generalized_forces"):
+        raise InputError(
+            "equations of a model",
+            expected="a physical model: a name, a URDF, FILE.py:NAME, or a grey box of identify or close-loop",
+            got=type(given).__name__,
+            remedy="sysid list models shows names",
+        )
     arguments = [system.x, system.u, system.p, system.t]
     names = ("x", "u", "p", "t")
     found = [

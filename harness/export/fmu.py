@@ -12,7 +12,7 @@ from harness.errors import InputError
 from harness.export.c_model import description, model_source
 from harness.export.linear import Linear, linear_description, linear_source
 from harness.export.packed import packed
-from harness.trust import registered_only
+from harness.trust import names_fmu, registered_only
 
 if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Simulator
@@ -51,7 +51,7 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
     other = _other_kind(source, target, fmi)
     if other is not None:
         return [other]
-    if target.suffix != ".fmu":
+    if not names_fmu(target):
         raise InputError("output", expected="a name that ends in .fmu", got=str(out), remedy="rename it")
     write = _load(source)
     names = {"2": [(2, target)], "3": [(3, target)]}

@@ -11,7 +11,7 @@ from typing import Any, cast
 from harness import registry
 from harness.errors import InputError
 from harness.protocols import Plant
-from harness.trust import trusted, trusting
+from harness.trust import names_fmu, trusted, trusting
 
 __all__ = [
     "PLANT_FILES",
@@ -37,10 +37,10 @@ def is_plant_file(id: str) -> bool:
 
     Examples
     --------
-    >>> is_plant_file("loop.toml"), is_plant_file("crane/OspSystemStructure.xml"), is_plant_file("pendulum-fmu")
+    >>> is_plant_file("TANK.FMU"), is_plant_file("crane/OspSystemStructure.xml"), is_plant_file("pendulum-fmu")
     (True, True, False)
     """
-    return id.endswith(PLANT_FILES) or is_system(id)
+    return Path(id).suffix.lower() in PLANT_FILES or is_system(id)
 
 
 def is_system(id: str) -> bool:
@@ -51,9 +51,9 @@ def is_system(id: str) -> bool:
     >>> is_system("loop.ssp"), is_system("loop.toml")
     (True, False)
     """
-    if id.endswith((".ssp", ".ssd")):
-        return True
     path = Path(id)
+    if path.suffix.lower() in (".ssp", ".ssd"):
+        return True
     if path.suffix == ".xml":
         return path.name.startswith(OSP)
     return path.is_dir() and any((path / name).is_file() for name in FOLDER)
@@ -85,12 +85,12 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
     """
     if not is_plant_file(id):
         return cast(Plant, registry.create("plants", id, **options))
-    if id.endswith(".fmu") and not Path(id).is_file():
+    if names_fmu(id) and not Path(id).is_file():
         raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=id)
     inside = {key: value for key, value in options.items() if key not in ("isolated", "timeout")}
     limit = {"timeout": options["timeout"]} if "timeout" in options else {}
     apart = options.get("isolated", os.name == "posix")
-    if id.endswith(".fmu"):
+    if names_fmu(id):
         if apart:
             return cast(Plant, registry.create("plants", "isolated", plant="fmu", path=id, **limit, **inside))
         return cast(Plant, registry.create("plants", "fmu", path=id, **limit, **inside))

@@ -20,6 +20,7 @@ from harness.errors import HarnessError, InputError, printable
 from harness.parts.files import describe_fmu, make_plant
 from harness.scoring.acceptance import Check
 from harness.signals import FloatArray
+from harness.trust import names_fmu
 from harness.vetting.tubes import EVERY, Tube, read_tubes, tube_of
 
 __all__ = ["Agreement", "Channel", "agreement"]
@@ -245,7 +246,7 @@ def agreement(
                 "tube", expected=f"a channel of the reference ({', '.join(names[:12])})", got=repr(name),
                 remedy="correct the name", file=reference,
             )  # fmt: skip
-    if Path(run).suffix == ".fmu":
+    if names_fmu(run):
         window = _opt(reference) | {
             k: v for k, v in (("start", start), ("stop", stop), ("step", step)) if v is not None
         }

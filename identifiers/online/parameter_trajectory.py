@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 import numpy as np
 
 from harness.errors import FitError
 from harness.models.analysis import Findings, Takes
 from harness.signals import Dataset, FloatArray, Trajectory
-from identifiers.linear.polynomials.orders import Counts
-from identifiers.online.recursive_polynomial import RecursivePolynomial
+from identifiers.online.recursive_polynomial import RecursiveOptions, RecursivePolynomial
 
 __all__ = ["ParameterTrajectory", "Recursion", "recursion_along"]
 
@@ -134,7 +133,7 @@ def recursion_along(online: RecursivePolynomial, trajectories: Sequence[Trajecto
 
 
 @dataclass(frozen=True)
-class ParameterTrajectory:
+class ParameterTrajectory(RecursiveOptions):
     """Coefficients of a recursive ARX, ARMAX or output-error model along records, with bands and the covariance.
 
     Parameters
@@ -145,31 +144,11 @@ class ParameterTrajectory:
 
     takes: ClassVar[Takes] = "data"
 
-    structure: Literal["arx", "armax", "oe"] = "armax"
-    order: int = 2
-    na: int | list[int] | None = None
-    nb: Counts | None = None
-    nc: int | list[int] | None = None
-    nf: int | None = None
-    nk: Counts | None = None
-    method: Literal["gradient", "pseudo-linear"] = "gradient"
     forgetting: float = 0.99
-    burn_in: int | None = None
 
     def of(self, subject: Dataset, *, rng: np.random.Generator) -> Findings:
         """Return the last values with their standard deviations, how far each moved, and the picture."""
-        online = RecursivePolynomial(
-            self.structure,
-            self.order,
-            self.na,
-            self.nb,
-            self.nc,
-            self.nf,
-            self.nk,
-            self.method,
-            self.forgetting,
-            self.burn_in,
-        )
+        online = RecursivePolynomial(**{one.name: getattr(self, one.name) for one in fields(RecursiveOptions)})
         found = recursion_along(online, [record.measured() for record in subject.estimation])
         late = found.values[len(found.values) // 5 :]
         rows = [

@@ -147,7 +147,23 @@ class RecursiveState:
 
 
 @dataclass(frozen=True)
-class RecursivePolynomial:
+class RecursiveOptions:
+    """Options of :class:`RecursivePolynomial`, which says what they mean."""
+
+    structure: Literal["arx", "armax", "oe"] = "armax"
+    order: int = 2
+    na: int | list[int] | None = None
+    nb: Counts | None = None
+    nc: int | list[int] | None = None
+    nf: int | None = None
+    nk: Counts | None = None
+    method: Literal["gradient", "pseudo-linear"] = "gradient"
+    forgetting: float = 1.0
+    burn_in: int | None = None
+
+
+@dataclass(frozen=True)
+class RecursivePolynomial(RecursiveOptions):
     """Recursive ARX, ARMAX or output-error model, as an online identifier.
 
     Recursive prediction errors (Ljung 1999, eq. 11.41 to 11.44): ``theta += P psi e / (lambda + psi' P psi)`` with psi
@@ -185,17 +201,6 @@ class RecursivePolynomial:
     >>> dict(zip(state.names, state.coefficients[0].round(1).tolist()))
     {'y: a1': -0.8, 'y: b1 of u': 1.0, 'y: c1': 0.5}
     """
-
-    structure: Literal["arx", "armax", "oe"] = "armax"
-    order: int = 2
-    na: int | list[int] | None = None
-    nb: Counts | None = None
-    nc: int | list[int] | None = None
-    nf: int | None = None
-    nk: Counts | None = None
-    method: Literal["gradient", "pseudo-linear"] = "gradient"
-    forgetting: float = 1.0
-    burn_in: int | None = None
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> RecursiveState:
         """Return the state before any data."""

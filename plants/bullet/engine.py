@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError, PlantError, PluginError
+from harness.physics.arms.formats.urdf import dynamics_of, inertial_of, limits_of, refuse_dependent, rotors_of
 from harness.physics.arms.inertia import triangle_excess
 from harness.physics.arms.joints import MOVING
-from harness.physics.arms.urdf import dynamics_of, inertial_of, limits_of, refuse_dependent, rotors_of
 from harness.signals import FloatArray
 
 __all__ = [

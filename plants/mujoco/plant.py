@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from harness.errors import InputError, PlantError
-from harness.physics.arms.mjcf_spec import mujoco
+from harness.physics.arms.formats.mjcf_spec import mujoco
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
 from plants.checking import checked_inputs, initial_values, refuse_input

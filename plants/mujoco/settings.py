@@ -11,9 +11,9 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import InputError
-from harness.physics.arms.mjcf import simple_joints
-from harness.physics.arms.mjcf_spec import compiled, mujoco, parsed, read_spec, wrapped
-from harness.physics.arms.urdf import rotors_of
+from harness.physics.arms.formats.mjcf import simple_joints
+from harness.physics.arms.formats.mjcf_spec import compiled, mujoco, parsed, read_spec, wrapped
+from harness.physics.arms.formats.urdf import rotors_of
 from plants.checking import per_item, positive
 
 __all__ = ["Cone", "Integrator", "Settings", "Solver", "built", "times"]

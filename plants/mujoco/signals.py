@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError
-from harness.physics.arms.mjcf import Drive, drives, joint_names, simple_joints
-from harness.physics.arms.mjcf_spec import mujoco
+from harness.physics.arms.formats.mjcf import Drive, drives, joint_names, simple_joints
+from harness.physics.arms.formats.mjcf_spec import mujoco
 from harness.signals import Channel
 from plants.checking import per_item, positive
 

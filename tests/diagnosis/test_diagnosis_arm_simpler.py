@@ -13,7 +13,7 @@ from harness.diagnosis.close import close_loop
 from harness.effects import builtin
 from harness.errors import InputError
 from harness.physics.arms.arm import ArmModel, load_arm
-from harness.physics.arms.urdf import load_urdf
+from harness.physics.arms.formats.urdf import load_urdf
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 pytestmark = pytest.mark.slow  # whole loops

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import harness
+from harness.api import equations
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
@@ -22,7 +23,6 @@ from harness.fmi.build import compiler
 from harness.physics.compiled.ccode import Compilation
 from harness.physics.lumps.lumped_model import lumped
 from harness.physics.models import load_model
-from harness.written import equations
 
 MODELS = (
     "pendulum",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.physics.arms.urdf import load_urdf
+from harness.physics.arms.formats.urdf import load_urdf
 
 bullet = pytest.importorskip("pybullet", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
 pybullet_data = pytest.importorskip("pybullet_data", reason="comes with pybullet")

@@ -252,7 +252,7 @@ def test_double_pendulum_and_acrobot_converge_to_their_equations() -> None:
 def test_one_engine_step_obeys_the_urdfs_equations_of_motion(
     make: Callable[..., ArmPlant], payload: float, tmp_path: Path
 ) -> None:
-    from harness.physics.arms.urdf import load_urdf
+    from harness.physics.arms.formats.urdf import load_urdf
 
     step, rng = 1e-4, RNG(0)
     with make(joint_damping=0.0, substeps=1, sample_time=step, payload=payload, payload_offset=(0.1, 0.0, 0.2)) as arm:

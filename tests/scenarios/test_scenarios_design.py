@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness import registry
 from harness.errors import InputError
-from harness.physics.arms.urdf import load_urdf
+from harness.physics.arms.formats.urdf import load_urdf
 from scenarios.design import (
     JointLimits,
     condition_number,

@@ -10,6 +10,7 @@ from harness.cosim.structure.elements import children, first, local
 from harness.cosim.structure.model import Component, Connector, Description, Element, System, Value, Wire
 from harness.cosim.structure.package import FolderPackage, parsed
 from harness.errors import InputError
+from harness.trust import names_fmu
 
 __all__ = ["OSP", "read_osp"]
 
@@ -68,7 +69,7 @@ def _simulator(package: FolderPackage, name: str, element: Any) -> Component:
     own, source = element.get("name"), element.get("source")
     if own is None or source is None:
         raise _refused(package, "Simulator", "a name and a source", "none")
-    if not source.endswith(".fmu") or source.startswith("proxyfmu:"):
+    if not names_fmu(source) or source.startswith("proxyfmu:"):
         raise _refused(package, f"simulator {own!r}", "an FMU in a file", repr(source))
     place = package.file(package.named(source, name, f"simulator {own!r}"))
     values = []

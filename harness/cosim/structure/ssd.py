@@ -18,6 +18,7 @@ from harness.cosim.structure.model import Component, Connector, Description, Ele
 from harness.cosim.structure.package import Package, ZipPackage, parsed
 from harness.cosim.structure.values import read_bindings
 from harness.errors import InputError
+from harness.trust import names_fmu
 
 __all__ = ["SSD", "SsdReader"]
 
@@ -105,7 +106,7 @@ class SsdReader:
             return self._joined(element, name, connectors, self._same_file(uri.fragment, name))
         package = uri.path.endswith(".ssp") and kind in (*PACKAGE, FMU)
         definition = uri.path.endswith(".ssd") and kind in (DEFINITION, FMU)
-        if not (package or definition or (uri.path.endswith(".fmu") and kind == FMU)):
+        if not (package or definition or (names_fmu(uri.path) and kind == FMU)):
             raise self.refused(
                 f"component {name!r}", "an FMU (.fmu), a package (.ssp) or a system (.ssd)", f"{source!r}, {kind}"
             )

@@ -13,6 +13,7 @@ from harness.data.recipe.ports import ANY_PORTS, model_options
 from harness.data.sections import NominalParameter, SourceSection
 from harness.errors import InputError
 from harness.signals import Dataset, FloatArray, Run
+from harness.trust import names_fmu
 
 if TYPE_CHECKING:
     from harness.physics import System
@@ -96,7 +97,7 @@ class LoadedDataset:
                 remedy="add [nominal] model = ..., or --model NAME",
                 file=self.path,
             )
-        if self.nominal.model.endswith(".fmu"):
+        if names_fmu(self.nominal.model):
             raise InputError(
                 "an FMU has no equations",
                 expected="a built-in model or FILE.py:NAME",

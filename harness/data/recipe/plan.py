@@ -14,7 +14,7 @@ from harness.data.recipe.si import si_unit
 from harness.data.sections import Description, NominalParameter, SignalSection
 from harness.errors import InputError
 from harness.signals import Channel
-from harness.trust import registered_only
+from harness.trust import names_fmu, registered_only
 from harness.units import convert, fits
 
 __all__ = ["Plan"]
@@ -164,7 +164,7 @@ class Plan:
             if channel.name not in declared:
                 self.unrecorded.append(channel)
                 continue
-            fmu = self.nominal is not None and self.nominal.model.endswith(".fmu")
+            fmu = self.nominal is not None and names_fmu(self.nominal.model)
             value = "its start value" if fmu else "0"
             self.notes.append(f"input {channel.name} is declared as undriven: {value} in all records")
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from harness.errors import InputError
 from harness.signals import Channel
+from harness.trust import names_fmu
 
 __all__ = ["ANY_PORTS", "Ports", "located_model", "model_options", "ports_of"]
 
@@ -124,7 +125,7 @@ def ports_of(model: str, options: Mapping[str, Any], *, analogy: bool = False) -
     """
     if model == ANY_PORTS:
         return None
-    if model.endswith(".fmu"):
+    if names_fmu(model):
         return _fmu_ports(model, analogy=analogy)
     from harness.physics import load_model
     from harness.physics.arms.arm import is_arm, load_arm
@@ -150,7 +151,7 @@ def located_model(model: str, folder: Path) -> str:
     'pendulum'
     """
     name, colon, attribute = model.rpartition(":") if ".py:" in model else (model, "", "")
-    if not name.endswith((".py", ".fmu", ".urdf", ".xml", ".mjcf", ".eqs")):
+    if Path(name).suffix.lower() not in (".py", ".fmu", ".urdf", ".xml", ".mjcf", ".eqs"):
         return model
     beside = folder / name
     return f"{beside if beside.is_file() else Path(name)}{colon}{attribute}"

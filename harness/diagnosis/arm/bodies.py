@@ -17,6 +17,7 @@ from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.rotor import ROTOR
 from harness.diagnosis.arm.wide import WideRegression, WideResult
+from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError
 from harness.models.estimate import Estimate
@@ -26,14 +27,10 @@ from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, 
 from harness.physics.lumps.identifiability import determined
 from harness.signals import FloatArray
 
-__all__ = ["SEEN", "ArmBodies", "bodies_of_arm", "bodies_of_joints", "unit_torques"]
+__all__ = ["ArmBodies", "bodies_of_arm", "bodies_of_joints", "unit_torques"]
 
 TRUST = 0.3
 """Relative standard deviation of the URDF's inertial parameters: the default of the identifier ``inertial``."""
-SEEN = 1e-4
-"""Relative size below which the torques do not move with a direction of the inertial parameters."""
-LIKELY = 0.001
-"""Probability below which the log-likelihood that real bodies cost is no chance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +187,7 @@ def _estimated(
     except FitError:
         x, how = by_semidefinite_program(problem), "semidefinite program"
     names = tuple(f"{name}{number + 1}" for number in chosen for name in TEN)
-    decision, _, condition = determined(rows, names, tolerance=SEEN)
+    decision, _, condition = determined(rows, names, tolerance=ARM_POLICY.moved)
     table = arm.arm.parameters.reshape(-1, 10).copy()
     table[list(chosen)] = x.reshape(-1, 10)
     lost, allowed = _cost_of_reality(rows, known, x, decision.rank)
@@ -213,4 +210,6 @@ def _cost_of_reality(rows: FloatArray, known: FloatArray, x: FloatArray, rank: i
     scaled = rows / np.where(size > 0, size, 1.0)
     free = known - scaled @ np.linalg.lstsq(scaled, known, rcond=1e-9)[0]
     residual = known - rows @ x
-    return 0.5 * float(residual @ residual - free @ free), 0.5 * float(chi2.ppf(1.0 - LIKELY, max(rank, 1)))
+    return 0.5 * float(residual @ residual - free @ free), 0.5 * float(
+        chi2.ppf(1.0 - ARM_POLICY.by_chance, max(rank, 1))
+    )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.diagnosis.arm.bodies import SEEN, ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
+from harness.diagnosis.arm.bodies import ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.joint import JointRegression, joint_dictionary, white_noise
@@ -34,8 +34,6 @@ from harness.supervision.workers import one_thread
 
 __all__ = ["diagnose_arm"]
 
-SEVERAL = 2
-"""Effects from which on they may be another arm together: one alone is what it is called."""
 ROUNDS = 3
 """Times that joints are searched beside bodies, at most."""
 
@@ -139,8 +137,8 @@ def _misfit(found: ArmDiagnosis, policy: ArmPolicy) -> tuple[str, ...]:
         directions = _inertial_directions(found.arm, found.runs["estimation"])
         free = free_bodies(found.arm, found.runs, found.joints, found.wide, directions, policy)
         named = [] if reasons else alike
-        unlikely = len(unlikely_gains(found.joints, policy)) >= SEVERAL
-        if free is not None and not reasons and len(alike) < SEVERAL and free.beside > policy.far_better:
+        unlikely = len(unlikely_gains(found.joints, policy)) >= policy.several
+        if free is not None and not reasons and len(alike) < policy.several and free.beside > policy.far_better:
             return ()  # one payload, say: bodies explain what it leaves no better
         if free is not None and (other := other_arm_reasons(free, named, found.policy, policy, unlikely=unlikely)):
             return other
@@ -287,7 +285,7 @@ def _inertial_directions(arm: ArmModel, runs: Sequence[ArmRun]) -> list[FloatArr
     rows = slice(None, None, max(runs[0].calm.q.shape[0] // 400, 1))
     m = runs[0].calm
     _, singular, right = np.linalg.svd(arm.arm.regressor(m.q[rows], m.v[rows], m.a[rows]), full_matrices=False)
-    return [row for row, value in zip(right, singular, strict=True) if value > SEEN * singular[0]]
+    return [row for row, value in zip(right, singular, strict=True) if value > ARM_POLICY.moved * singular[0]]
 
 
 def _calibrated_torques(
@@ -303,6 +301,6 @@ def _free_columns(torques: Mapping[str, Sequence[FloatArray]], k: int) -> dict[s
     """Return by use the torques (N, c) of one joint that calibrated inertial parameters can make, without doubles."""
     joined = np.concatenate([part[:, k] for part in torques["estimation"]])
     _, singular, right = np.linalg.svd(joined, full_matrices=False)
-    kept = singular > SEEN * singular[0]
+    kept = singular > ARM_POLICY.moved * singular[0]
     turn: Any = right[kept].T * (np.sqrt(joined.shape[0]) / singular[kept])
     return {use: [part[:, k] @ turn for part in parts] for use, parts in torques.items()}

@@ -9,10 +9,10 @@ import numpy as np
 
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.motion import moving_rows
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing, legend
 from harness.diagnosis.report.figures import draw as draw_pictures
 from harness.diagnosis.report.html import environment
-from harness.diagnosis.report.words import SAME
 from harness.diagnosis.runs.equation import decimated
 from harness.diagnosis.store import write_atomic
 from harness.signals import FloatArray
@@ -55,7 +55,7 @@ def _factor(joint: dict[str, Any], use: str) -> float | None:
 def _changed(joint: dict[str, Any], use: str) -> bool:
     """Return True where what was found changed the residual of a joint."""
     factor = _factor(joint, use)
-    return factor is not None and not 1 / SAME < factor < SAME
+    return factor is not None and not 1 / POLICY.changed < factor < POLICY.changed
 
 
 def _moved(data: dict[str, Any], use: str) -> list[bool]:
@@ -74,7 +74,7 @@ def _cards(data: dict[str, Any], use: str) -> list[dict[str, Any]]:
     cards = [{**joint, "factor": _factor(joint, use)} for joint in judged]
     if not data["effects"]:
         return sorted(cards, key=lambda card: -(card["before"][use] or 0.0) / (card["torque_rms"] or 1.0))[:2]
-    fell = any((card["factor"] or 0.0) >= SAME for card in cards)
+    fell = any((card["factor"] or 0.0) >= POLICY.changed for card in cards)
     return sorted(cards, key=lambda card: -(card["factor"] or 0.0) if fell else card["factor"] or np.inf)[:3]
 
 

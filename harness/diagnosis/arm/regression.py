@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.diagnosis.policy import ARM_POLICY, EFFORT, POLICY, ArmPolicy
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
-from harness.diagnosis.search.fit import Begun, Column, ColumnKind, Fit, Linearised, Suspect
+from harness.diagnosis.search.fit import Begun, Column, ColumnKind, Fit, InOneGo, Linearised, Suspect
 from harness.diagnosis.systems import Parametrised
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -106,7 +106,7 @@ class Detail:
     jacobian: dict[str, list[FloatArray]]
 
 
-class RegressionForm:
+class RegressionForm(InOneGo):
     """Fits an equation of torques by maximum likelihood; see :class:`harness.diagnosis.search.fit.Form`.
 
     The error of every joint is Gaussian, stationary and autoregressive; its coefficients are estimated with the
@@ -176,17 +176,6 @@ class RegressionForm:
             if gained < SETTLED:
                 break
         return self._fitted(begun.effects, equation, p, errors, converged)
-
-    def fit(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        rival: Fit | None = None,
-    ) -> Fit | None:
-        """Begin and finish."""
-        begun = self.begin(effects, starts, base)
-        return None if begun is None else self.finish(begun, base, rival)
 
     def _step(
         self, equation: Equation, p: FloatArray, errors: Sequence[Coloured]

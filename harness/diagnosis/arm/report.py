@@ -34,11 +34,12 @@ import numpy as np
 from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.diagnosis.arm.rotor import ROTOR, in_the_bodies
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.estimates import effect_data, known
 from harness.diagnosis.report.experiments import separating
 from harness.diagnosis.report.keys import blank, numbers
 from harness.diagnosis.report.refusals import refusals_text
-from harness.diagnosis.report.words import SAME, change_text, standing_in
+from harness.diagnosis.report.words import change_text, standing_in
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.outcome import Outcome
@@ -317,11 +318,11 @@ def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
         lacks = f"arm {data['model']} lacks {names}"
         if data["stand_in"]["flagged"]:
             lacks = standing_in(data, f"arm {data['model']}")
-        if ratio and max(ratio) < SAME and min(ratio) < 1 / SAME:
+        if ratio and max(ratio) < POLICY.changed and min(ratio) < 1 / POLICY.changed:
             grown = f"the torque residual grows (of a joint {change_text(min(ratio))}, {use})"
             return f"{grown}, although the likelihood rises: {lacks}; {_explained(data)}"
         most = max(ratio, default=1.0)
-        gained = f"torque residual of a joint {'up to ' if most >= SAME else ''}{change_text(most)} ({use})"
+        gained = f"torque residual of a joint {'up to ' if most >= POLICY.changed else ''}{change_text(most)} ({use})"
         return f"{lacks}; {gained}; {_explained(data)}"
     if data["verdict"] == "nothing_missing":
         return f"nothing is missing in arm {data['model']}: {_explained(data)}, and the rest cannot be predicted"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.policy import ARM_POLICY
 from harness.effects.effect import effect, par
 from harness.physics.arms.arm import ArmModel
 
@@ -16,8 +17,6 @@ __all__ = ["ROTOR", "in_the_bodies", "rotor_inertia"]
 ROTOR = "rotor_inertia"
 ROWS = 400
 """Samples on which it is asked whether bodies could do the same."""
-SAME = 1e-4
-"""Share of a rotor's torque below which what bodies leave of it is rounding."""
 
 
 @effect(
@@ -61,4 +60,4 @@ def in_the_bodies(arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], joint: in
     size = np.linalg.norm(x, axis=0)
     x = x[:, size > 0] / size[size > 0]
     left = wanted - x @ np.linalg.lstsq(x, wanted, rcond=1e-9)[0]
-    return bool(np.linalg.norm(left) < SAME * np.linalg.norm(wanted))
+    return bool(np.linalg.norm(left) < ARM_POLICY.rounded * np.linalg.norm(wanted))

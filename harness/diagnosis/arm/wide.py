@@ -33,8 +33,6 @@ ROTOR = "rotor"
 OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
 """Columns of each joint in :func:`own_columns`."""
 FRICTION = ("dry", "load")
-LEVEL = 0.02
-"""Width of the sign of a joint's speed, over its rms speed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +101,7 @@ class WideRegression:
         self.runs, self.joints = runs, list(joints)
         self.counts = {use: [moving_rows(run.motion)[:, self.joints] for run in runs[use]] for use in USES}
         speeds = np.sqrt(np.mean(runs["estimation"][0].motion.v ** 2, axis=0))
-        level = np.maximum(LEVEL * speeds, 1e-6)
+        level = np.maximum(policy.turning * speeds, 1e-6)
         self._target = {use: [self._slim(run, run.motion.u - run.rigid) for run in runs[use]] for use in USES}
         self._base: dict[str, list[FloatArray]] = {}
         own_of = [

@@ -17,7 +17,7 @@ from harness.diagnosis.forms.robust import coloured_deviations
 from harness.diagnosis.forms.suspects import lost_signs, piled_up
 from harness.diagnosis.forms.system_form import SystemForm
 from harness.diagnosis.policy import EFFORT, POLICY
-from harness.diagnosis.search.fit import Begun, Fit, Linearised, Suspect
+from harness.diagnosis.search.fit import Begun, Fit, InOneGo, Linearised, Suspect
 from harness.diagnosis.systems import AnySystem, SystemT
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -55,7 +55,7 @@ class Detail:
     smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
 
 
-class LikelihoodForm(SystemForm[SystemT]):
+class LikelihoodForm(InOneGo, SystemForm[SystemT]):
     """Fits a system with effects to a data set by maximum likelihood; the kinds of systems are its subclasses.
 
     Parameters
@@ -339,17 +339,6 @@ class LikelihoodForm(SystemForm[SystemT]):
             return None
         expected = Predictive(point, np.array(record["moved"], dtype=float), float(record["price"]))
         return self._fitted(effects, system, passes, best, dict(record["own"]), outside, expected, told)
-
-    def fit(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        rival: Fit | None = None,
-    ) -> Fit | None:
-        """See :class:`harness.diagnosis.search.fit.Form`."""
-        begun = self.begin(effects, starts, base)
-        return None if begun is None else self.finish(begun, base, rival)
 
     def _fitted(
         self,

@@ -11,7 +11,7 @@ import numpy as np
 from harness import __version__
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import DATA_POLICY, EFFORT, POLICY, described
-from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.fit import Begun, Column, Fit, InOneGo, Linearised, Suspect
 from harness.diagnosis.store import Store, data_fingerprint
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
@@ -22,7 +22,7 @@ from harness.signals import FloatArray
 __all__ = ["Remembered"]
 
 
-class Remembered:
+class Remembered(InOneGo):
     """Keeps finished fits; one that is asked for again is read back, whatever was asked before it.
 
     A fit is known by all that decides it: the data, the compiled model with its effects, where its first steps led, the
@@ -76,17 +76,6 @@ class Remembered:
         fit = self.form.finish(begun, base, rival, least)
         self.store.put(key, {} if fit is None else self.form.record(fit))
         return fit
-
-    def fit(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        rival: Fit | None = None,
-    ) -> Fit | None:
-        """Begin and finish."""
-        begun = self.begin(effects, starts, base)
-        return None if begun is None else self.finish(begun, base, rival)
 
     def without_memory(self, fit: Fit) -> Fit | None:
         """Pass on."""

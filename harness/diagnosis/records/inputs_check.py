@@ -9,6 +9,7 @@ import numpy as np
 
 from harness.data.oddities import ODD, examined
 from harness.data.oddities.spikes import spikes_of
+from harness.diagnosis.policy import DATA_POLICY
 from harness.errors import HarnessError
 from harness.physics.compiled.simulator import Intersample
 from harness.physics.compiled.system import System
@@ -22,10 +23,6 @@ _SAMPLES = 2000
 """Rows of a record that are asked; more would tell no other thing."""
 _STEPS = 12
 """Iterations of a fit that begins at the maximum for a slightly different input."""
-_MOST_ROWS = 2
-"""Rows by which an input may be late."""
-_LADDER = (1.0, 1.5, 2.0, 2.5)
-"""Rows that are tried as long as each is likelier than the one before."""
 _CANNOT = (HarnessError, ArithmeticError, np.linalg.LinAlgError)
 """What a model raises that cannot be fitted to a record."""
 
@@ -104,7 +101,7 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
     if len(record) < ODD.fewest or not moving:
         return dataset
     cut = record[: min(len(record), _SAMPLES)]
-    spare = _MOST_ROWS + 1
+    spare = DATA_POLICY.rows_late + 1
 
     def read(rows: float) -> Trajectory:
         """Return the record with its inputs read some rows earlier, without the ends that this may cost."""
@@ -118,7 +115,7 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
     if sides[sign] < 0.0:
         return dataset
     known = {0.0: 0.0, 0.5: sides[sign]}
-    for rows in _LADDER:
+    for rows in DATA_POLICY.rows_tried:
         known[rows] = _gain(equations, read(sign * rows))
         if known[rows] < max(known.values()):
             break

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset
 
 __all__ = ["effect_data", "estimate", "known", "ratio_unit", "ratios", "scaled_together"]
-
-WIDEST = 1e4
-"""An interval of something positive whose ends differ by more than this factor determines nothing."""
 
 
 def known(value: float | None) -> float | None:
@@ -64,7 +62,7 @@ def effect_data(fit: Fit, accepted: Accepted, together: Sequence[str] = ()) -> d
 
 def _limit(entry: dict[str, Any], low: float, high: float, *, positive: bool) -> None:
     """Give an estimate its interval, if that determines anything."""
-    if not np.isfinite([low, high]).all() or (positive and abs(high) > WIDEST * abs(low)):
+    if not np.isfinite([low, high]).all() or (positive and abs(high) > POLICY.widest * abs(low)):
         return
     entry.update(low=low, high=high, state="determined")
 

@@ -61,12 +61,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.motion import measured_coordinates
 from harness.diagnosis.report.estimates import effect_data, estimate, known, ratios, scaled_together
 from harness.diagnosis.report.experiments import Bench, separate_with, separating
 from harness.diagnosis.report.keys import blank, numbers
 from harness.diagnosis.report.refusals import refusal_text, refusals_text
-from harness.diagnosis.report.words import SAME, change_text, named, standing_in
+from harness.diagnosis.report.words import change_text, named, standing_in
 from harness.diagnosis.runs import residual_tests
 from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
 from harness.diagnosis.runs.equation_form import EquationForm
@@ -538,7 +539,7 @@ def _grown(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
     """Return in words by how much errors grew, if none of them fell; else nothing."""
     both = {name: (before[name]["rms"], after[name]["rms"]) for name in before if name in after}
     factors = {name: a / b for name, (a, b) in both.items() if a is not None and b}
-    if not factors or max(factors.values()) >= SAME or min(factors.values()) > 1 / SAME:
+    if not factors or max(factors.values()) >= POLICY.changed or min(factors.values()) > 1 / POLICY.changed:
         return ""
     return ", ".join(
         f"{name} {_short(both[name][0])} -> {_short(both[name][1])} {before[name]['unit']}, {change_text(factor)}"

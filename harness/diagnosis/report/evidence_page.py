@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.evidence_json import FREE, answer_of, innovations
 from harness.diagnosis.report.figures import Overlay, Pictures, ResidualView, draw
 from harness.diagnosis.report.html import environment, error_rows
-from harness.diagnosis.report.words import SAME
 from harness.diagnosis.store import write_atomic
 from harness.diagnosis.systems import by_equations
 from harness.physics.definition.ports import Coordinate
@@ -70,7 +70,7 @@ def _cards(rows: list[dict[str, Any]], changed: bool) -> list[dict[str, Any]]:
     chosen += [row for row in rows if row["use"] == "validation" and row["kind"] == "equation error"]
     if not changed:
         return chosen
-    fell = any((row["factor"] or 0.0) >= SAME for row in chosen)
+    fell = any((row["factor"] or 0.0) >= POLICY.changed for row in chosen)
     return sorted(chosen, key=lambda row: -(row["factor"] or 0.0) if fell else row["factor"] or np.inf)
 
 

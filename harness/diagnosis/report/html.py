@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from harness.diagnosis.report.words import SAME, change_text, digits, shown
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.report.words import change_text, digits, shown
 
 __all__ = ["environment", "error_rows"]
 
@@ -75,7 +76,7 @@ def _error_row(
         "nrmse_before": before["nrmse"],
         "nrmse_after": None if after is None else after["nrmse"],
         "factor": factor,
-        "changed": factor is None or not 1 / SAME < factor < SAME,
+        "changed": factor is None or not 1 / POLICY.changed < factor < POLICY.changed,
     }
 
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["SAME", "change_text", "digits", "named", "shown", "standing_in"]
+from harness.diagnosis.policy import POLICY
 
-SAME = 1.05
-"""A factor between two errors below which nothing has changed."""
+__all__ = ["change_text", "digits", "named", "shown", "standing_in"]
+
 NOTHING = 1e-11
 """A value on a bound below this is 0: what is fitted through its logarithm cannot be."""
 
@@ -22,7 +22,7 @@ def change_text(factor: float | None) -> str:
     >>> change_text(1357.2), change_text(0.5), change_text(1.0)
     ('1360 times smaller', '2 times larger', 'hardly changed')
     """
-    if factor is None or 1 / SAME < factor < SAME:
+    if factor is None or 1 / POLICY.changed < factor < POLICY.changed:
         return "hardly changed"
     times = factor if factor > 1 else 1 / factor
     return f"{digits(times, 3)} times {'smaller' if factor > 1 else 'larger'}"

@@ -14,7 +14,7 @@ from harness.effects.effect import Placed
 from harness.physics.fitting.likelihood import interval
 from harness.signals import FloatArray
 
-__all__ = ["WAVE", "Begun", "Column", "ColumnKind", "Fit", "Form", "Linearised", "Suspect"]
+__all__ = ["WAVE", "Begun", "Column", "ColumnKind", "Fit", "Form", "InOneGo", "Linearised", "Suspect"]
 
 ColumnKind = Literal["linear", "wave", "drift"]
 """What columns stand for: derivatives by linear parameters, or test functions of a force; the sine and the cosine of
@@ -176,6 +176,33 @@ class Suspect:
     placed: Placed
     starts: tuple[dict[str, float], ...]
     base: Fit | None = None
+
+
+class Steps(Protocol):
+    """What fits in two steps: see :class:`Form`."""
+
+    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
+        """Take the first steps."""
+        ...
+
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
+        """Go on to the maximum."""
+        ...
+
+
+class InOneGo:
+    """Adds ``fit`` to what begins and finishes."""
+
+    def fit(
+        self: Steps,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        rival: Fit | None = None,
+    ) -> Fit | None:
+        """Begin and finish."""
+        begun = self.begin(effects, starts, base)
+        return None if begun is None else self.finish(begun, base, rival)
 
 
 class Form(Protocol):

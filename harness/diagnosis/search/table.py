@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import Judged, compared, impossible, judged
-from harness.diagnosis.search.fit import Begun, Fit, Form
+from harness.diagnosis.search.fit import Begun, Fit, Form, InOneGo
 from harness.diagnosis.search.scores import ScoreTest, score_test
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -110,7 +110,7 @@ class Round:
 
 
 @dataclass(eq=False)
-class Table:
+class Table(InOneGo):
     """Every set of effects that was fitted, with the best fit of it.
 
     Parameters
@@ -178,17 +178,6 @@ class Table:
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """Finish a fit, see :meth:`Form.finish`, and keep it."""
         fit = self.form.finish(begun, base, rival, least)
-        return None if fit is None else self.put(fit)
-
-    def fit(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        rival: Fit | None = None,
-    ) -> Fit | None:
-        """Begin and finish."""
-        fit = self.form.fit(effects, starts, base, rival)
         return None if fit is None else self.put(fit)
 
     def given(self, effects: Sequence[Placed]) -> Answer:

@@ -13,11 +13,11 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import InputError
+from harness.physics.arms.formats.mjcf import Stated, load_mjcf
+from harness.physics.arms.formats.mjcf_spec import parsed
+from harness.physics.arms.formats.urdf import dynamics_of, load_urdf, refuse_dependent, rotors_of
 from harness.physics.arms.inertia import triangle_excess
-from harness.physics.arms.mjcf import Stated, load_mjcf
-from harness.physics.arms.mjcf_spec import parsed
 from harness.physics.arms.rigid_tree import Arm
-from harness.physics.arms.urdf import dynamics_of, load_urdf, refuse_dependent, rotors_of
 from harness.signals import Channel, FloatArray
 
 __all__ = ["ARMS", "GRAVITY", "ArmModel", "is_arm", "load_arm"]

@@ -17,10 +17,10 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.physics.arms.arm import REST, ArmModel, load_arm
+from harness.physics.arms.formats.mjcf import joint_names
+from harness.physics.arms.formats.mjcf_spec import compiled, mujoco, read_spec
 from harness.physics.arms.joints import MOVING, Joint
 from harness.physics.arms.kinematics import joint_places
-from harness.physics.arms.mjcf import joint_names
-from harness.physics.arms.mjcf_spec import compiled, mujoco, read_spec
 from harness.physics.arms.regressor import ArmRegressor
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
@@ -203,7 +203,7 @@ def load_floating(path: str | Path) -> FloatingRobot:
     ------
     InputError
         If it has none or several, bodies beside it have mass and move, or it cannot be read (see
-        :func:`harness.physics.arms.mjcf.load_mjcf`).
+        :func:`harness.physics.arms.formats.mjcf.load_mjcf`).
     """
     file = Path(path)
     built = compiled(read_spec(file, shapes=False), file)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from harness.errors import InputError
+from harness.physics.arms.formats.mjcf import joint_names
+from harness.physics.arms.formats.mjcf_spec import compiled, read_spec
 from harness.physics.arms.inertia import about_the_centre, refuse_inconsistent
-from harness.physics.arms.mjcf import joint_names
-from harness.physics.arms.mjcf_spec import compiled, read_spec
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:

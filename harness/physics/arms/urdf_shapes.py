@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from harness.errors import InputError
-from harness.physics.arms.mjcf import rotation_of
-from harness.physics.arms.mjcf_spec import compiled, read_spec
-from harness.physics.arms.urdf import pose_of, vector_of
+from harness.physics.arms.formats.mjcf import rotation_of
+from harness.physics.arms.formats.mjcf_spec import compiled, read_spec
+from harness.physics.arms.formats.urdf import pose_of, vector_of
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from harness.errors import InputError
+from harness.physics.arms.formats.urdf import rotors_of
 from harness.physics.arms.inertia import about_the_centre, refuse_inconsistent
-from harness.physics.arms.urdf import rotors_of
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def urdf_with(
     damping, friction : array (n,), optional
         Of the joints that move, into ``<dynamics>``; as in the file by default.
     motor_inertia : array (n,), optional
-        Of rotors behind their gears, into ``<transmission>`` (see :func:`harness.physics.arms.urdf.rotors_of`);
+        Of rotors behind their gears, into ``<transmission>`` (see :func:`harness.physics.arms.formats.urdf.rotors_of`);
         nothing is written where all are those of the file.
 
     Raises

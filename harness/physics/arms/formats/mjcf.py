@@ -1,7 +1,7 @@
 """A robot read from an MJCF: the joints and bodies of a fixed-base arm, what acts at its joints, what it cannot hold.
 
 MuJoCo's own compiler reads the file, so that defaults, includes, frames, units of angles and inertias of shapes mean
-what they mean there; :mod:`harness.physics.arms.mjcf_spec` holds it to the file rule.
+what they mean there; :mod:`harness.physics.arms.formats.mjcf_spec` holds it to the file rule.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError
+from harness.physics.arms.formats.mjcf_spec import compiled, mujoco, read_spec
 from harness.physics.arms.joints import Joint
-from harness.physics.arms.mjcf_spec import compiled, mujoco, read_spec
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 

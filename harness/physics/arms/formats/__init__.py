@@ -1,0 +1,4 @@
+"""Robot descriptions read and written: URDF and MJCF.
+
+May import the arms' own ``inertia``, ``joints`` and ``kinematics``.
+"""
