@@ -10,10 +10,13 @@ import pytest
 
 from harness.diagnosis.arm import misfit
 from harness.diagnosis.arm.motion import arm_runs
+from harness.diagnosis.arm.other_arm import _told
 from harness.diagnosis.close import close_loop
+from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.report.keys import blank
 from harness.effects import builtin
 from harness.physics.arms.arm import ArmModel, load_arm
+from harness.physics.arms.urdf_write import urdf_with
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 pytestmark = pytest.mark.slow  # whole loops
@@ -135,3 +138,25 @@ def test_friction_is_found_beside_inertia_that_is_calibrated_on_few_rows() -> No
     report = close_loop(data, load_arm("iiwa", inertia="calibrated"), dictionary=[builtin()["coulomb_friction"]])
     assert [(one["name"], one["at"]) for one in report.data["effects"]] == [("coulomb_friction", "q4")]
     assert report.data["effects"][0]["parameters"]["Fc"]["value"] == pytest.approx(2.0, rel=0.03)
+
+
+def test_several_wrong_links_are_named_and_the_reader_is_told_to_check_the_urdf(tmp_path: Path) -> None:
+    data, arm = log(lambda arm, u, q: (u, q))
+    bodies = arm.arm.parameters.reshape(-1, 10).copy()
+    bodies[[3, 5]] *= 0.5
+    path = tmp_path / "light.urdf"
+    path.write_text(urdf_with(arm, bodies.ravel()))
+    report = close_loop(data, load_arm(path))
+    assert {effect["name"] for effect in report.data["effects"]} == {"link_mass"}
+    assert any("a URDF with other masses or lengths can look like that" in text for text in report.data["warnings"])
+
+
+def test_how_far_bodies_are_does_not_hang_on_what_the_data_cannot_tell() -> None:
+    """A rotor of any size and an inertia about its axis that takes it back are the same torque."""
+    rng = np.random.default_rng(0)
+    columns = rng.standard_normal((200, 2, 4))
+    columns[:, :, 3] = columns[:, :, 2]
+    p = np.array([1.0, -2.0, 0.5, 0.5])
+    for gauge in (0.0, 1.0, 1e6):
+        told = _told(columns, p + gauge * np.array([0.0, 0.0, 1.0, -1.0]), ARM_POLICY)
+        assert told == pytest.approx(p, abs=1e-6)

@@ -19,7 +19,8 @@ from harness.physics.arms.mjcf_write import mjcf_with
 from harness.physics.arms.urdf_shapes import bounding_boxes
 from harness.rng import Streams
 from harness.rollout import run
-from harness.signals import FloatArray
+from harness.signals import Channel, FloatArray, PlantSpec
+from identifiers.mechanics.arm_model import ArmDynamics
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'sysid-harness[mujoco]'")
 
@@ -257,6 +258,11 @@ def test_an_identified_arm_is_exported_as_the_file_that_it_was_read_from(tmp_pat
     again = load_arm(export(stored, out=tmp_path / "found.xml")[0])
     assert np.allclose(again.arm.parameters, 1.1 * arm.arm.parameters)
     assert [*again.damping, *again.friction, *again.motor_inertia] == pytest.approx([0.2, 0.5, 0.07])
+    names = ("inertial", "damping", "friction", "motor_inertia")
+    bodies, damping, friction, rotors = (np.array(content[name]) for name in names)
+    spec = PlantSpec((), (Channel("q"),), 0.01)
+    model = ArmDynamics(spec, str(path), bodies, damping, friction, rotors)
+    assert model.to_mjcf() == (tmp_path / "found.xml").read_text()
     with pytest.raises(InputError, match=r"\.xml or \.mjcf.*--out found\.xml"):
         export(stored, out=tmp_path / "found.urdf")
 

@@ -16,7 +16,13 @@ from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.joint import JointRegression, joint_dictionary, white_noise
 from harness.diagnosis.arm.misfit import likely_mistake, misfit_reasons
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
-from harness.diagnosis.arm.other_arm import free_bodies, look_like_another_arm, other_arm_reasons, unlikely_gains
+from harness.diagnosis.arm.other_arm import (
+    caution,
+    free_bodies,
+    look_like_another_arm,
+    other_arm_reasons,
+    unlikely_gains,
+)
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.rotor import ROTOR
 from harness.diagnosis.arm.simpler import with_simpler_laws
@@ -123,6 +129,9 @@ def diagnose_arm(
             dataset, arm, runs, wide, joints, still, bodies=bodies, policy=policy, warnings=warnings + wide.notes
         )
         diagnosis.misfit = _misfit(diagnosis, arm_policy)
+        alike = look_like_another_arm(wide, joints)
+        if not diagnosis.misfit and arm.inertia == "fixed" and len(alike) >= arm_policy.several:
+            diagnosis.warnings.append(caution(alike))
     diagnosis.seconds = time.monotonic() - began
     return diagnosis
 

@@ -21,10 +21,7 @@ from harness.diagnosis.policy import ArmPolicy, Policy
 from harness.physics.arms.arm import ArmModel
 from harness.signals import FloatArray
 
-__all__ = ["FreeBodies", "free_bodies", "look_like_another_arm", "other_arm_reasons", "unlikely_gains"]
-
-MANY = 2.0
-"""Distance from which on it is not given in percent: friction and rotors of joints balance some of it."""
+__all__ = ["FreeBodies", "caution", "free_bodies", "look_like_another_arm", "other_arm_reasons", "unlikely_gains"]
 
 
 @dataclass(frozen=True)
@@ -114,8 +111,9 @@ def free_bodies(
     left = rms([r for r, _ in true.residual(p, "validation")])
     without = rms([r for r, _ in alone.residual(by_joint, "validation")])
     found = rms(wide.fit.detail.residual["validation"])
-    own = [k for k, name in enumerate(equation.system.parameter_names) if name in regression.own]
-    moved = np.concatenate([columns[:, :, own] @ p[own] for _, columns in equation.residual(p, "estimation")])
+    bodies = np.array([name in regression.own for name in equation.system.parameter_names])
+    columns = np.concatenate([part for _, part in equation.residual(p, "estimation")])
+    moved = columns[:, :, bodies] @ _told(columns, p, policy)[bodies]
     rigid = np.concatenate([run.slim(run.rigid[:, places], places) for run in runs["estimation"]])
     distance = float(np.sqrt(np.sum(moved**2) / max(float(np.sum(rigid**2)), 1e-300)))
     sizes = np.array([max(joint.torque, 1e-300) for joint in joints])
@@ -125,6 +123,19 @@ def free_bodies(
         float(np.max(left / np.maximum(found, 1e-300))),
         float(np.min(left / np.maximum(without, 1e-300))),
     )
+
+
+def _told(columns: FloatArray, p: FloatArray, policy: ArmPolicy) -> FloatArray:
+    """Return parameters (k,) without what columns (rows, n, k) do not tell of them: the shortest that fit as well.
+
+    A rotor and an inertia about its axis are told by their sum only, and a fit may end at any two of that sum.
+    """
+    stacked = columns.reshape(-1, len(p))
+    size = np.linalg.norm(stacked, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    _, singular, directions = np.linalg.svd(stacked / size, full_matrices=False)
+    told = directions[singular > policy.moved * singular[0]]
+    return np.asarray(told.T @ (told @ (p * size)) / size)
 
 
 def other_arm_reasons(
@@ -150,11 +161,23 @@ def other_arm_reasons(
     if not far or not as_well or free.share < 1.0 - policy.misfit_nrmse**2:
         return ()
     least = np.floor(1000 * free.share) / 10
-    apart = f"{100 * free.distance:.0f} % of these" if free.distance < MANY else "more than these are"
     text = (
         f"this URDF does not describe this arm: masses or lengths. Fitted freely, inertial parameters explain "
-        f"{least:g} % of every joint's torque, and ask for torques that differ from the URDF's by {apart}"
+        f"{least:g} % of every joint's torque, and ask for torques that differ from the URDF's by "
+        f"{100 * free.distance:.0f} % of these"
     )
     if alike:
-        text += f"; {', '.join(name.replace('_', ' ').replace('@', ' at ') for name in alike)} together only imitate it"
+        text += f"; {_listed(alike)} together only imitate it"
     return (text, 'check masses, centres and lengths in the URDF, or fit them with options = {inertia = "calibrated"}')
+
+
+def caution(alike: Sequence[str]) -> str:
+    """Return what a reader should know of several effects that were found where another arm was not shown."""
+    return (
+        f"{_listed(alike)} were found together: a URDF with other masses or lengths can look like that; check it "
+        'before you act on the names, or fit the bodies with options = {inertia = "calibrated"} and compare'
+    )
+
+
+def _listed(alike: Sequence[str]) -> str:
+    return ", ".join(name.replace("_", " ").replace("@", " at ") for name in alike)
