@@ -143,12 +143,9 @@ def _misfit(found: ArmDiagnosis, policy: ArmPolicy) -> tuple[str, ...]:
     mistake = likely_mistake(found.dataset, found.arm, found.runs, judged, found.policy) if reasons else ()
     alike = look_like_another_arm(found.wide, found.joints)
     if not mistake and found.arm.inertia == "fixed" and (reasons or alike):
-        directions = _inertial_directions(found.arm, found.runs["estimation"])
-        free = free_bodies(found.arm, found.runs, found.joints, found.wide, directions, policy)
+        free = free_bodies(found.arm, found.runs, found.joints, found.wide, policy)
         named = [] if reasons else alike
         unlikely = len(unlikely_gains(found.joints, policy)) >= policy.several
-        if free is not None and not reasons and len(alike) < policy.several and free.beside > policy.far_better:
-            return ()  # one payload, say: bodies explain what it leaves no better
         if free is not None and (other := other_arm_reasons(free, named, found.policy, policy, unlikely=unlikely)):
             return other
     return (*reasons, *mistake)

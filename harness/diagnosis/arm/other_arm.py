@@ -14,6 +14,7 @@ import numpy as np
 
 from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.found import JointDiagnosis
+from harness.diagnosis.arm.geometry import runs_of_another_arm
 from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.wide import WideRegression, WideResult
@@ -35,9 +36,9 @@ class FreeBodies:
     share : float
         Part of the torque's variance that they and each joint's friction explain, at the joint where it is least
         (validation records, parameters from the estimation records).
-    beside : float
+    beside, better : float
         Rms residual over that of the effects on the whole arm that were found beside the same friction, at the joint
-        where it is largest.
+        where it is largest, and where it is smallest.
     own : float
         The same over that of what every joint has by itself (friction, its rotor), at the joint where it is smallest.
     """
@@ -45,6 +46,7 @@ class FreeBodies:
     distance: float
     share: float
     beside: float
+    better: float
     own: float
 
 
@@ -74,10 +76,9 @@ def free_bodies(
     runs: Mapping[str, Sequence[ArmRun]],
     joints: Sequence[JointDiagnosis],
     wide: WideResult,
-    directions: Sequence[FloatArray],
     policy: ArmPolicy,
 ) -> FreeBodies | None:
-    """Return the fit with free inertial parameters beside the friction of every joint; None where there is none.
+    """Return the fit with free inertial parameters and lengths beside every joint's friction; None if there is none.
 
     Parameters
     ----------
@@ -87,55 +88,45 @@ def free_bodies(
     joints : sequence of JointDiagnosis
         Those that were judged.
     wide : WideResult
-    directions : sequence of array (10 * bodies,)
-        Of the inertial parameters that this motion moves.
     policy : ArmPolicy
     """
     places = [joint.joint for joint in joints]
-    regression = WideRegression(arm, runs, places, directions, policy)
-    fit = RegressionForm(regression, policy).fit((), [{}], None)
+    regression = WideRegression(arm, runs, places, (), policy)
+    freed = runs_of_another_arm(arm, runs, regression.equation(()).columns["estimation"], places)
+    fit = RegressionForm(WideRegression(arm, freed, places, (), policy), policy).fit((), [{}], None)
     if fit is None:
         return None
-    equation = regression.equation(())
-    p = np.array([fit.values[name] for name in equation.system.parameter_names])
     counts = np.concatenate(regression.counts["validation"])
-    sharp = {use: [run.sharp for run in parts] for use, parts in runs.items()}  # what is left, of the true motion
-    true = WideRegression(arm, sharp, places, directions, policy).equation(())
-    alone = WideRegression(arm, sharp, places, (), policy).equation(())
-    by_joint = np.array([wide.outcome.nominal.values[name] for name in alone.system.parameter_names])
+
+    def left_by(runs: Mapping[str, Sequence[ArmRun]], values: Mapping[str, float]) -> FloatArray:
+        """Return the rms residual (n,) on the true motion of the validation records."""
+        sharp = {use: [run.sharp for run in parts] for use, parts in runs.items()}
+        equation = WideRegression(arm, sharp, places, (), policy).equation(())
+        p = np.array([values[name] for name in equation.system.parameter_names])
+        return rms([r for r, _ in equation.residual(p, "validation")])
 
     def rms(residual: Sequence[FloatArray]) -> FloatArray:
         squares = np.sum(np.concatenate(residual) ** 2 * counts, axis=0)
         return np.asarray(np.sqrt(squares / np.maximum(counts.sum(axis=0), 1)))
 
-    left = rms([r for r, _ in true.residual(p, "validation")])
-    without = rms([r for r, _ in alone.residual(by_joint, "validation")])
+    left, without = left_by(freed, fit.values), left_by(runs, wide.outcome.nominal.values)
     found = rms(wide.fit.detail.residual["validation"])
-    bodies = np.array([name in regression.own for name in equation.system.parameter_names])
-    columns = np.concatenate([part for _, part in equation.residual(p, "estimation")])
-    moved = columns[:, :, bodies] @ _told(columns, p, policy)[bodies]
-    rigid = np.concatenate([run.slim(run.rigid[:, places], places) for run in runs["estimation"]])
+    rigid, moved = (
+        np.concatenate([run.slim(torque[:, places], places) for run, torque in each])
+        for each in (
+            [(run, run.rigid) for run in runs["estimation"]],
+            [(new, new.rigid - run.rigid) for run, new in zip(runs["estimation"], freed["estimation"], strict=True)],
+        )
+    )
     distance = float(np.sqrt(np.sum(moved**2) / max(float(np.sum(rigid**2)), 1e-300)))
     sizes = np.array([max(joint.torque, 1e-300) for joint in joints])
     return FreeBodies(
         distance,
         1.0 - float(np.max(left / sizes)) ** 2,
         float(np.max(left / np.maximum(found, 1e-300))),
+        float(np.min(left / np.maximum(found, 1e-300))),
         float(np.min(left / np.maximum(without, 1e-300))),
     )
-
-
-def _told(columns: FloatArray, p: FloatArray, policy: ArmPolicy) -> FloatArray:
-    """Return parameters (k,) without what columns (rows, n, k) do not tell of them: the shortest that fit as well.
-
-    A rotor and an inertia about its axis are told by their sum only, and a fit may end at any two of that sum.
-    """
-    stacked = columns.reshape(-1, len(p))
-    size = np.linalg.norm(stacked, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    _, singular, directions = np.linalg.svd(stacked / size, full_matrices=False)
-    told = directions[singular > policy.moved * singular[0]]
-    return np.asarray(told.T @ (told @ (p * size)) / size)
 
 
 def other_arm_reasons(
@@ -143,8 +134,9 @@ def other_arm_reasons(
 ) -> tuple[str, ...]:
     """Return that the URDF is another arm's, and what to do; nothing where free inertial parameters do not say so.
 
-    They have to be far from the URDF's, and to explain every joint, as well as all that was found does, and one of them
-    far better than its own friction and rotor do.
+    They have to be far from the URDF's, and to explain every joint, one of them far better than its own friction and
+    rotor do, and far better than all that was found does while no other is lost. What names a few links and leaves as
+    little is the shorter answer.
 
     Parameters
     ----------
@@ -154,11 +146,11 @@ def other_arm_reasons(
     policy : Policy
     arm_policy : ArmPolicy
     unlikely : bool
-        What was found cannot be: then bodies need not do as well (with wrong lengths they cannot).
+        What was found cannot be: then it need not leave more than bodies do.
     """
     far = free.distance >= arm_policy.other_arm and free.own <= arm_policy.by_itself
-    as_well = free.beside <= arm_policy.as_well or unlikely
-    if not far or not as_well or free.share < 1.0 - policy.misfit_nrmse**2:
+    better = (free.better <= arm_policy.far_better and free.beside <= arm_policy.as_well) or unlikely
+    if not far or not better or free.share < 1.0 - policy.misfit_nrmse**2:
         return ()
     least = np.floor(1000 * free.share) / 10
     text = (

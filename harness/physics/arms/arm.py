@@ -173,10 +173,10 @@ def is_arm(name: str) -> bool:
 
     Examples
     --------
-    >>> is_arm("iiwa"), is_arm("robots/mine.urdf"), is_arm("robots/mine.xml"), is_arm("pendulum")
+    >>> is_arm("iiwa"), is_arm("robots/MINE.URDF"), is_arm("robots/mine.xml"), is_arm("pendulum")
     (True, True, True, False)
     """
-    return name in ARMS or name.endswith(FILES)
+    return name in ARMS or name.lower().endswith(FILES)
 
 
 def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] = ()) -> ArmModel:

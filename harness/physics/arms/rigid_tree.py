@@ -113,9 +113,18 @@ class Arm:
         """The regressor, generated and compiled when it is first used."""
         return ArmRegressor(self.joints)
 
-    def symbolic_torques(self, parameters: Any) -> tuple[list[Any], Any]:
+    def symbolic_torques(self, parameters: Any, offsets: Any = None) -> tuple[list[Any], Any]:
         """Return the symbols (q, v, a, gravity) and the torques, linear in the inertial parameters.
 
+        Parameters
+        ----------
+        parameters : symbols (10 * bodies,)
+            In the order of :attr:`parameters`.
+        offsets : symbols (3 * bodies,), optional
+            Where the joints sit in the frames of their parents [m]; by default as in the file.
+
+        Notes
+        -----
         Recursive Newton-Euler in the axes of the base (Luh, Walker & Paul, J. Dyn. Sys. Meas. Control 102 (1980) 69),
         moments about the joints' frames, so that mass, first moments and inertia enter linearly.
         """
@@ -131,7 +140,7 @@ class Arm:
         for number, joint in enumerate(self.joints):
             turn, place, rate, turning, acceleration = base if joint.parent < 0 else outward[joint.parent]
             own = turn @ ca.SX(joint.rotation)
-            arm = turn @ ca.SX(joint.offset)
+            arm = turn @ (ca.SX(joint.offset) if offsets is None else offsets[3 * number : 3 * number + 3])
             axis = own @ ca.SX(joint.axis)
             axes.append(axis)
             acceleration = acceleration + ca.cross(turning, arm) + ca.cross(rate, ca.cross(rate, arm))
