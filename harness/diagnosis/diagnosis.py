@@ -109,7 +109,7 @@ class Diagnosis:
         """How much of the motion the final model explains over the horizon, and whether more could be predicted."""
         if self.misfit:
             return "does_not_fit"
-        if self.incomplete or (self.outcome.accepted and self.runs.left > self.policy.proxy):
+        if self.incomplete or self.runs.left > self.policy.proxy:
             return "proxy_or_incomplete"
         quiet = self.latent_share <= self.policy.disturbed and not self.runs.worse(self.policy)
         good = quiet and self.runs.left <= self.policy.explained and not (self.stand_in or self.doubtful)

@@ -170,7 +170,7 @@ class Policy:
     )
     proxy: float = _number(
         0.5,
-        "share of the variance left beyond which accepted effects are a proxy at best, whatever the likelihood says",
+        "share of the variance left beyond which a model is a proxy at best, whatever the likelihood says",
         "half of the motion unexplained is no model of it",
     )
     mostly: float = _number(

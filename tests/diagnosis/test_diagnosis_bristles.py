@@ -264,6 +264,23 @@ def test_a_law_that_is_as_likely_on_a_bound_only_is_compared_where_it_is_typical
     assert held(table, best, replace(past, candidates=(away,))) == []
 
 
+@pytest.mark.parametrize(("free", "asked"), [(99.0, True), (99.9, False), (90.0, False)])
+def test_a_law_that_loses_by_the_price_of_its_exponent_is_compared_where_it_is_typical(
+    free: float, asked: bool
+) -> None:
+    """Coulomb friction with a wide rounding was named without a rival where the truth was sub-linear, 3 of 133."""
+    base = a_fit([], 0.0)
+    form: Any = Typical(99.0)
+    best = judged(form, [law("coulomb_friction")], a_fit([law("coulomb_friction")], 100.0), base, base)
+    power = a_fit([law("sublinear_friction")], free, {"sublinear_friction@theta.a": 0.3})
+    rival = judged(form, [law("sublinear_friction")], power, base, base)
+    assert rival.passed
+    held_there = held(table_of(form, base, []), best, Round(base, ScoreTest([], []), (best, rival)))
+    assert [placed.effect.parameter("a").fixed for row in held_there for placed in row.added] == [True] * asked
+    names = {str(placed) for (placed,) in tie_set(form, best, [best, rival, *held_there])}
+    assert ("sublinear_friction@theta" in names) is (free > 90.0)
+
+
 def test_a_sum_of_two_dry_laws_is_neither_though_one_is_of_bristles() -> None:
     (reason,) = stand_in_reasons([law("lugre_coulomb_friction"), law("hysteresis")], None)
     assert "imitate it" in reason

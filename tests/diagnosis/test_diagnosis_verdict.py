@@ -155,6 +155,7 @@ def doubted(
     final: Any = SimpleNamespace(
         detail=SimpleNamespace(points=points, passes=SimpleNamespace(forces=forces)),
         on_bound=on_bound,
+        values={"J": 1.0},
         log_likelihood=lambda use: 100.0,
     )
     plain = dataset().estimation[0]

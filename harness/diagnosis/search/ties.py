@@ -138,11 +138,12 @@ def alike(placed: Placed, past: Round, laws: Dictionary) -> list[tuple[Placed, .
 
 
 def held(table: Table, best: Judged, past: Round) -> list[Judged]:
-    """Return laws that are as likely as an answer only on a bound, with what lies on it held at its usual value.
+    """Return laws that are as likely as an answer but for a parameter with a usual value, with this held there.
 
-    On its bound a law is another one: an exponent of 0.05 is dry friction. Whether the data tell the law itself from
-    the answer shows where it is typical. Only what has no unit has a usual value whatever the data. It is another law
-    than that of its name, and has no place in the table.
+    On its bound a law is another one: an exponent of 0.05 is dry friction. And what loses by the price of a parameter
+    that nobody would fit, the exponent of turbulent flow, is not told by the data. Whether they tell the law itself
+    from the answer shows where it is typical. Only what has no unit has a usual value whatever the data. It is another
+    law than that of its name, and has no place in the table.
 
     Parameters
     ----------
@@ -161,16 +162,23 @@ def held(table: Table, best: Judged, past: Round) -> list[Judged]:
 
 
 def _typical(answer: Fit, row: Judged, policy: Policy) -> Placed | None:
-    """Return a law with what lies on its bound held, if nothing else speaks against it; None where there is none."""
+    """Return a law with the one parameter held that lies on a bound, or that costs more than it tells; or None."""
     if row.fit is None or row.fit.beyond or len(row.added) != 1:
         return None
     placed = row.added[0]
     on_bound = subjects(row.refusals, Kind.BOUND)
-    bound = [parameter for parameter in placed.effect.parameters if parameter.name in on_bound]
-    gap, _ = difference(answer, row.fit, ("estimation", "validation"), policy)
-    if len(bound) != 1 or bound[0].unit != "1" or not typical_elsewhere(row) or not close(answer, row.fit, gap, policy):
+    dear = row.fit.count > answer.count and not close(answer, row.fit, value(answer) - value(row.fit), policy)
+    chosen = [
+        known
+        for known in placed.effect.parameters
+        if (known.name in on_bound if on_bound else dear and known.unit == "1" and not known.fixed)
+    ]
+    if len(chosen) != 1 or chosen[0].unit != "1" or not typical_elsewhere(row):
         return None
-    usual = [replace(known, fixed=known.fixed or known is bound[0]) for known in placed.effect.parameters]
+    gap, _ = difference(answer, row.fit, ("estimation", "validation"), policy)
+    if not close(answer, row.fit, gap, policy):
+        return None
+    usual = [replace(known, fixed=known.fixed or known is chosen[0]) for known in placed.effect.parameters]
     return replace(placed, effect=replace(placed.effect, parameters=tuple(usual)))
 
 
@@ -185,15 +193,19 @@ def _usual(row: Judged, typical: Placed) -> dict[str, float]:
 def asked_again(table: Table, answer: Answer) -> Answer:
     """Return an answer whose effects have the rivals that stay tied beside all that was accepted.
 
-    A tie of the first effect was found when it stood alone: what was accepted later may tell them apart, or be the
-    rival itself.
+    A tie of the first effect was found when it stood alone: what was accepted later may tell them apart, be the rival
+    itself, or have been what told them apart.
     """
     present, found = named(answer.model.effects), list[Accepted]()
     for effect in answer.accepted:
         others = present - {str(effect.placed)}
         if effect.beside != others and not effect.given:
             # a rival in the answer lost already without the effect
-            rivals = [member for member in effect.tie if not named(member) & present]
+            known = list(effect.tie)
+            if effect.found < len(table.rounds):
+                near, names = alike(effect.placed, table.rounds[effect.found], table.laws), [*map(named, known)]
+                known += [member for member in near if named(member) not in names]
+            rivals = [member for member in known if not named(member) & present]
             kept = [member for member in rivals if _still_tied(table, answer.model, effect.placed, member)]
             effect = replace(effect, tie=((effect.placed,), *kept), beside=others)
         found.append(effect)
