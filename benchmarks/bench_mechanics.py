@@ -18,7 +18,7 @@ from harness.physics import fit_output_error
 from harness.physics.arms.arm import load_arm
 from harness.physics.models import cart_pole
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.mechanics.inertial import Inertial
+from identifiers.mechanics.arms.inertial import Inertial
 from identifiers.online.lumped_recursive import RecursiveLumped
 from identifiers.online.rls import RecursiveLeastSquares
 from identifiers.online.rls_pass import rotated

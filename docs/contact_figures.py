@@ -1,16 +1,17 @@
-"""Draw docs/adaptive.svg and docs/contact.svg: a controller that learns, and a block that is pushed.
+"""Draw docs/adaptive.svg, docs/contact.svg and docs/masses.svg: a controller that learns, a block, masses of an arm.
 
 Run: python docs/contact_figures.py
 """
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from harness import registry
+from harness import api, registry
 from harness.rng import Streams
 from harness.rollout import perform, run
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
@@ -91,6 +92,16 @@ def contact(record: Trajectory) -> dict[str, tuple[float, float]]:
     }
 
 
+def masses(path: Path) -> None:
+    """Draw the intervals of the masses of the record of docs/mechanical.md."""
+    with tempfile.TemporaryDirectory() as folder:
+        record = Path(folder) / "run.csv"
+        api.simulate(
+            "iiwa-bullet", scenario="arm-designed", scenario_options={"duration": 20.0, "noise": 1e-4}, out=record
+        )
+        print(api.analyse("mass-intervals", record, out=path, force=True).words)
+
+
 def main() -> None:
     """Print the figures and draw the plots."""
     import matplotlib.pyplot as plt
@@ -129,6 +140,7 @@ def main() -> None:
     figure.savefig(Path(__file__).with_name("contact.svg"), metadata={"Date": None})
     for name, (mass, mu) in contact(record).items():
         print(f"{name}: m {mass:.3f} kg (2), mu {mu:.3f} (0.4)")
+    masses(Path(__file__).with_name("masses.svg"))
 
 
 if __name__ == "__main__":

@@ -12,65 +12,11 @@ import numpy as np
 
 from harness.signals import FloatArray
 from identifiers.common.normal import NormalEquations
+from identifiers.mechanics.glider import along_the_wing, glider_functions
 from identifiers.sparse.selection import best_subset
 
-TAIL = 0.27 + 0.022
-"""From the centre of mass to the elevator [m]."""
-GRAVITY = 9.81
 SIX = ((7, 24), (1, 6, 9), (29, 30))
 """The sixth configuration of the exercise: numbers of the functions of the three accelerations."""
-
-
-def functions(q: FloatArray, u: FloatArray, *, nose_down: bool) -> dict[int, FloatArray]:
-    """Return the twenty functions of the exercise (Hoburg & Tedrake 2009, appendix) by their number, each (N,).
-
-    Parameters
-    ----------
-    q : array (N, 7)
-        x, z, pitch, elevator, and the rates of the first three.
-    u : array (N,)
-        Rate of the elevator.
-    nose_down : bool
-        Pitch counts positive nose down, as in the data; the exercise takes angle of attack and speed of the elevator
-        as if it counted nose up.
-    """
-    _, _, pitch, elevator, vx, vz, rate = q.T
-    sign = 1.0 if nose_down else -1.0
-    speed, attack = np.hypot(vx, vz), pitch + sign * np.arctan2(vz, vx)
-    tail_x, tail_z = vx + TAIL * rate * np.sin(pitch), vz + sign * TAIL * rate * np.cos(pitch)
-    tail_speed, tail_attack = np.hypot(tail_x, tail_z), pitch + elevator + sign * np.arctan2(tail_z, tail_x)
-    sin, cos, tail_sin, tail_cos = np.sin(attack), np.cos(attack), np.sin(tail_attack), np.cos(tail_attack)
-    turn = rate + u
-    return {
-        1: speed**2 * sin,
-        3: speed**2 * sin * cos**2,
-        5: speed**2 * sin**3,
-        6: speed**2 * cos**3,
-        7: speed**3 * cos,
-        9: speed * rate * cos,
-        11: rate,
-        13: np.sin(elevator),
-        15: speed * u * np.sin(elevator),
-        18: speed * turn * np.sin(elevator) * np.cos(elevator),
-        20: tail_speed**2 * tail_sin,
-        24: tail_speed**2 * tail_sin * np.sin(elevator),
-        26: tail_speed * u * tail_cos,
-        29: speed**2 * sin * cos,
-        30: tail_speed**2 * tail_sin * tail_cos * np.cos(elevator),
-        32: rate * np.abs(rate),
-        35: rate * np.abs(rate) * cos,
-        38: tail_speed * turn,
-        39: tail_speed * turn * tail_sin,
-        41: tail_speed * turn * tail_sin * tail_cos,
-    }
-
-
-def along_the_wing(q: FloatArray, accelerations: FloatArray, *, nose_down: bool) -> FloatArray:
-    """Return the accelerations (N, 3) along and across the wing, without gravity, and of the pitch."""
-    sin, cos = np.sin(q[:, 2]), np.cos(q[:, 2])
-    sign = -1.0 if nose_down else 1.0
-    x, z = accelerations[:, 4], accelerations[:, 5] + GRAVITY
-    return np.column_stack([cos * x + sign * sin * z, -sign * sin * x + cos * z, accelerations[:, 6]])
 
 
 def chosen(table: FloatArray, target: FloatArray, most: int) -> FloatArray:
@@ -83,7 +29,8 @@ def rows(data: dict[str, FloatArray], runs: slice, *, nose_down: bool) -> tuple[
     """Return the functions and the three accelerations of some runs."""
     q, u = data["states"][runs, :-1].reshape(-1, 7), data["u"][runs].ravel()
     accelerations = data["accels"][runs].reshape(-1, 7)
-    return functions(q, u, nose_down=nose_down), along_the_wing(q, accelerations, nose_down=nose_down)
+    table = glider_functions(q, u, nose_down=nose_down)
+    return table, along_the_wing(q, accelerations[:, 4:7], nose_down=nose_down)
 
 
 def score_of_six(data: dict[str, FloatArray], *, nose_down: bool) -> float:

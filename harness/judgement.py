@@ -19,23 +19,29 @@ _ROWS = 10_000
 _REACH = 3
 # Probability of calling a record of pure feedback excited, and of an open loop that is asked about laws at all.
 _DOUBT = 1e-5
-# A law that leaves less than this share of what an input's own past leaves is exact: nothing else moved the input.
-_EXACT = 1e-3
+# A law that leaves less than this share of what an input's own past leaves is exact: nothing else moved the input. So
+# is one of the same sample that leaves of the input itself but rounding, whatever the past foretells: then outputs and
+# input of one sample are dependent columns of any model.
+_EXACT, _ROUNDED = 1e-3, 1e-10
 # Of an input: what its own past leaves when it follows from it, as a multisine or a free motion does.
 _FORETOLD = 1e-6
 # What a law leaves of its input at most: it explains half of it.
 _HALF = 0.7
+# A filter follows whatever is slow, an excitation too: its law has to leave less, twice a noise of a tenth.
+_SLOW = 0.2
 # An input's own past: so many times what outputs have to say, and at most so many samples.
 _LONGER, _OWN = 4, 40
 # Outputs beyond so many are seen through as many principal directions.
 _MOST = 16
 # Terms of a dependence that are named: those above this share of the largest.
 _SHOWN = 1e-3
+# What looks like a controller too: an output that holds the input itself.
+_ANSWERS = "; if there is none, and an output answers within the sample, declare feedthrough = true"
 # Inputs move nearly together if the others leave so little of one; its coefficient is chance if its standard deviation
 # is half of what all inputs do, so that the interval holds nothing and twice as much. Samples of the outputs' past.
 _NEARLY, _CHANCE, _SHORT = 0.1, 0.5, 4
-# Probability, in a law without an integral, of one that is taken to have it.
-_INTEGRAL = 0.05
+# Probability, in a law without an integral or a filter, of one that is taken to have it.
+_NEEDED = 0.05
 # Regressors and witnesses that depend on others up to these shares are left out.
 _RANK, _THIN = 1e-6, 1e-8
 
@@ -85,14 +91,20 @@ class Law:
 
 @dataclass(frozen=True)
 class _Form:
-    """Controllers of one form: an input, or its change, from the outputs of so many samples."""
+    """Controllers of one form: an input, or its change, from the outputs of so many samples.
+
+    Filtered ones also hold that input, or change, of the sample before: one real pole.
+    """
 
     lags: int
     change: bool
+    filtered: bool = False
 
 
-# Proportional; with a derivative; with an integral; with both.
-_FORMS = (_Form(0, False), _Form(1, False), _Form(1, True), _Form(2, True))
+# Proportional; with a derivative; with an integral; with both; and each behind a filter. A law of two free poles would
+# follow a sine that moves the loop from outside as well, and is none of these.
+_PLAIN = (_Form(0, False), _Form(1, False), _Form(1, True), _Form(2, True))
+_FORMS = (*_PLAIN, *(replace(form, filtered=True) for form in _PLAIN))
 
 
 def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float = 2.0) -> None:
@@ -123,7 +135,7 @@ def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float
         f"{what}: the data do not determine the model",
         expected="inputs that something beside the controller moves",
         got=f"{law.text} up to {law.departure:.1e} of full size, which noise of the sensors explains",
-        remedy="add an excitation to what the controller commands",
+        remedy="add an excitation to what the controller commands" + ("" if records[0].spec.feedthrough else _ANSWERS),
     )
 
 
@@ -207,7 +219,8 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
     of all samples that the law does not use, before and after. What truly moves the plant is not: the present input
     contains it, and later outputs answer it. The gains are found by the generalised method of moments with these
     samples as instruments, and Hansen's statistic (1982, Econometrica 50:1029, lemma 4.2) tests them all at once, for
-    the proportional, derivative and integral controllers. The size of the noise decides nothing.
+    the proportional, derivative and integral controllers, each behind a filter of one pole too. The size of the noise
+    decides nothing.
 
     Parameters
     ----------
@@ -242,8 +255,9 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
         exact = _EXACT * alone[column]
         for form in _FORMS:
             departure, probability, text = _tested(some, column, form)
-            noise = probability > _DOUBT and departure < _HALF
-            if (noise or departure < exact) and (sure or form.lags == 0):
+            noise = probability > _DOUBT and departure < (_SLOW if form.filtered else _HALF)
+            least = max(exact, _ROUNDED) if form == _PLAIN[0] else exact
+            if (noise or departure < least) and (sure or form == _PLAIN[0]):
                 return Law(column, text, departure, probability)
         if sure and shares[column] > 1.0 - _EXACT**2 and _granger(_before(some), 4)[0][column] > 1.0 - _EXACT**2:
             left = float(alone[column] * np.sqrt(max(1.0 - shares[column], 0.0)))
@@ -368,21 +382,33 @@ def _tested(records: Sequence[Trajectory], column: int, form: _Form) -> tuple[fl
         if not k.size:
             continue
         one, u, y = np.ones((k.size, 1)), record.u, record.y
-        targets.append(u[k, column] - (u[k - 1, column] if form.change else 0.0))
-        laws.append(np.hstack([one, *(y[k - j] for j in range(first, lags + first + 1))]))
+        own = np.diff(u[:, column], prepend=u[:1, column]) if form.change else u[:, column]
+        targets.append(own[k])
+        filtered = [own[k - 1, None]] if form.filtered else []
+        laws.append(np.hstack([one, *(y[k - j] for j in range(first, lags + first + 1)), *filtered]))
         around = [u[k - j] for j in range(-_REACH, lags + _REACH + 1)]
         before = [y[k - j] for j in range(lags + first + 1, lags + _REACH + 1)]
         witnesses.append(np.hstack([one, *around, *before, *(y[k + j] for j in range(1, _REACH + 1))]))
     if not targets or sum(map(len, targets)) < 3 * witnesses[0].shape[1]:
         return 1.0, 0.0, ""
     target, law, lengths = np.concatenate(targets), np.concatenate(laws), [len(part) for part in targets]
+    if not np.ptp(target) > 0:
+        return 1.0, 0.0, ""  # a pulse before the rows that are tested: what rests is no answer
     witness = _unit(np.concatenate(witnesses))
     gains, covariance, statistic, free = _moments(target, law, witness, lengths, lags)
+    # Without an integral, or a filter, the law is that of the other forms, which bear sharper witness. The pole of a
+    # filter lies between 0 and 1: a negative one is a controller that acts late, seen through the plant.
+    if form.filtered and gains[-1] <= 0:
+        return 1.0, 0.0, ""
+    checks: list[FloatArray] = []
     if form.change:
-        # without an integral the law is that of the other forms, which bear sharper witness than its change does
-        integral = np.tile(np.eye(spec.ny), lags + 1)
-        total, among = integral @ gains[1:], integral @ covariance[1:, 1:] @ integral.T
-        if chi2.sf(float(total @ np.linalg.lstsq(among, total, rcond=1e-9)[0]), spec.ny) > _INTEGRAL:
+        checks.append(np.hstack([np.zeros((spec.ny, 1)), np.tile(np.eye(spec.ny), lags + 1)]))
+    if form.filtered:
+        checks.append(np.eye(gains.size)[-1:])
+    for part in checks:
+        part = np.pad(part, ((0, 0), (0, gains.size - part.shape[1])))
+        total, among = part @ gains, part @ covariance @ part.T
+        if chi2.sf(float(total @ np.linalg.lstsq(among, total, rcond=1e-9)[0]), len(part)) > _NEEDED:
             return 1.0, 0.0, ""
     size = float(np.concatenate([record.u[:, column] for record in records]).std())
     departure = float(np.std(target - law @ gains)) / (size if size > 0 else 1.0)
@@ -417,6 +443,8 @@ def _text(spec: PlantSpec, column: int, form: _Form, gains: FloatArray, spread: 
     lags = range(int(spec.feedthrough), form.lags + int(spec.feedthrough) + 1)
     seen = [c.name if j == 0 else f"{c.name}[k-{j}]" for j in lags for c in spec.outputs]
     lead = f"the change of {name}" if form.change else name
+    if form.filtered:
+        seen.append(f"{lead}[k-1]" if not form.change else f"{lead} before")
     if not np.any(np.abs(gains * spread) >= _SHOWN * own):
         return f"{lead} = 0"
     # the input stands on the left, however large one of the outputs' terms may be

@@ -16,6 +16,7 @@ from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
+from harness.diagnosis.records.controller_check import check_controller
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.search.rounding import with_rounding
 from harness.diagnosis.search.search import search
@@ -83,6 +84,7 @@ def diagnose(
     with one_thread():
         # fit
         dataset, doubts = kind.prepared(checked(dataset, system), system)
+        doubts = [*check_controller(dataset, system), *doubts]
         laws = laws_of(dictionary)
         thinned = kind.thinned(dataset)
         form, cut = form_of(kind, system, thinned.dataset, policy, laws.dictionary)

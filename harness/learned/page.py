@@ -92,7 +92,7 @@ def _states(system: System, before: Mapping[str, float], learned: LearnedForce, 
 
 def _force_figure(learned: LearnedForce, system: System, before: Mapping[str, float], dataset: Dataset) -> Any:
     """Return the force against one argument, or as a map over the first two (the others at their median)."""
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
     force = learned.force
     units = {channel.name: channel.unit for channel in (*system.states, *system.inputs)}
@@ -100,7 +100,7 @@ def _force_figure(learned: LearnedForce, system: System, before: Mapping[str, fl
     data = _states(system, before, learned, dataset.estimation)
     low, high = force.hull.low, force.hull.high
     edge = _BEYOND * np.maximum(high - low, 1e-12)
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    figure = sheet(figsize=(8, 3.6), layout="constrained")
     axes = figure.subplots()
     if len(force.arguments) == 1:
         grid = np.linspace(low - edge, high + edge, 400)
@@ -130,13 +130,13 @@ def _error_figure(
     learned: LearnedForce, system: System, before: Mapping[str, float], dataset: Dataset, data: Mapping[str, Any]
 ) -> Any:
     """Return measured minus simulated of the first validation record, without and with the force."""
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
     record: Trajectory = dataset.validation[0]
     how = {"horizon": data["horizon_s"], "intersample": data["intersample"]}
     pairs = [simulate_error(system, before, [record], **how)[0], simulate_error(learned.system, {}, [record], **how)[0]]
     outputs = dataset.spec.outputs
-    figure = Figure(figsize=(8, 1.9 * len(outputs) + 0.6), layout="constrained")
+    figure = sheet(figsize=(8, 1.9 * len(outputs) + 0.6), layout="constrained")
     for j, axes in enumerate(figure.subplots(len(outputs), 1, squeeze=False, sharex=True)[:, 0]):
         for errors, colour, label in zip(pairs, ("#888888", "#cc3311"), ("named model", "with the force"), strict=True):
             axes.plot(record.t[: len(errors)], errors[:, j], color=colour, lw=0.8, label=label)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, unread
 from harness.jobs.alone import alone_in
 from harness.physics.fitting.output_error import simulate_error
 from harness.physics.fitting.residual_force import LABEL
@@ -193,7 +193,7 @@ def _report(folder: Path) -> dict[str, Any]:
         raise InputError(
             "not a finished closed loop",
             expected=f"a folder of sysid close-loop with {REPORT}",
-            got=f"{type(error).__name__}: {error}",
+            got=unread(path, error),
             remedy="run sysid close-loop first",
             file=path,
         ) from error

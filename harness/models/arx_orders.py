@@ -206,9 +206,9 @@ class ArxGrid:
         -------
         matplotlib.figure.Figure
         """
-        from matplotlib.figure import Figure
+        from harness.plots import sheet
 
-        figure = Figure(figsize=(8, 4.5), layout="constrained")
+        figure = sheet(figsize=(8, 4.5), layout="constrained")
         axis = figure.subplots()
         counts = np.unique(self.parameters)
         fitted = np.sqrt(np.mean(self.losses / self.rows / self.size, axis=-1))

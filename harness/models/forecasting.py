@@ -52,9 +52,9 @@ class Forecast:
 
     def plot(self) -> Any:
         """Return a matplotlib figure: each output with its band."""
-        from matplotlib.figure import Figure
+        from harness.plots import sheet
 
-        figure = Figure(figsize=(8, 2.2 * self.spec.ny + 0.4), layout="constrained")
+        figure = sheet(figsize=(8, 2.2 * self.spec.ny + 0.4), layout="constrained")
         axes = figure.subplots(self.spec.ny, 1, squeeze=False, sharex=True)[:, 0]
         for column, (axis, channel) in enumerate(zip(axes, self.spec.outputs, strict=True)):
             axis.plot(self.t, self.y[:, column], linewidth=1.2)

@@ -257,9 +257,7 @@ class Eigenfunctions:
         InputError
             If the model has not two outputs, or remembers past samples.
         """
-        from matplotlib.figure import Figure
-
-        from harness.plots import plain_texts
+        from harness.plots import plain_texts, sheet
 
         outputs = self.model.spec.outputs
         if len(outputs) != 2 or self.model.burn_in:
@@ -271,7 +269,7 @@ class Eigenfunctions:
             )
         x, y = (np.linspace(low[k], high[k], points) for k in range(2))
         values = self.at(np.stack(np.meshgrid(x, y), axis=-1))[..., :count]
-        figure = Figure(figsize=(2.6 * values.shape[-1], 5.0), layout="constrained")
+        figure = sheet(figsize=(2.6 * values.shape[-1], 5.0), layout="constrained")
         axes = figure.subplots(2, values.shape[-1], squeeze=False, sharex=True, sharey=True)
         for k in range(values.shape[-1]):
             size = np.abs(values[..., k])

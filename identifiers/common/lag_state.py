@@ -12,6 +12,7 @@ from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_to_dict
+from identifiers.common.bands import Bands
 from identifiers.common.observers import fitted_start, run_in_steps
 
 __all__ = ["LagModel", "Scaling", "regression_data"]
@@ -71,9 +72,10 @@ class Scaling:
 class LagModel(ABC):
     """``y[k+1] = f(y[k], ..., y[k-L+1], u[k], ..., u[k-L+1])`` with an error of known size.
 
-    The state is ``[y[k], ..., y[k-L+1], u[k-1], ..., u[k-L+1], v]``, where v (ny,) is the variance of y[k]: 0 once it
-    was measured, that of the one-step error one step later; further ahead the variances of the steps are added, as if
-    an error stayed what it is. A subclass says :meth:`ahead` only.
+    The state is ``[y[k], ..., y[k-L+1], u[k-1], ..., u[k-L+1], v, steps]``, where v (ny,) is the variance of y[k]: 0
+    once it was measured, that of the one-step error one step later; further ahead the variances of the steps are added,
+    as if an error stayed what it is. ``steps`` counts those since an output was measured: where held-out data have told
+    how far that sum is off so many steps ahead, the deviation is multiplied by it. A subclass says :meth:`ahead` only.
 
     Parameters
     ----------
@@ -82,11 +84,14 @@ class LagModel(ABC):
         L, at least 1.
     scaling : Scaling
         Of the regressors ``[y lags, u lags]``, and of what is learned: the next output, or its change.
+    bands : Bands, optional
+        Factor of the standard deviation by the steps since an output was measured; 1 where there are none.
     """
 
     spec: PlantSpec
     lags: int
     scaling: Scaling
+    bands: Bands | None = field(default=None, kw_only=True)
     notes: dict[str, Any] = field(default_factory=dict, kw_only=True)
 
     @abstractmethod
@@ -128,7 +133,8 @@ class LagModel(ABC):
 
         def complete(lagged: FloatArray) -> FloatArray:
             lead = lagged.shape[:-1]
-            parts = [lagged, np.broadcast_to(held, (*lead, held.size)), np.broadcast_to(variance, (*lead, ny))]
+            known = np.append(variance, 0.0)
+            parts = [lagged, np.broadcast_to(held, (*lead, held.size)), np.broadcast_to(known, (*lead, ny + 1))]
             return np.concatenate(parts, axis=-1)
 
         if self.lags == 1:
@@ -149,30 +155,34 @@ class LagModel(ABC):
 
     def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
         """Return the normal distribution of the output (..., ny)."""
-        ny = self.spec.ny
-        variance = np.maximum(np.asarray(x)[..., -ny:], (_SURE * self.y_size) ** 2)
-        return normal(np.asarray(x)[..., :ny], np.sqrt(variance), self.spec.outputs)
+        x, ny = np.asarray(x, dtype=float), self.spec.ny
+        std = np.sqrt(np.maximum(x[..., -ny - 1 : -1], (_SURE * self.y_size) ** 2))
+        if self.bands is not None:
+            std = std * np.where(x[..., -1:] > 0, self.bands.at(x[..., -1]), 1.0)
+        return normal(x[..., :ny], std, self.spec.outputs)
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next state (..., nx); NaN once it is far outside the data."""
         x = np.asarray(x, dtype=float)
         ny, nu, past = self.spec.ny, self.spec.nu, self.lags * self.spec.ny
         u = np.broadcast_to(u, (*x.shape[:-1], nu))
-        lagged_u = np.concatenate([u, x[..., past:-ny]], axis=-1)
+        lagged_u = np.concatenate([u, x[..., past : -ny - 1]], axis=-1)
         rows = np.concatenate([x[..., :past], lagged_u], axis=-1)
         with np.errstate(over="ignore", invalid="ignore"):
             mean, variance = self.ahead(rows)
             near = (np.abs(mean - self.scaling.x_mean[:ny]) <= _FAR * self.y_size).all(axis=-1, keepdims=True)
             mean = np.where(near, mean, np.nan)
         kept_u = lagged_u[..., : (self.lags - 1) * nu]
-        return np.concatenate([mean, x[..., : past - ny], kept_u, variance + x[..., -ny:]], axis=-1)
+        told = [variance + x[..., -ny - 1 : -1], x[..., -1:] + 1.0]
+        return np.concatenate([mean, x[..., : past - ny], kept_u, *told], axis=-1)
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
         """Return the state with the present output as it was measured (..., nx)."""
         new = np.array(x, dtype=float)
         ny = self.spec.ny
         new[..., :ny] = y
-        new[..., -ny:] = (_SURE * self.y_size) ** 2
+        new[..., -ny - 1 : -1] = (_SURE * self.y_size) ** 2
+        new[..., -1] = 0.0
         return new
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
@@ -186,6 +196,7 @@ class LagModel(ABC):
             "spec": spec_to_dict(self.spec),
             "lags": self.lags,
             "scaling": self.scaling.to_dict(),
+            "bands": None if self.bands is None else self.bands.to_dict(),
             "notes": self.notes,
         }
 

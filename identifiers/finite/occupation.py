@@ -215,9 +215,9 @@ def _half(share: FloatArray) -> int:
 
 def _bars(share: FloatArray, title: str) -> Any:
     """Draw the share of each state."""
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
-    drawing = Figure(figsize=(6, 4), layout="constrained")
+    drawing = sheet(figsize=(6, 4), layout="constrained")
     axes = drawing.subplots()
     axes.bar(np.arange(len(share)), share)
     axes.set(xlabel="state", ylabel="share of the time", title=title)
@@ -226,9 +226,9 @@ def _bars(share: FloatArray, title: str) -> Any:
 
 def _map(share: FloatArray, edges: Sequence[FloatArray], names: Sequence[str]) -> Any:
     """Draw a density on boxes of one or two outputs."""
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
-    drawing = Figure(figsize=(6, 4), layout="constrained")
+    drawing = sheet(figsize=(6, 4), layout="constrained")
     axes = drawing.subplots()
     if share.ndim == 1:
         axes.stairs(share / np.diff(edges[0]), edges[0], fill=True)

@@ -90,7 +90,7 @@ class HybridModel(LagModel):
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> HybridModel:
         """Return the model of a description."""
-        tables = {name: np.array(content[name], dtype=float) for name in _TABLES}
+        tables: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _TABLES}
         return cls(
             spec_from_dict(content["spec"]),
             int(content["lags"]),

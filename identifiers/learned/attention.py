@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
-from identifiers.common.ensemble import Ensemble
+from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.lag_training import lag_task
 from identifiers.learned.training import Trained
@@ -146,7 +146,7 @@ class AttentionNetwork(Trained):
             shared = (spec, self.order, task.scaling, task.affine, np.ones(spec.ny), None)
             members.append(AttentionModel(*shared, tables=own, heads=self.heads))
         notes = {"held-out loss": history[-1], "samples": len(task.x), "held out": len(task.kept)}
-        return AttentionEnsemble(spec, task.banded(members), notes)
+        return task.far(AttentionEnsemble(spec, task.banded(members), notes), what)
 
 
 # ---- one definition for numpy, which runs, and torch, which trains ---------------------------------------------------

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
+from identifiers.common.bands import Bands, held_out_runs
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.records import moving, real_signals, usable
 
@@ -25,6 +27,9 @@ _NO_SLOPE = -16.0
 
 _CANDIDATES = 4000
 """Samples among which inducing points are chosen."""
+
+_HELD_OUT = 5
+"""One part in so many of every record, its end, judges the bands before the process learns it too."""
 
 _BLOCK = 2048
 """Rows of a block of the kernel matrix."""
@@ -164,6 +169,7 @@ class GaussianProcessModel(LagModel):
             int(content["lags"]),
             Scaling.from_dict(content["scaling"]),
             posteriors,
+            bands=Bands.from_dict(content.get("bands")),
             notes=dict(content.get("notes", {})),
         )
 
@@ -175,6 +181,10 @@ class GaussianProcess:
     Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, eq. 5.8 and 5.9) of at most ``exact``
     samples. With more samples than that all of them enter through inducing points (Titsias 2009, *AISTATS*, eq. 10),
     chosen one by one where the prior leaves most variance, and the noise is found again from the bound (eq. 9).
+
+    Several steps ahead the variances of the steps are added, which is rough. So the same process without the last fifth
+    of every record predicts that fifth, and the bands are scaled, for every horizon, to hold there
+    (:class:`identifiers.common.bands.Bands`).
 
     Parameters
     ----------
@@ -228,14 +238,25 @@ class GaussianProcess:
         whole = len(x) <= self.exact
         few = np.arange(len(x)) if whole else np.sort(rng.choice(len(x), size=self.exact, replace=False))
         pool = np.sort(rng.choice(len(x), size=min(len(x), _CANDIDATES), replace=False))
-        posteriors = []
-        for column in range(spec.ny):
-            kernel = _likeliest(x[few], y[few, column], self.affine)
+        kernels = [_likeliest(x[few], y[few, column], self.affine) for column in range(spec.ny)]
+
+        def posteriors_of(rows: npt.NDArray[np.bool_]) -> tuple[Posterior, ...]:
+            """Return the posteriors that know some of the rows."""
             if whole:
-                posteriors.append(_exact(kernel, x, y[:, column]))
-            else:
-                points = x[pool][_inducing(kernel, x[pool], self.inducing)]
-                posteriors.append(_sparse(kernel, points, x, y[:, column]))
+                return tuple(_exact(kernel, x[rows], y[rows, k]) for k, kernel in enumerate(kernels))
+            near = x[pool[rows[pool]]]
+            points = [near[_inducing(kernel, near, self.inducing)] for kernel in kernels]
+            return tuple(_sparse(kernels[k], points[k], x[rows], y[rows, k]) for k in range(spec.ny))
+
+        cuts = [len(record) - len(record) // _HELD_OUT for record in records]
+        early = [
+            np.arange(len(record) - self.order) < cut - self.order for record, cut in zip(records, cuts, strict=True)
+        ]
+        bands = None
+        if (inside := np.concatenate(early)).sum() > x.shape[1] + 3:
+            draft = GaussianProcessModel(spec, self.order, scaling, posteriors_of(inside))
+            bands = self._bands(draft, records, cuts, what)
+        posteriors = posteriors_of(np.ones(len(x), dtype=bool))
         notes = {
             "samples": len(x),
             "points": [len(posterior.points) for posterior in posteriors],
@@ -243,8 +264,18 @@ class GaussianProcess:
                 float(posterior.kernel.noise * s) for posterior, s in zip(posteriors, scaling.y_std, strict=True)
             ],
             "lengths": [(posterior.kernel.lengths * scaling.x_std).tolist() for posterior in posteriors],
+            "bands": "those of the process itself: too little data to hold any out"
+            if bands is None
+            else bands.note(spec.sample_time),
         }
-        return GaussianProcessModel(spec, self.order, scaling, tuple(posteriors), notes=notes)
+        return GaussianProcessModel(spec, self.order, scaling, posteriors, bands=bands, notes=notes)
+
+    def _bands(
+        self, draft: GaussianProcessModel, records: Sequence[Trajectory], cuts: Sequence[int], what: str
+    ) -> Bands | None:
+        """Return the factors of the deviations that hold on what the draft has not seen."""
+        runs = held_out_runs(draft, records, cuts)
+        return Bands.scaling(draft, runs, what) if runs else None
 
 
 def _likeliest(x: FloatArray, y: FloatArray, affine: bool) -> Kernel:

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 from harness.specs import spec_from_dict
+from identifiers.common.bands import Bands
 from identifiers.common.lag_state import LagModel, Scaling
 from identifiers.common.reach import Reach
 
@@ -68,6 +69,7 @@ class LagNetwork(LagModel):
             affine=np.array(content["affine"], dtype=float),
             variance=np.array(content["variance"], dtype=float),
             reach=None if reach is None else Reach.from_dict(reach),
+            bands=Bands.from_dict(content.get("bands")),
             notes=dict(content.get("notes", {})),
             **own,
         )

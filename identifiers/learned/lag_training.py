@@ -11,16 +11,18 @@ import numpy as np
 from harness.judgement import refuse_undetermined
 from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.common.ensemble import own_spread
+from identifiers.common.bands import Bands, held_out_runs
 from identifiers.common.lag_state import Scaling, regression_data
 from identifiers.common.reach import Reach
 from identifiers.common.records import moving, real_signals, usable
+from identifiers.learned.ensemble import Ensemble, own_spread
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.training import Schedule, need_torch, one_thread, train
 
 __all__ = ["LagTask", "lag_task"]
 
 M = TypeVar("M", bound=LagNetwork)
+E = TypeVar("E", bound=Ensemble)
 
 _RIDGE = 1e-8
 """Of the affine fit, relative to the number of rows: keeps it real where regressors depend on one another."""
@@ -49,6 +51,9 @@ class LagTask:
         Of the leftover, in scaled numbers.
     kept, kept_later : array
         Held-out rows and next outputs in their units.
+    records : sequence of Trajectory
+    cuts : sequence of int
+        First held-out sample of each.
     """
 
     spec: PlantSpec
@@ -62,6 +67,8 @@ class LagTask:
     size: FloatArray
     kept: FloatArray
     kept_later: FloatArray
+    records: Sequence[Trajectory]
+    cuts: Sequence[int]
 
     def train(
         self,
@@ -127,6 +134,23 @@ class LagTask:
         reach = Reach.of(rows, left, rng=stream("reach"))
         return tuple(replace(draft, variance=variance, reach=reach) for draft in drafts)
 
+    def far(self, ensemble: E, what: str) -> E:
+        """Return the ensemble with bands that hold on held-out data also several steps ahead.
+
+        Parameters
+        ----------
+        ensemble : Ensemble
+            Of members from :meth:`banded`.
+        what : str
+            Name of the identifier.
+        """
+        runs = held_out_runs(ensemble, self.records, self.cuts)
+        if not runs:
+            return ensemble
+        bands = Bands.scaling(ensemble, runs, what)
+        notes = {**ensemble.notes, "bands": bands.note(self.spec.sample_time)}
+        return replace(ensemble, members=tuple(replace(m, bands=bands) for m in ensemble.members), notes=notes)
+
 
 def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, least_excitation: float) -> LagTask:
     """Return the task that records pose; raises FitError if they cannot be learned from.
@@ -158,4 +182,5 @@ def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, least_ex
     affine = np.asarray(np.linalg.solve(gram, design.T @ y), dtype=float)
     left, held_left = y - design @ affine, held_y - held_x @ affine[:-1] - affine[-1]
     size = np.maximum(left.std(axis=0), 1e-12)
-    return LagTask(spec, order, scaling, x, left / size, held_x, held_left / size, affine, size, kept, kept_later)
+    return LagTask(spec, order, scaling, x, left / size, held_x, held_left / size, affine, size, kept, kept_later,
+                   records, cuts)  # fmt: skip

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError
+from harness.models.distributions import NormalMixture, normal
 from harness.physics.fitting.smoothing import smooth
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.bands import Bands, banded, told
 from identifiers.common.observers import alpha_beta_gains, best_gain, fitted_start, run_in_steps
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.training import Trained, need_torch, train_tables
@@ -145,6 +147,8 @@ class LagrangianModel:
     scale : array (2 n,)
         Size of the states in the data.
     filter_gain : array (2 n, ny)
+    bands : Bands, optional
+        Standard deviation of predictions by the steps since an output was seen; the state counts them, last.
     """
 
     spec: PlantSpec
@@ -153,6 +157,7 @@ class LagrangianModel:
     columns: tuple[int, ...]
     scale: FloatArray
     filter_gain: FloatArray
+    bands: Bands | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -161,42 +166,57 @@ class LagrangianModel:
         return 0
 
     def initial_state(self, data: Trajectory) -> FloatArray:
-        """Return the state (2 n,) whose free run fits the start of the record best."""
+        """Return the state (2 n + 1,) whose free run fits the start of the record best."""
         same_language(self.spec, data)
         guess = _states(data, self.columns, len(self.form.names))[0]
-        return fitted_start(self.free_run, self.spec.outputs, data, guess, scale=self.scale, lengths=(15, 40))
+        start = fitted_start(self.free_run, self.spec.outputs, data, guess, scale=self.scale, lengths=(15, 40))
+        return np.append(start, 1.0)
 
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the output (..., ny)."""
         return np.asarray(x, dtype=float)[..., list(self.columns)]
 
+    def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
+        """Return the normal distribution of the output (..., ny), as wide as held-out data asked for.
+
+        Raises
+        ------
+        InputError
+            If the model was stored without bands.
+        """
+        return normal(self.output(x, u), told(self.bands, "lagrangian-network").at(np.asarray(x)[..., -1]),
+                      self.spec.outputs)  # fmt: skip
+
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the next state (..., 2 n); NaN once it is far outside the data."""
-        x = np.asarray(x, dtype=float)
+        """Return the next state (..., 2 n + 1); NaN once it is far outside the data."""
         n = len(self.form.names)
+        whole = np.asarray(x, dtype=float)
+        x, since = whole[..., : 2 * n], whole[..., 2 * n :] + 1.0
         u = np.broadcast_to(u, (*x.shape[:-1], self.spec.nu))
         with np.errstate(over="ignore", invalid="ignore"):
             near = (np.abs(x[..., n:]) <= _FAR * self.scale[n:]).all(axis=-1, keepdims=True)
             x = np.where(near, x, 0.0)
             q, v = self.form.step(np, self.tables, x[..., :n], x[..., n:], u, self.spec.sample_time)
-            return np.where(near, np.concatenate([q, v], axis=-1), np.nan)
+            return np.concatenate([np.where(near, np.concatenate([q, v], axis=-1), np.nan), since], axis=-1)
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the state (..., 2 n) moved by the error of the output just seen."""
+        """Return the state (..., 2 n + 1) moved by the error of the output just seen."""
+        x, n = np.asarray(x, dtype=float), len(self.form.names)
         predicted = self.output(x, u)
         miss = residual(self.spec.outputs, np.broadcast_to(y, predicted.shape), predicted)
-        return np.asarray(x + miss @ self.filter_gain.T)
+        return np.concatenate([x[..., : 2 * n] + miss @ self.filter_gain.T, 0.0 * x[..., 2 * n :]], axis=-1)
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the outputs (M, N, ny) from states x (M, 2 n) under inputs u (M, N, nu)."""
+        """Return the outputs (M, N, ny) from states x (M, 2 n) or (M, 2 n + 1) under inputs u (M, N, nu)."""
         return run_in_steps(self, x, u)
 
     def energy(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return kinetic and potential energy (...) of states (..., 2 n), in the unit of input times coordinate."""
+        """Return kinetic and potential energy (...) of states (..., 2 n or more), in the unit of input times way."""
         x = np.asarray(x, dtype=float)
         n = len(self.form.names)
         mass, _, potential, _ = self.form.energies(np, self.tables, x[..., :n])
-        return 0.5 * np.einsum("...i,...ij,...j->...", x[..., n:], mass, x[..., n:]), np.asarray(potential)
+        v = x[..., n : 2 * n]
+        return 0.5 * np.einsum("...i,...ij,...j->...", v, mass, v), np.asarray(potential)
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
         """Return the mass matrix (..., n, n) at coordinates q (..., n): positive definite everywhere."""
@@ -213,6 +233,7 @@ class LagrangianModel:
             "columns": list(self.columns),
             "scale": self.scale.tolist(),
             "filter_gain": self.filter_gain.tolist(),
+            "bands": None if self.bands is None else self.bands.to_dict(),
             "notes": self.notes,
         }
 
@@ -226,6 +247,7 @@ class LagrangianModel:
             tuple(map(int, content["columns"])),
             np.array(content["scale"], dtype=float),
             np.array(content["filter_gain"], dtype=float),
+            Bands.from_dict(content.get("bands")),
             dict(content.get("notes", {})),
         )
 
@@ -238,7 +260,9 @@ class LagrangianNetwork(Trained):
     Lagrangian networks), so the learned plant cannot make energy, and needs fewer data than one without that form. It
     is trained on free runs over short windows. The outputs are the coordinates and, if wanted, their rates
     (``theta``, ``theta_rate``); each input is the generalised force of a coordinate. Dry friction is not in the form.
-    Needs torch for the fit (extra ``learned``); the model runs with numpy.
+    The last fifth of every record is held out, chooses the state of the training that is kept, and says how wide the
+    bands are so many steps ahead (:class:`identifiers.common.bands.Bands`). Needs torch for the fit (extra
+    ``learned``); the model runs with numpy.
 
     Parameters
     ----------
@@ -267,7 +291,7 @@ class LagrangianNetwork(Trained):
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         names, columns = _coordinates(spec, what)
         states = [_states(record, columns, len(names)) for record in records]
-        form, scale = self._form(spec, names, columns, states, records, what)
+        form, scale, turns = self._form(spec, names, columns, states, records, what)
         need_torch(what)
         cuts = [len(record) - len(record) // _HELD_OUT for record in records]
         learn = _windows(records, states, [(0, cut) for cut in cuts], self.window, 1)
@@ -288,15 +312,25 @@ class LagrangianNetwork(Trained):
             "mass_at": diagonal,
             "well_in": rng.normal(size=(2 * n, h)),
             "well_bias": 0.5 * rng.normal(size=h),
-            "well_out": 0.05 * rng.normal(size=(h, 1)) * float(np.mean(form.mass)),
-            "damping": 0.1 * np.sqrt(np.array(form.mass)),
+            "well_out": 0.05 * rng.normal(size=(h, 1)),
+            "damping": np.full(n, 0.1),
         }
         seen = np.array(columns)
         size = scale[seen]
+        # In training everything is about 1: energies in that of the usual force over the usual way, damping in that of
+        # the usual force at the usual rate. Adam's steps have one size for all tables.
+        push = float(np.mean(np.array(form.mass) * turns))
+        well, drag = push * float(np.mean(form.size)), np.sqrt(push / scale[n:])
+
+        def units(t: dict[str, Any]) -> dict[str, Any]:
+            """Return tables in physical units."""
+            drags = drag if isinstance(t["damping"], np.ndarray) else t["damping"].new_tensor(drag)
+            return {**t, "well_out": t["well_out"] * well, "damping": t["damping"] * drags}
 
         def miss(library: Any, t: dict[str, Any], x: Any, u: Any, y: Any) -> Any:
             """Return the mean square of free runs from states x (w, 2 n), inputs and outputs (w, k, ...)."""
             q, v, total, sizes = x[:, :n], x[:, n:], 0.0, library.from_numpy(size)
+            t = units(t)
             for k in range(u.shape[1] - 1):
                 q, v = form.step(library, t, q, v, u[:, k], spec.sample_time)
                 found = library.cat([q, v], dim=1)[:, seen]
@@ -316,10 +350,15 @@ class LagrangianNetwork(Trained):
         )
         notes = {"held-out loss": losses, "windows": len(learn[0])}
         ny = spec.ny
-        draft = LagrangianModel(spec, form, tables, columns, scale, np.zeros((2 * n, ny)), notes)
+        draft = LagrangianModel(spec, form, units(tables), columns, scale, np.zeros((2 * n, ny)), notes=notes)
         gains = _gains(columns, n, spec.sample_time)
         begin = [state[0] for state in states]
-        return replace(draft, filter_gain=best_gain(gains, draft.step, draft.output, begin, records))
+        draft = replace(draft, filter_gain=best_gain(gains, draft.step, draft.output, begin, records))
+
+        def guessed(stretch: Trajectory) -> FloatArray:
+            return np.append(_states(stretch, columns, n)[0], 0.0)
+
+        return banded(draft, records, cuts, size, what, guessed)
 
     def _form(
         self,
@@ -329,8 +368,8 @@ class LagrangianNetwork(Trained):
         states: Sequence[FloatArray],
         records: Sequence[Trajectory],
         what: str,
-    ) -> tuple[Form, FloatArray]:
-        """Return the form of the equations and the size of the states."""
+    ) -> tuple[Form, FloatArray, FloatArray]:
+        """Return the form of the equations, the size of the states and that of the accelerations."""
         n = len(names)
         wanted = tuple(self.actuated) if self.actuated is not None else names[: spec.nu]
         if len(wanted) != spec.nu or not set(wanted) <= set(names):
@@ -347,14 +386,15 @@ class LagrangianNetwork(Trained):
         size = tuple(1.0 if angle else float(scale[i]) for i, angle in enumerate(periodic))
         turn = np.concatenate([np.diff(state[:, n:], axis=0) for state in states]) / spec.sample_time
         push = float(np.concatenate([record.u for record in records]).std()) if spec.nu else 1.0
-        mass = tuple(float(push / max(a, 1e-12)) for a in turn.std(axis=0))
+        turns = np.maximum(turn.std(axis=0), 1e-12)
+        mass = tuple((push / turns).tolist())
         for i, angle in enumerate(periodic):
-            turns = float(channels[i].period or 0.0)
-            if angle and abs(turns - 2 * np.pi) > 1e-9:
+            period = float(channels[i].period or 0.0)
+            if angle and abs(period - 2 * np.pi) > 1e-9:
                 raise FitError(
-                    f"{what}: angle {names[i]}", expected="a period of 2 pi rad", got=f"{turns:g}", remedy="use rad"
+                    f"{what}: angle {names[i]}", expected="a period of 2 pi rad", got=f"{period:g}", remedy="use rad"
                 )
-        return Form(names, periodic, size, tuple(names.index(name) for name in wanted), mass), scale
+        return Form(names, periodic, size, tuple(names.index(name) for name in wanted), mass), scale, turns
 
 
 def _coordinates(spec: PlantSpec, what: str) -> tuple[tuple[str, ...], tuple[int, ...]]:

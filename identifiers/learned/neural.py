@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.signals import FloatArray, Trajectory
-from identifiers.common.ensemble import Ensemble
+from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.lag_training import lag_task
 from identifiers.learned.training import Trained, draw_layers
@@ -63,9 +63,9 @@ class NeuralNetwork(Trained):
 
     An affine fit comes first, the network learns what it leaves; so a network that learns nothing is an ARX model. The
     last fifth of every record is held out: each member ends at its best state there, and bands are
-    made to hold there. Outside the data they widen with the distance (:class:`identifiers.common.reach.Reach`). Needs
-    torch
-    for the fit (extra ``learned``); the model runs with numpy.
+    made to hold there. Several steps ahead they are scaled to hold there too
+    (:class:`identifiers.common.bands.Bands`). Outside the data they widen with the distance
+    (:class:`identifiers.common.reach.Reach`). Needs torch for the fit (extra ``learned``); the model runs with numpy.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class NeuralNetwork(Trained):
                 NetworkModel(spec, self.order, scaling, task.affine, np.ones(spec.ny), None, layers=tuple(parts))
             )
         notes = {"held-out loss": history[-1], "samples": len(task.x), "held out": len(task.kept)}
-        return EnsembleModel(spec, task.banded(members), notes)
+        return task.far(EnsembleModel(spec, task.banded(members), notes), what)
 
 
 def _network(torch: Any, tables: Sequence[Any], rows: Any) -> Any:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from harness.judgement import refuse_undetermined
+from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
-from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.bands import Bands, banded, told
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains, run_in_steps
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import centred
@@ -45,6 +47,8 @@ class NeuralStateModel:
     filter_gain : array (nx, ny)
         How a scaled output corrects the state.
     lags : int
+    bands : Bands, optional
+        Standard deviation of predictions by the steps since an output was seen; the state counts them, last.
     """
 
     spec: PlantSpec
@@ -55,6 +59,7 @@ class NeuralStateModel:
     y_std: FloatArray
     filter_gain: FloatArray
     lags: int
+    bands: Bands | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -63,40 +68,53 @@ class NeuralStateModel:
         return 0
 
     def initial_state(self, data: Trajectory) -> FloatArray:
-        """Return the state (nx,) whose free run fits the start of the record best."""
+        """Return the state (nx + 1,) whose free run fits the start of the record best."""
         same_language(self.spec, data)
         y, u = (data.y[0] - self.y_mean) / self.y_std, (data.u[0] - self.u_mean) / self.u_std
         guess = np.concatenate([np.tile(y, self.lags), np.tile(u, self.lags)]) @ self.tables["encoder"]
         scale = np.ones(len(guess))
-        return fitted_start(self.free_run, self.spec.outputs, data, guess, scale=scale, lengths=(30, 120))
+        start = fitted_start(self.free_run, self.spec.outputs, data, guess, scale=scale, lengths=(30, 120))
+        return np.append(start, 1.0)
 
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the output (..., ny)."""
         t = self.tables
-        scaled = np.asarray(x) @ t["C"].T + self._input(u) @ t["D"].T + t["offset"]
+        scaled = np.asarray(x)[..., : len(t["A"])] @ t["C"].T + self._input(u) @ t["D"].T + t["offset"]
         return np.asarray(self.y_mean + self.y_std * scaled)
 
+    def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
+        """Return the normal distribution of the output (..., ny), as wide as held-out data asked for.
+
+        Raises
+        ------
+        InputError
+            If the model was stored without bands.
+        """
+        return normal(self.output(x, u), told(self.bands, "neural-state-space").at(np.asarray(x)[..., -1]),
+                      self.spec.outputs)  # fmt: skip
+
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the next state (..., nx); NaN once it is far outside the data."""
+        """Return the next state (..., nx + 1); NaN once it is far outside the data."""
         t = self.tables
-        x = np.asarray(x, dtype=float)
+        nx = len(t["A"])
+        whole = np.asarray(x, dtype=float)
+        x, since = whole[..., :nx], whole[..., nx:] + 1.0
         v = np.broadcast_to(self._input(u), (*x.shape[:-1], self.spec.nu))
-        nx = x.shape[-1]
         with np.errstate(over="ignore", invalid="ignore"):
             hidden = np.tanh(x @ t["W1"][:nx] + v @ t["W1"][nx:] + t["b1"])
             new = x @ t["A"].T + v @ t["B"].T + t["drift"] + hidden @ t["W2"]
-            return np.where(np.abs(new).max(axis=-1, keepdims=True) <= _FAR, new, np.nan)
+            near = np.abs(new).max(axis=-1, keepdims=True) <= _FAR
+            return np.concatenate([np.where(near, new, np.nan), since], axis=-1)
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the state (..., nx) moved by the error of the output just seen."""
-        from harness.signals import residual
-
+        """Return the state (..., nx + 1) moved by the error of the output just seen."""
+        x, nx = np.asarray(x, dtype=float), len(self.tables["A"])
         predicted = self.output(x, u)
         miss = residual(self.spec.outputs, np.broadcast_to(y, predicted.shape), predicted) / self.y_std
-        return np.asarray(x + miss @ self.filter_gain.T)
+        return np.concatenate([x[..., :nx] + miss @ self.filter_gain.T, 0.0 * x[..., nx:]], axis=-1)
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
+        """Return the outputs (M, N, ny) from states x (M, nx) or (M, nx + 1) under inputs u (M, N, nu)."""
         return run_in_steps(self, x, u)
 
     def to_dict(self) -> dict[str, Any]:
@@ -108,6 +126,7 @@ class NeuralStateModel:
             "lags": self.lags,
             "tables": {name: self.tables[name].tolist() for name in _TABLES},
             **{name: getattr(self, name).tolist() for name in names},
+            "bands": None if self.bands is None else self.bands.to_dict(),
             "notes": self.notes,
         }
 
@@ -120,7 +139,8 @@ class NeuralStateModel:
         tables["B"], tables["D"] = tables["B"].reshape(nx, spec.nu), tables["D"].reshape(spec.ny, spec.nu)
         names = ("u_mean", "u_std", "y_mean", "y_std", "filter_gain")
         arrays = {name: np.array(content[name], dtype=float) for name in names}
-        return cls(spec, tables, **arrays, lags=lags, notes=dict(content.get("notes", {})))
+        bands = Bands.from_dict(content.get("bands"))
+        return cls(spec, tables, **arrays, lags=lags, bands=bands, notes=dict(content.get("notes", {})))
 
     def _input(self, u: FloatArray) -> FloatArray:
         return np.asarray((np.asarray(u, dtype=float) - self.u_mean) / self.u_std)
@@ -132,7 +152,9 @@ class NeuralStateSpace(Trained):
 
     The state of every window comes from past outputs and inputs through an encoder that is trained too (Beintema, Toth
     and Schoukens 2021, *L4DC*: the subspace encoder). Training begins at an ARX model, so that a network that learns
-    nothing is one. The last fifth of every record is held out and chooses the state of the training that is kept.
+    nothing is one. The last fifth of every record is held out, chooses the state of the training that is kept, and says
+    how wide the bands are so many steps ahead (:class:`identifiers.common.bands.Bands`); they do not widen outside the
+    data.
     Needs torch for the fit (extra ``learned``); the model runs with numpy.
 
     Parameters
@@ -213,12 +235,14 @@ class NeuralStateSpace(Trained):
         )
         nx = len(tables["A"])
         notes = {"held-out rms": [float(np.sqrt(loss)) for loss in losses], "states": nx, "windows": len(parts[0])}
-        draft = NeuralStateModel(spec, tables, u_mean, u_std, y_mean, y_std, np.zeros((nx, spec.ny)), lags, notes)
+        signals = (u_mean, u_std, y_mean, y_std)
+        draft = NeuralStateModel(spec, tables, *signals, np.zeros((nx, spec.ny)), lags, notes=notes)
         gains = riccati_gains(tables["A"], tables["C"], np.ones(nx), np.ones(spec.ny))
         begin = [draft.initial_state(record) for record in records]
         # best_gain moves states by errors in units; the model's gain is for scaled ones.
-        gain = best_gain(gains / y_std, draft.step, draft.output, begin, records) * y_std
-        return NeuralStateModel(spec, tables, u_mean, u_std, y_mean, y_std, gain, lags, notes)
+        padded = np.concatenate([gains / y_std, np.zeros((len(gains), 1, spec.ny))], axis=1)
+        gain = best_gain(padded, draft.step, draft.output, begin, records)[:nx] * y_std
+        return banded(replace(draft, filter_gain=gain), records, cuts, y_std, what)
 
 
 def _start(

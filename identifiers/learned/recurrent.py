@@ -15,25 +15,29 @@ from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.models.distributions import NormalMixture, normal
 from harness.rng import stream
-from harness.scoring import predict, same_language
+from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.common.ensemble import Ensemble, own_spread
+from identifiers.common.bands import Ahead, Bands, held_out_runs
 from identifiers.common.observers import best_gain, riccati_gains
 from identifiers.common.reach import Reach
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import centred
+from identifiers.learned.ensemble import Ensemble, own_spread
 from identifiers.learned.recurrent_fit import Fitted, Problem, descend, fit_start
 from identifiers.learned.recurrent_pass import Layout
 from identifiers.learned.training import bar
 
 __all__ = ["NeuralOutputError", "RecurrentEnsemble", "RecurrentModel"]
 
-_HORIZONS = (1, 3, 10, 30, 100)
+_HORIZONS = (1, 2, 4, 8, 16, 32, 64, 128)
 """Steps ahead at which the spread of held-out errors is measured; between them it is interpolated."""
 
 _START = 50
 """Samples that the unknown initial state is fitted to, as the public benchmarks allow (cascaded tanks, 2016)."""
+
+_FAR = 1e3
+"""A state so many sizes away from those of the data has diverged."""
 
 _LEAST_SPREAD = 1e-6
 """Standard deviation of a prediction, relative to the size of the output, that no model may claim to be below."""
@@ -60,14 +64,16 @@ class RecurrentModel:
         Rms of the free run in the estimation data, in scaled units.
     filter_gain : array (nx, ny)
         How a scaled output corrects the state.
-    spread : array (5, ny)
-        Standard deviation of held-out predictions 1, 3, 10, 30 and 100 steps ahead, in the units of the outputs.
+    spread : array (8, ny)
+        Standard deviation of held-out predictions 1, 2, 4, ... 128 steps ahead, in the units of the outputs.
     unseen : array (ny,)
         Share of the drift that a seen output leaves, from 0 to 1.
     reach : Reach or None
         Where the states and inputs of the data lie.
     fade : float
         Of the drift in a step, at most 1.
+    bands : Bands, optional
+        Factor of the standard deviation by the steps since an output was seen; 1 where there are none.
     """
 
     spec: PlantSpec
@@ -85,6 +91,7 @@ class RecurrentModel:
     unseen: FloatArray
     reach: Reach | None
     fade: float
+    bands: Bands | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -116,13 +123,18 @@ class RecurrentModel:
         steps = np.log(np.maximum(x[..., nx], 1.0))
         known = np.log(_HORIZONS)
         std = np.stack([np.interp(steps, known, column) for column in self.spread.T], axis=-1)
-        return normal(self.output(x, u), np.hypot(std, x[..., nx + 1 :]), self.spec.outputs)
+        std = np.hypot(std, x[..., nx + 1 :])
+        return normal(
+            self.output(x, u), std if self.bands is None else std * self.bands.at(x[..., nx]), self.spec.outputs
+        )
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next state (..., nx + 1 + ny); NaN once it is far outside the data."""
         x, nx = np.asarray(x, dtype=float), self.layout.nx
         scaled = self._input(u)
         new = self.layout.step(self.theta, x[..., :nx], scaled)
+        near = (np.abs(new - self.x_mean) <= _FAR * self.x_std).all(axis=-1, keepdims=True)
+        new = np.where(near, new, np.nan)
         drift = self.fade * x[..., nx + 1 :]
         if self.reach is not None:
             held = np.broadcast_to(scaled, (*x.shape[:-1], self.spec.nu))
@@ -156,6 +168,7 @@ class RecurrentModel:
             **{name: getattr(self, name).tolist() for name in _ARRAYS},
             "reach": None if self.reach is None else self.reach.to_dict(),
             "fade": self.fade,
+            "bands": None if self.bands is None else self.bands.to_dict(),
             "notes": self.notes,
         }
 
@@ -163,11 +176,12 @@ class RecurrentModel:
     def from_dict(cls, content: dict[str, Any]) -> RecurrentModel:
         """Return the model of a description."""
         spec, layout = spec_from_dict(content["spec"]), Layout(*map(int, content["layout"]))
-        arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
+        arrays: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
         fit_error, notes = float(content["fit_error"]), dict(content.get("notes", {}))
         reach = None if content.get("reach") is None else Reach.from_dict(content["reach"])
         fade = float(content["fade"])
-        return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, reach=reach, fade=fade, **arrays)
+        more: dict[str, Any] = {"reach": reach, "fade": fade, "bands": Bands.from_dict(content.get("bands"))}
+        return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, **more, **arrays)
 
     def _input(self, u: FloatArray) -> FloatArray:
         return np.asarray((np.asarray(u, dtype=float) - self.u_mean) / self.u_std)
@@ -292,16 +306,22 @@ class NeuralOutputError:
             )
         scaling = (u_mean, u_std, y_mean, y_std)
         members = [self._member(spec, layout, fitted, problems, scaling, records) for fitted in best]
-        begin = [[m.whole(start) for start in fitted.starts] for m, fitted in zip(members, best, strict=True)]
-        spread = _spread(members, records, begin)
+        cuts = [problem.cut for problem in problems]
+        draft = RecurrentEnsemble(spec, tuple(members), {})
+        spread = _spread(draft, held_out_runs(draft, records, cuts))
         reaches = [_reach(m, problems, records, fitted) for m, fitted in zip(members, best, strict=True)]
         notes = {
             "held-out rms": [fitted.held_out for fitted in best],
             "starts": self.starts,
             "parameters": layout.count,
         }
-        banded = (replace(m, spread=spread, reach=reach) for m, reach in zip(members, reaches, strict=True))
-        return RecurrentEnsemble(spec, tuple(banded), notes)
+        wide = [replace(m, spread=spread, reach=reach) for m, reach in zip(members, reaches, strict=True)]
+        draft = RecurrentEnsemble(spec, tuple(wide), notes)
+        runs = held_out_runs(draft, records, cuts)
+        bands = Bands.scaling(draft, runs, what) if runs else None
+        if bands is not None:
+            notes["bands"] = bands.note(spec.sample_time)
+        return RecurrentEnsemble(spec, tuple(replace(m, bands=bands) for m in wide), notes)
 
     def _member(
         self,
@@ -355,21 +375,20 @@ def _reach(member: RecurrentModel, problems: Sequence[Problem], records: Sequenc
     return Reach.of(np.concatenate(rows), np.concatenate(targets), rng=stream("reach"))
 
 
-def _spread(
-    members: Sequence[RecurrentModel], records: Sequence[Trajectory], begin: Sequence[Sequence[FloatArray]]
-) -> FloatArray:
-    """Return the standard deviation (5, ny) of each member at the horizons, from the held-out ends of the records."""
+def _spread(draft: RecurrentEnsemble, runs: Sequence[Ahead]) -> FloatArray:
+    """Return the standard deviation (8, ny) of each member at the horizons, on the held-out ends of the records."""
+    size = draft.members[0].y_std
     rows = []
-    for horizon in _HORIZONS:
-        misses, quarrels = [], []
-        for number, record in enumerate(records):
-            ahead = min(horizon, len(record) - 1)
-            each = np.array([predict(m, record, ahead, initial=x[number]) for m, x in zip(members, begin, strict=True)])
-            kept = slice(max(ahead, Problem.cut_of(len(record))), None)
-            misses.append(residual(record.spec.outputs, record.y, each.mean(axis=0))[kept])
-            quarrels.append(each.var(axis=0)[kept])
-        rows.append(own_spread(np.concatenate(misses), np.concatenate(quarrels)))
-    return np.maximum(np.maximum.accumulate(rows, axis=0), _LEAST_SPREAD * members[0].y_std)
+    for run in runs[: len(_HORIZONS)]:
+        each = np.array([member.output(part, run.u) for member, part in draft.parts(run.x)])
+        kept = np.isfinite(each).all(axis=(0, 2))
+        if not kept.any():
+            break
+        miss = residual(draft.spec.outputs, run.y, each.mean(axis=0))
+        rows.append(own_spread(miss[kept], each.var(axis=0)[kept]))
+    rows = rows or [size]
+    rows += [rows[-1]] * (len(_HORIZONS) - len(rows))
+    return np.asarray(np.maximum(np.maximum.accumulate(rows, axis=0), _LEAST_SPREAD * size), dtype=np.float64)
 
 
 def _kept(path: Path | None, key: str) -> list[Fitted]:

@@ -129,7 +129,10 @@ def descend(
         return gram, gradient, corner, bridge, side
 
     def moved(point: Point, system: System, damping: float) -> Point:
-        d_theta, d_starts = _solve(*system, free, damping)
+        try:
+            d_theta, d_starts = _solve(*system, free, damping)
+        except np.linalg.LinAlgError:  # sums so large that nothing is left of the damping: a step that leads nowhere
+            return np.full_like(point[0], np.nan), point[1]
         return point[0] - d_theta, point[1] - d_starts
 
     if not np.isfinite(cost((theta, starts))):
@@ -175,7 +178,10 @@ def fit_start(
 
     def moved(x: FloatArray, system: tuple[FloatArray, FloatArray], damping: float) -> FloatArray:
         gram, right = system
-        return x - np.linalg.solve(gram + damping * np.diag(np.diag(gram)), right)
+        try:
+            return x - np.linalg.solve(gram + damping * np.diag(np.diag(gram)), right)
+        except np.linalg.LinAlgError:
+            return np.full_like(x, np.nan)
 
     rule = Damping(start=1e-2, growth=4.0, fall=0.3, least=1e-9, most=np.inf, trials=_TRIALS, enough=_ENOUGH, rounds=40)
     return damped_descent(np.array(mean, dtype=float), cost, linearised, moved, rule)

@@ -10,6 +10,7 @@ import numpy as np
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.normal import NormalEquations
 from identifiers.common.scaling import sizes
+from identifiers.linear.impulse.kernels import kernel_root
 from identifiers.linear.markov import normal_equations
 
 __all__ = ["LARGEST", "Decaying", "Prior", "decaying_response"]
@@ -110,13 +111,10 @@ def decaying_response(
     gram, right = gram / np.outer(unit, unit), right / unit[:, None] / noise
     mean_square = np.mean((plain * unit[:nu] / noise[:, None]) ** 2, axis=(0, 2))
     weights = _WEIGHTS[:, None] * np.where(mean_square > 0, mean_square, 1.0)  # (W, ny)
-    lags, best = np.arange(length), None
+    best = None
     for decay in 1.0 - np.geomspace(0.5 / length, 0.6, _DECAYS):
         for smooth in (True, False):
-            # Cholesky factors in closed form: the smooth prior is a random walk backwards from the end
-            root = np.sqrt(decay**lags * np.where(lags < length - 1, 1.0 - decay, 1.0))
-            half = np.triu(np.broadcast_to(root, (length, length))) if smooth else np.diag(decay ** (lags / 2.0))
-            half = np.kron(half, np.eye(nu))
+            half = np.kron(kernel_root("tc" if smooth else "dc", length, float(decay)), np.eye(nu))
             values, vectors = np.linalg.eigh(half.T @ gram @ half)
             values = np.clip(values, 0.0, None)
             seen = vectors.T @ (half.T @ right)  # (count, ny)

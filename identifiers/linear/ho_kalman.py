@@ -16,7 +16,7 @@ from harness.models.lqr import spectral_radius
 from harness.models.spread import Matrices
 from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
-from identifiers.common.excitation import excited_lags
+from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.filters import stationary_gain
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import coefficients_without, spread_of
@@ -243,6 +243,8 @@ class HoKalman:
         moving(records, what)
         refuse_law(records, what, self.least_excitation)
         response = self._response(records, what)
+        if isinstance(self.observer, int):
+            refuse_feedback_of_records(records, self.observer, self.least_excitation, what)
         feedback = feedback_of(records)
         said = missing_notes(trajectories, None if self.observer is None else records)
         notes: dict[str, Any] = {"residual_rms": response.rms.tolist(), "feedback_share": feedback.share, **said}

@@ -129,9 +129,8 @@ class RecursiveLumped:
     ----------
     form : {"torque", "energy", "momentum"}
     model : str, optional
-        As of :class:`identifiers.mechanics.lumped.Lumped`; so are ``window`` (1 sample for energy, 51 for momentum by
-        default),
-        ``known``, ``intersample`` and ``intervals`` (not with forgetting).
+        As of :class:`identifiers.mechanics.lumped.Lumped`; so are ``window`` (by default ``width`` samples for energy,
+        51 for momentum), ``known``, ``intersample`` and ``intervals`` (not with forgetting).
     forgetting : float
         Weight of all earlier equations at every instant, in (0, 1]; 1 forgets nothing.
     width : int
@@ -357,7 +356,7 @@ class RecursiveLumped:
         if self.form == "torque":
             return 1, 1
         if self.form == "energy":
-            return 1 + max(1, 1 if self.window is None else round(self.window / dt)), 1
+            return 1 + max(1, self.width if self.window is None else round(self.window / dt)), 1
         samples = max(5, SPAN if self.window is None else round(self.window / dt))
         return samples, max(1, samples // 4)
 

@@ -55,10 +55,10 @@ class Recursion:
         -------
         matplotlib.figure.Figure
         """
-        from matplotlib.figure import Figure
+        from harness.plots import sheet
 
         shown = min(DRAWN, len(self.names))
-        figure = Figure(figsize=(8, 1.3 * shown + 2.0), layout="constrained")
+        figure = sheet(figsize=(8, 1.3 * shown + 2.0), layout="constrained")
         axes = figure.subplots(shown + 1, 1, sharex=True)
         for j, axis in enumerate(axes[:-1]):
             low, high = (self.values[:, j] + side * BAND * self.deviations[:, j] for side in (-1, 1))

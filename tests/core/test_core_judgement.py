@@ -45,6 +45,28 @@ def test_what_is_added_to_the_controller_is_enough(noise, integral):
         assert law_of(data) is None
 
 
+def filtered(seed, noise, *, kept=0.7, dither=0.0, n=800):
+    """Return a record under a controller behind a filter of one pole, which acts on what its sensor says."""
+    rng = np.random.default_rng(seed)
+    x, command, slow = 0.0, 0.0, 0.0
+    u, y = np.zeros((n, 1)), np.zeros((n, 1))
+    for k in range(n):
+        y[k] = x + noise * rng.normal()
+        command = kept * command - (1 - kept) * 2.0 * y[k, 0]
+        u[k] = command + dither * rng.normal()
+        slow = 0.97 * slow + 0.05 * rng.normal()
+        x = 0.9 * x + 0.2 * u[k, 0] + slow
+    return Trajectory(np.arange(n) * 0.1, u, y, PlantSpec((Channel("u"),), (Channel("q"),), 0.1))
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("kept", [0.3, 0.7, 0.9])
+def test_a_controller_behind_a_filter_is_seen_at_every_noise_and_what_is_added_to_it(noise, kept):
+    laws = [law_of([filtered(s, noise, kept=kept)]) for s in range(3)]
+    assert all(law is not None and "u[k-1]" in law.text for law in laws)
+    assert all(law_of([filtered(s, noise, kept=kept, dither=0.5)]) is None for s in range(3))
+
+
 def test_a_law_is_told_with_its_gains():
     law = law_of([closed(0, 0.05)])
     assert law is not None
@@ -99,3 +121,27 @@ def test_inputs_that_move_apart_by_more_than_noise_hides_are_fitted(noise, seed)
     record = together(max(10 * noise, 1e-3), noise, seed)
     model = registry.create("identifiers", "arx", order=1).fit([record], rng=np.random.default_rng(0))
     assert model.frequency_response(np.zeros(1))[0, 0].real == pytest.approx([1.0, 0.5], abs=0.25)
+
+
+def test_an_input_that_rests_behind_a_pulse_is_no_law() -> None:
+    """An impulse response as data: the rows that are tested hold a constant, which crashed the test once."""
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    u = np.zeros((60, 1))
+    u[0] = 1.0
+    y = np.concatenate([[0.0], 0.5 * 0.8 ** np.arange(59)])[:, None]
+    data = [Trajectory(np.arange(60.0), u, y, spec)]
+    assert law_of(data) is None
+    found = registry.create("identifiers", "arx").fit(data, rng=np.random.default_rng(0))
+    assert found.frequency_response(np.array([1e-9]))[0, 0, 0].real == pytest.approx(2.5)
+
+
+def test_an_output_that_answers_within_the_sample_is_told_how_to_be_declared():
+    rng = np.random.default_rng(0)
+    u, y = rng.choice([-1.0, 1.0], size=(600, 1)), np.zeros((600, 1))
+    for k in range(1, 600):
+        y[k] = 0.3 * y[k - 1] + u[k] - u[k - 1]
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    with pytest.raises(FitError, match="declare feedthrough = true"):
+        refuse_undetermined([Trajectory(np.arange(600.0), u, y, spec)], "mine")
+    declared = PlantSpec(spec.inputs, spec.outputs, 1.0, feedthrough=True)
+    refuse_undetermined([Trajectory(np.arange(600.0), u, y, declared)], "mine")

@@ -106,7 +106,7 @@ def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -
     assert left is not None
     assert left.beyond
     assert not left.converged
-    assert Refusal(Kind.STOPPED) in judged([law], left, nominal, nominal).refusals
+    assert Refusal(Kind.STOPPED) in judged(form, [law], left, nominal, nominal).refusals
     assert left.log_likelihood("estimation") == pytest.approx(before, abs=0.5)
 
 

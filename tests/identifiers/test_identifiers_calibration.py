@@ -1,12 +1,15 @@
 """Joint offsets and link lengths from readings and marker: at the Cramer-Rao bound, with what cannot be told."""
 
+from pathlib import Path
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 
 from harness.errors import FitError, InputError
 from harness.models.estimate import estimate_of
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.mechanics.calibration import JointCalibration, MarkerModel
+from identifiers.mechanics.arms.calibration import JointCalibration, MarkerModel
 from plants.bullet.marked_arm import MarkedArmPlant
 
 pytest.importorskip("pybullet_data")
@@ -124,3 +127,128 @@ def test_wrong_signals_and_options_are_refused(plant):
         JointCalibration(marker=MARKER).fit([record[:2]], rng=RNG)
     with pytest.raises(InputError, match="joint-calibration"):
         JointCalibration(marker=MARKER, fixed=["elbow"]).fit([record], rng=RNG)
+
+
+CAMERA = {"camera_x": 1.2, "camera_y": -0.4, "camera_z": 0.8, "camera_rx": 0.3, "camera_ry": -1.4, "camera_rz": 2.1}
+
+
+def test_a_camera_that_stands_anywhere_and_a_marker_stuck_on_by_hand_are_found():
+    seen = {"marker_x": 0.06, "marker_y": 0.01, "marker_z": 0.09}
+    plant = MarkedArmPlant(marker=MARKER, hidden=HIDDEN | CAMERA | seen)
+    record, fresh = (pairs(plant, np.random.default_rng(seed), noise=2e-4) for seed in (8, 9))
+    model = JointCalibration(marker=MARKER, camera=True, free_marker=True).fit([record], rng=RNG)
+    estimate = estimate_of(model)
+    assert estimate.rank.rank == 14  # 7 offsets, marker, camera; the first joint and the camera turn alike, the last
+    np.testing.assert_allclose(model.output(np.zeros((100, 0)), fresh.u), fresh.y, atol=1.5e-3)
+    for name in ("offset2", "offset3", "offset4", "offset5", "offset6", "marker_z", "camera_x"):
+        interval = estimate.interval(name)
+        if interval is not None:
+            true = (HIDDEN | CAMERA | seen)[name]
+            assert interval[0] - 2e-4 < true < interval[1] + 2e-4, name
+    assert estimate.interval("offset3") is not None
+    assert estimate.interval("offset1") is None
+
+
+def test_every_axis_of_an_arm_is_told_as_far_as_a_point_can_tell():
+    """Four numbers an axis and three of the point (Mooring, Roth & Driels 1991): 31 of 45 for seven joints."""
+    rng = np.random.default_rng(10)
+    off = {f"{word}{k}_{way}": float(rng.normal(scale=2e-3)) for word in ("tilt", "shift") for k in range(1, 8)
+           for way in "ab"}  # fmt: skip
+    plant = MarkedArmPlant(marker=MARKER, hidden=HIDDEN | off)
+    record, fresh = pairs(plant, rng, count=120, noise=1e-4), pairs(plant, rng, noise=0.0)
+    bare = JointCalibration(marker=MARKER).fit([record], rng=RNG)
+    model = JointCalibration(marker=MARKER, axes=True, free_marker=True).fit([record], rng=RNG)
+    assert estimate_of(model).rank.rank == 31
+    error, before = (
+        np.sqrt(np.mean((one.output(np.zeros((100, 0)), fresh.u) - fresh.y) ** 2)) for one in (model, bare)
+    )
+    assert error < 1.5e-4
+    assert before > 1e-3
+
+
+def test_axes_that_bullet_turned_are_found_through_bullets_own_kinematics(tmp_path):
+    """The arm that is measured is another file: its fourth axis is tilted by 5 mrad and lies 2 mm off."""
+    bullet = pytest.importorskip("pybullet")
+    import pybullet_data
+
+    source = Path(pybullet_data.getDataPath()) / "kuka_iiwa" / "model.urdf"
+    tree = ElementTree.parse(source)
+    (origin,) = (j.find("origin") for j in tree.iter("joint") if j.get("name") == "lbr_iiwa_joint_4")
+    assert origin is not None
+    places, turns = ([float(x) for x in origin.get(key, "").split()] for key in ("xyz", "rpy"))
+    origin.set("xyz", f"{places[0] + 0.002} {places[1]} {places[2]}")
+    origin.set("rpy", f"{turns[0]} {turns[1] + 0.005} {turns[2]}")
+    for mesh in [(link, part) for link in tree.iter("link") for part in link if part.tag in ("visual", "collision")]:
+        mesh[0].remove(mesh[1])
+    tree.write(tmp_path / "bent.urdf")
+    client = bullet.connect(bullet.DIRECT)
+    try:
+        body = bullet.loadURDF(str(tmp_path / "bent.urdf"), useFixedBase=True, physicsClientId=client)
+        rng, p = np.random.default_rng(11), []
+        q = rng.uniform(-1.6, 1.6, size=(160, 7))
+        for posture in q:
+            for joint, angle in enumerate(posture):
+                bullet.resetJointState(body, joint, angle, physicsClientId=client)
+            state = bullet.getLinkState(body, 6, computeForwardKinematics=True, physicsClientId=client)
+            p.append(bullet.multiplyTransforms(state[4], state[5], MARKER, (0, 0, 0, 1))[0])
+    finally:
+        bullet.disconnect(client)
+    spec = MarkedArmPlant(marker=MARKER).spec
+    record = Trajectory(np.arange(100) * 0.1, q[:100], np.array(p[:100]) + 1e-4 * rng.normal(size=(100, 3)), spec)
+    model = JointCalibration(marker=MARKER, axes=True).fit([record], rng=rng)
+    left = np.array(p[100:]) - model.output(np.zeros((60, 0)), q[100:])
+    bare = np.array(p[100:]) - MarkedArmPlant(marker=MARKER).rollout(q[100:])
+    assert np.sqrt(np.mean(left**2)) < 1.5e-4
+    assert np.sqrt(np.mean(bare**2)) > 1e-3
+
+
+def test_postures_that_are_chosen_tell_more_than_random_ones_and_as_much_as_they_promise():
+    from harness import api
+
+    rng = np.random.default_rng(12)
+    found = api.analyse("calibration-poses", "iiwa", options={"postures": 15, "marker": MARKER, "above": 0.2})
+    assert len(found.rows) == 15
+    assert all(row["marker z [m]"] >= 0.2 for row in found.rows)
+    details = found.details
+    assert np.all(details["deviations"] <= 1.05 * details["random"])
+    plant = MarkedArmPlant(marker=MARKER, hidden=HIDDEN)
+    q, errors = np.array(details["postures"]), []
+    for _ in range(60):
+        p = plant.rollout(q) + 1e-3 * rng.normal(size=(15, 3))
+        model = JointCalibration(marker=MARKER).fit([Trajectory(np.arange(15) * 0.1, q, p, plant.spec)], rng=rng)
+        errors.append([model.parameters[name] - HIDDEN[name] for name in HIDDEN])
+    spread = np.sqrt(np.mean(np.square(errors), axis=0))
+    np.testing.assert_allclose(spread, details["deviations"], rtol=0.35)
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+def test_each_criterion_betters_what_it_is_about(criterion):
+    from harness import api
+
+    found = api.analyse("calibration-poses", "iiwa", options={"postures": 10, "among": 100, "criterion": criterion})
+    assert any("observability index O1" in text for text in found.words)
+    assert found.plot().axes[0].get_xlabel() == "standard deviation [mrad or mm]"
+    if criterion == "A":
+        assert np.sum(found.details["deviations"] ** 2) < np.sum(found.details["random"] ** 2)
+
+
+def test_too_few_postures_for_what_is_asked_are_refused():
+    from harness import api
+
+    with pytest.raises(InputError, match=r"at least 11: 31 directions can be told"):
+        api.analyse("calibration-poses", "iiwa", options={"postures": 8, "axes": True, "free_marker": True})
+    with pytest.raises(InputError, match="an arm read from a URDF"):
+        api.analyse("calibration-poses", "pendulum")
+    with pytest.raises(InputError, match="height that the marker keeps"):
+        api.analyse("calibration-poses", "iiwa", options={"above": 5.0})
+
+
+def test_a_record_that_the_plant_wrote_is_calibrated_as_it_is(tmp_path):
+    from harness import api
+
+    api.simulate("marked-arm", scenario="steps", options={"hidden": {"offset4": 0.01}}, out=tmp_path / "pairs.csv",
+                 scenario_options={"duration": 10.0, "amplitude": 1.2, "dwell": 0.1, "noise": 5e-4})  # fmt: skip
+    found = api.identify(tmp_path / "pairs.csv", identifier="joint-calibration")
+    low, high = found.estimate.interval("offset4")
+    assert low < 0.01 < high
+    assert sorted(found.model.parameters) == [f"offset{k}" for k in range(1, 8)]

@@ -37,10 +37,16 @@ def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
         "iterative-learning",
         "base-parameters",
         "mass-extents",
+        "mass-intervals",
         "eigenfunctions",
         "floating-inertial",
         "contacts",
+        "calibration-poses",
+        "gravity-at-rest",
         "parameter-trajectory",
+        "pushed-object",
+        "glider-functions",
+        "redesign",
     }
     assert all(listed.values())
     for entry in entries("analyses"):

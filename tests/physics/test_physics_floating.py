@@ -90,7 +90,7 @@ def test_the_mass_of_a_trunk_is_recovered_with_and_without_forces_at_the_feet(
 
 
 def analysed(**options: Any) -> Any:
-    from identifiers.mechanics.floating import FloatingInertial
+    from identifiers.mechanics.arms.floating import FloatingInertial
 
     data = Dataset("dog", (Run(stance(), "estimation"),))
     made = FloatingInertial(contacts=FEET, radius=0.02, **options)

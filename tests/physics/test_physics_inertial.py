@@ -17,7 +17,7 @@ from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, 
 from harness.physics.arms.urdf_shapes import bounding_boxes
 from harness.physics.arms.urdf_write import urdf_with
 from harness.signals import PlantSpec, Trajectory
-from identifiers.mechanics.inertial import Inertial
+from identifiers.mechanics.arms.inertial import Inertial
 from scenarios.design import FourierReference
 
 pytest.importorskip("pybullet_data", reason="comes with pybullet (CPython 3.10 and 3.11 only)")
@@ -120,7 +120,7 @@ def test_priors_and_weights_help_where_data_are_few(iiwa):
 
 def exact_motion_fit(arm: ArmModel, short: Trajectory, seed: int, **options):
     """Fit with the exact motion at the instants of a thinned record: only torques are noisy."""
-    import identifiers.mechanics.inertial as room
+    import identifiers.mechanics.arms.inertial as room
     from identifiers.mechanics.motion import Motion
 
     _, q, v, a = (one[::20] for one in swing(arm, 2000, seed))

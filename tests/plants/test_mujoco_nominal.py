@@ -20,7 +20,7 @@ from harness.physics.arms.urdf_shapes import bounding_boxes
 from harness.rng import Streams
 from harness.rollout import run
 from harness.signals import Channel, FloatArray, PlantSpec
-from identifiers.mechanics.arm_model import ArmDynamics
+from identifiers.mechanics.arms.arm_model import ArmDynamics
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'sysid-harness[mujoco]'")
 

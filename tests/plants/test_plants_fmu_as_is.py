@@ -180,3 +180,20 @@ def test_names_with_commas_and_quotes_are_quoted(tmp_path: Path) -> None:
     odd = changed(mockup("pendulum"), tmp_path / "odd.fmu", 'name="omega"', 'name="om,e&quot;ga"')
     record = api.simulate(str(odd), stop=0.1, step=0.05, out=tmp_path / "run.csv")
     assert read_trajectory(tmp_path / "run.csv", inputs=["u"]).spec.outputs[1].name == record.spec.outputs[1].name
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"start": "x"}, "start: option of the FMU pendulum.*values by name"),
+        ({"timeout": "x"}, "timeout: option of the FMU pendulum.*expected a number"),
+        ({"isolated": "x"}, "isolated: option of the FMU pendulum.*true or false"),
+        ({"sample_time": "x"}, "sample_time: option of the FMU pendulum.*expected a number"),
+        ({"start_time": []}, "start_time: option of the FMU pendulum.*expected a number"),
+        ({"outputs": 1}, "outputs: option of the FMU pendulum.*a list of names"),
+        ({"path": "other.fmu"}, "none of the name path"),
+    ],
+)
+def test_options_of_another_type_are_refused_in_words(options: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        api.simulate(str(mockup("pendulum")), options=options)

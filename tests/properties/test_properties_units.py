@@ -39,8 +39,9 @@ OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("prediction-error", {"order": 1}),
     ("stlsq", {"time": "discrete"}),
     ("stlsq", {"order": 1}),
+    ("narx", {"lags": 2}),
 ]
-SLOW = ("volterra", "piecewise-affine", "random-forest", "gaussian-process", "transfer-function")
+SLOW = ("volterra", "impulse-response", "piecewise-affine", "random-forest", "gaussian-process", "transfer-function")
 """Seconds for each system: asked on one."""
 PHYSICAL = {
     "true-model": "is the plant itself: its units are its own",

@@ -11,6 +11,7 @@ from harness.data.oddities import ODD, examined
 from harness.data.oddities.spikes import spikes_of
 from harness.diagnosis.policy import DATA_POLICY
 from harness.errors import HarnessError
+from harness.judgement import law_of
 from harness.physics.compiled.simulator import Intersample
 from harness.physics.compiled.system import System
 from harness.physics.fitting.likelihood import Likelihood
@@ -33,8 +34,9 @@ def inputs_checked(system: System, dataset: Dataset) -> Dataset:
     The nominal model is fitted by maximum likelihood, with forces that nobody measured, to a record as it is and with
     its input read earlier and later. Nothing mechanical lets a plant answer before it is asked: if the record is far
     likelier with the input read exactly one row (two rows) earlier than as it is, half a row earlier, and half a row
-    earlier still, it was written so late. An input that acts a row later may be a dead time, and is only said. Rows of
-    an input that the outputs alone did not decide (:func:`harness.data.oddities.spikes.unfelt`) are asked alike.
+    earlier still, it was written so late. Not asked where the input only follows from the outputs. An input that acts
+    a row later may be a dead time, and is only said. Rows of an input that the outputs alone did not decide
+    (:func:`harness.data.oddities.spikes.unfelt`) are asked alike.
 
     Parameters
     ----------
@@ -98,7 +100,7 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
     """Return the data set with inputs read as many rows earlier as they were written late."""
     record = max(dataset.estimation, key=len)
     moving = [k for k in range(record.spec.nu) if np.ptp(record.u[:, k]) > 0]
-    if len(record) < ODD.fewest or not moving:
+    if len(record) < ODD.fewest or not moving or law_of([record]) is not None:  # a controller answers in time
         return dataset
     cut = record[: min(len(record), _SAMPLES)]
     spare = DATA_POLICY.rows_late + 1

@@ -19,7 +19,15 @@ from harness.errors import FitError
 from harness.physics.arms.inertia import from_pseudo_inertia, pseudo_inertia
 from harness.signals import FloatArray
 
-__all__ = ["Bodies", "Problem", "by_least_squares", "by_log_cholesky", "by_semidefinite_program", "extent_of"]
+__all__ = [
+    "Bodies",
+    "Problem",
+    "by_least_squares",
+    "by_log_cholesky",
+    "by_semidefinite_program",
+    "extent_of",
+    "interval_of",
+]
 
 LEAST = 1e-6
 """Smallest eigenvalue of K in the semidefinite program: a body a millionth of its prior in some direction."""
@@ -115,46 +123,58 @@ def by_semidefinite_program(problem: Problem, *, objective: FloatArray | None = 
     FitError
         If the solver does not end at an optimum.
     """
-    # its stubs miss most of its functions
-    cp: Any = importlib.import_module("cvxpy")
-    count, others = len(problem.bodies.prior), problem.side.size - problem.bodies.prior.size
-    blocks = [cp.Variable((4, 4), symmetric=True) for _ in range(count)]
-    free = cp.Variable(max(others, 1))
-    parts = [problem.bodies.maps[b] @ cp.vec(blocks[b], order="C") for b in range(count)]
-    x = cp.hstack([*parts, free[:others]]) if others else cp.hstack(parts)
-    limits = [block >> LEAST * np.eye(4) for block in blocks]
-    if others:
-        rows = np.nonzero(problem.positive)[0]
-        limits += [free[rows] >= 0] if rows.size else []
-    for b, box in enumerate(problem.bodies.boxes):
-        if box is not None:
-            limits += _inside(parts[b], *box)
-    root, known = _root(problem.gram, problem.side)
+    program = _Program(problem)
     if objective is None:
+        return program.solved(program.cost)
+    size = np.linalg.norm(program.root, axis=1, keepdims=True)
+    exact = (program.root / size) @ program.x == program.known / size[:, 0]
+    return program.solved(objective @ program.x, exact, linear=objective)
+
+
+class _Program:
+    """The unknowns of a problem in cvxpy, what limits them, and their cost."""
+
+    def __init__(self, problem: Problem) -> None:
+        # its stubs miss most of its functions
+        self.cp: Any = importlib.import_module("cvxpy")
+        cp, prior = self.cp, problem.bodies.prior
+        count, others = len(prior), problem.side.size - prior.size
+        blocks = [cp.Variable((4, 4), symmetric=True) for _ in range(count)]
+        free = cp.Variable(max(others, 1))
+        parts = [problem.bodies.maps[b] @ cp.vec(blocks[b], order="C") for b in range(count)]
+        self.x = cp.hstack([*parts, free[:others]]) if others else cp.hstack(parts)
+        self.limits = [block >> LEAST * np.eye(4) for block in blocks]
+        rows = np.nonzero(problem.positive)[0] if others else np.zeros(0)
+        self.limits += [free[rows] >= 0] if rows.size else []
+        for b, box in enumerate(problem.bodies.boxes):
+            if box is not None:
+                self.limits += _inside(parts[b], *box)
+        self.root, self.known = _root(problem.gram, problem.side)
         # Measured from the prior: the numbers of the solver stay near those that the answer moves by.
-        base = np.concatenate([problem.bodies.prior.ravel(), np.zeros(others)])
-        cost = 0.5 * cp.sum_squares(root @ (x - base) - (known - root @ base))
+        base = np.concatenate([prior.ravel(), np.zeros(others)])
+        self.misfit = 0.5 * cp.sum_squares(self.root @ (self.x - base) - (self.known - self.root @ base))
+        self.cost = self.misfit
         if problem.weight:
-            cost = cost + problem.weight * sum(cp.trace(block) - cp.log_det(block) for block in blocks)
-    else:
-        cost = objective @ x
-        scale = np.linalg.norm(root, axis=1, keepdims=True)
-        limits.append((root / scale) @ x == known / scale[:, 0])
-    task = cp.Problem(cp.Minimize(cost), limits)
-    try:
-        with warnings.catch_warnings():
-            # "may be inaccurate": judged below by what the answer costs, not by a warning
-            warnings.simplefilter("ignore", UserWarning)
-            task.solve(solver=cp.CLARABEL)
-    except cp.error.SolverError as error:
-        raise _unsolved(str(error)) from error
-    if objective is not None and task.status in ("unbounded", "unbounded_inaccurate"):
-        return np.array(
-            [-np.inf if coefficient > 0 else np.inf if coefficient < 0 else 0.0 for coefficient in objective]
-        )
-    if x.value is None or task.status not in ("optimal", "optimal_inaccurate"):
-        raise _unsolved(str(task.status))
-    return np.asarray(x.value, dtype=float).ravel()
+            self.cost = self.cost + problem.weight * sum(cp.trace(block) - cp.log_det(block) for block in blocks)
+
+    def solved(self, cost: Any, *limits: Any, linear: FloatArray | None = None) -> FloatArray:
+        """Return where a cost is least; of a ``linear`` one that has no least value, its infinite terms."""
+        cp = self.cp
+        task = cp.Problem(cp.Minimize(cost), [*self.limits, *limits])
+        try:
+            with warnings.catch_warnings():
+                # "may be inaccurate": judged below by what the answer costs, not by a warning
+                warnings.simplefilter("ignore", UserWarning)
+                task.solve(solver=cp.CLARABEL)
+        except cp.error.SolverError as error:
+            raise _unsolved(str(error)) from error
+        if linear is not None and task.status in ("unbounded", "unbounded_inaccurate"):
+            return np.array(
+                [-np.inf if coefficient > 0 else np.inf if coefficient < 0 else 0.0 for coefficient in linear]
+            )
+        if self.x.value is None or task.status not in ("optimal", "optimal_inaccurate"):
+            raise _unsolved(str(task.status))
+        return np.asarray(self.x.value, dtype=float).ravel()
 
 
 def by_log_cholesky(problem: Problem) -> FloatArray:
@@ -273,6 +293,30 @@ def extent_of(problem: Problem, direction: FloatArray) -> tuple[float, float]:
     low = by_semidefinite_program(problem, objective=direction)[chosen]
     high = by_semidefinite_program(problem, objective=-direction)[chosen]
     return float(direction[chosen] @ low), float(direction[chosen] @ high)
+
+
+def interval_of(problem: Problem, direction: FloatArray, slack: float) -> tuple[float, float]:
+    """Return least and largest ``direction @ x`` among bodies whose cost is within a slack of the least.
+
+    With half the quantile of chi square with one degree of freedom (1.92 for 95 %) these are profile likelihood
+    intervals (Venzon & Moolgavkar 1988, *Applied Statistics* 37:87) beside the limits and the prior of the problem.
+
+    Parameters
+    ----------
+    problem : Problem
+    direction : array (k,)
+    slack : float
+        In units of the cost.
+    """
+    program = _Program(problem)
+    program.solved(program.cost)
+    told = program.misfit if problem.trust is None else program.cost
+    within = (told - float(told.value)) / slack <= 1.0
+    size = float(np.abs(direction) @ np.abs(program.x.value)) or 1.0
+    chosen = np.asarray(direction) != 0
+    ends = [program.solved(sign * (direction / size) @ program.x, within, linear=sign * direction) for sign in (1, -1)]
+    low, high = (float(direction[chosen] @ end[chosen]) for end in ends)
+    return low, high
 
 
 def _inside(p: object, low: FloatArray, high: FloatArray) -> list[object]:

@@ -15,14 +15,14 @@ from harness.physics.arms.inertia import TEN, UNITS
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.row_solvers import whitening
-from identifiers.mechanics.arm_model import ArmDynamics
+from identifiers.mechanics.arms.arm_model import ArmDynamics
 from identifiers.mechanics.motion import Motion, Smoothing, motion, noisier
 
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
     from harness.physics.arms.inertial_fit import Problem
 
-__all__ = ["Inertial"]
+__all__ = ["Equations", "Inertial", "speaks"]
 
 Method = Literal["sdp", "log-cholesky", "least-squares"]
 SLOW = 0.01
@@ -114,13 +114,10 @@ class Inertial:
         arm = load_arm(self.model)
         speaks(arm, spec, what)
         names = SimpleNamespace(coordinates=arm.positions)
-        moved = [motion(names, record, self.smoothing) for record in records]
-        equations = Equations(arm, self._free_joints(arm), self.damping, self.friction, self.motor_inertia)
-        if self.intersample == "smooth":
-            moved = [replace(smoothed, mean_u=smoothed.u) for smoothed in moved]
+        equations, moved = self.prepared(arm, records)
         gram, side, rms = equations.weighted(moved, self.weighted)
         decision, condition, kept = self._rank(equations, names, records, moved, rng)
-        problem = self._problem(arm, equations, gram, side)
+        problem = self.problem(arm, equations, gram, side)
         x = self._solved(problem, kept)
         inertial, found = equations.unpacked(x)
         how = {
@@ -142,6 +139,20 @@ class Inertial:
             spec, self.model, inertial, found["damping"], found["friction"], found["motor_inertia"], notes
         )
 
+    def prepared(
+        self, arm: ArmModel, records: Sequence[Trajectory], *, like: Sequence[Motion] = (), coarser: bool = False
+    ) -> tuple[Equations, list[Motion]]:
+        """Return the equations of what is fitted, and the motion of the records (smoothed ``like`` another)."""
+        names = SimpleNamespace(coordinates=arm.positions)
+        given: Sequence[Motion | None] = like or [None] * len(records)
+        moved = [
+            motion(names, record, self.smoothing, like=known, coarser=coarser)
+            for record, known in zip(records, given, strict=True)
+        ]
+        if self.intersample == "smooth":
+            moved = [replace(smoothed, mean_u=smoothed.u) for smoothed in moved]
+        return Equations(arm, self._free_joints(arm), self.damping, self.friction, self.motor_inertia), moved
+
     def _free_joints(self, arm: ArmModel) -> list[int]:
         """Return the numbers of the bodies that are fitted."""
         known = [joint.name for joint in arm.arm.joints]
@@ -157,7 +168,14 @@ class Inertial:
             return [known.index(name) for name in self.free]
         return [number for number, joint in enumerate(arm.arm.joints) if joint in arm.arm.moving]
 
-    def _problem(self, arm: ArmModel, equations: Equations, gram: FloatArray, side: FloatArray) -> Problem:
+    def problem(self, arm: ArmModel, equations: Equations, gram: FloatArray, side: FloatArray) -> Problem:
+        """Return the problem of the bodies beside their prior.
+
+        Raises
+        ------
+        FitError
+            If the file has no consistent bodies.
+        """
         from harness.physics.arms.inertia import is_consistent
         from harness.physics.arms.inertial_fit import Bodies, Problem
 

@@ -1,4 +1,4 @@
-"""Joint offsets and link lengths of an arm from pairs of joint readings and places of a marker."""
+"""The geometry of an arm, its marker and its camera from pairs of joint readings and places of the marker."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from identifiers.common.records import real_signals, usable
 if TYPE_CHECKING:
     from harness.physics.arms.marked_arm import MarkedArm
 
-__all__ = ["JointCalibration", "MarkerModel"]
+__all__ = ["JointCalibration", "MarkerModel", "free_parameters", "marked"]
 
 LEVEL = 0.95
 TURN = 1.0
@@ -42,7 +42,7 @@ class MarkerModel:
         ``iiwa`` or a URDF file.
     marker : (x, y, z)
     parameters : dict
-        Offsets [rad or m] and lengths [m].
+        Those that differ from the file, by name (:class:`harness.physics.arms.marked_arm.MarkedArm`) [rad or m].
     notes : dict
     """
 
@@ -129,6 +129,15 @@ class JointCalibration:
         In the frame of the last body [m].
     lengths : bool
         Fit the lengths of the links (and of the marker's arm) beside the offsets.
+    axes : bool
+        Fit all that a joint's axis may be off by: two tilts and two shifts (:class:`harness.physics.arms.marked_arm.
+        MarkedArm`); with the offsets that is every kinematic error that a chain can have.
+    free_marker : bool
+        Fit the place of the marker in its body: ``marker`` is where the fit starts.
+    camera : bool
+        Fit where the camera stands (hand-eye calibration, the camera in the room): places are in its frame, and the fit
+        starts from the turn that brings the file's places nearest to them (Arun, Huang & Blostein 1987, *IEEE PAMI*
+        9:698).
     fixed : sequence of str
         Parameters that stay as the URDF has them.
     reading_noise : float
@@ -143,8 +152,23 @@ class JointCalibration:
     model: str = "iiwa"
     marker: Sequence[float] = (0.05, 0.0, 0.1)
     lengths: bool = False
+    axes: bool = False
+    free_marker: bool = False
+    camera: bool = False
     fixed: Sequence[str] = ()
     reading_noise: float = 0.0
+
+    def channels(self) -> tuple[list[str], list[str]]:
+        """Return the columns that it needs of a bare table, and those that it takes where they are there."""
+        return [channel.name for channel in self._arm().channels], []
+
+    def inputs(self) -> list[str]:
+        """Return the readings."""
+        return [channel.name for channel in self._arm().arm.positions]
+
+    def _arm(self) -> MarkedArm:
+        x, y, z = (float(value) for value in self.marker)
+        return marked(self.model, (x, y, z))
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> MarkerModel:
         """Return the calibrated arm; the record of the estimate stands in its notes.
@@ -157,8 +181,7 @@ class JointCalibration:
         what = "joint-calibration"
         records, spec = usable(trajectories, samples=2, what=what, holes="kept")
         real_signals(spec, what)
-        x, y, z = (float(value) for value in self.marker)
-        arm = marked(self.model, (x, y, z))
+        arm = self._arm()
         names = self._free(arm)
         inputs, outputs = [c.name for c in spec.inputs], [c.name for c in spec.outputs]
         wanted = [c.name for c in arm.arm.positions], [c.name for c in arm.channels]
@@ -178,7 +201,9 @@ class JointCalibration:
                 remedy="record more postures",
             )
         theta, estimate = self._solved(arm, names, q, p)
-        values = dict(zip(arm.parameters, theta.tolist(), strict=True))
+        every = dict(zip(arm.parameters, theta.tolist(), strict=True))
+        values = {name: value for name, value in every.items() if name in names or value != arm.parameters[name]}
+        x, y, z = arm.marker.tolist()
         return MarkerModel(spec, self.model, (x, y, z), values, {"estimate": estimate.to_dict()})
 
     def _free(self, arm: MarkedArm) -> list[str]:
@@ -191,30 +216,32 @@ class JointCalibration:
                 got=f"fixed {', '.join(self.fixed) or 'none'}; reading_noise {self.reading_noise}",
                 remedy="correct them",
             )
-        kinds = ("offset", "length") if self.lengths else ("offset",)
-        return [name for name in arm.parameters if name.startswith(kinds) and name not in self.fixed]
+        return free_parameters(
+            arm, self.fixed, lengths=self.lengths, axes=self.axes, free_marker=self.free_marker, camera=self.camera
+        )
 
     def _solved(self, arm: MarkedArm, names: list[str], q: FloatArray, p: FloatArray) -> tuple[FloatArray, Estimate]:
         """Return all parameters (k,), and the record of those that were fitted."""
         every = list(arm.parameters)
         free = [every.index(name) for name in names]
-        theta = arm.vector()
-        scale = np.array([TURN if name.startswith("offset") else arm.parameters[name] for name in names])
+        theta = arm.vector(_camera(arm, q, p) if self.camera else None)
+        scale = TURN * arm.scale[free]
         variance, cost, converged = float(np.var(p)), np.inf, False
         kept = np.eye(len(names))
         for _ in range(ROUNDS):
-            place, jacobian, turned = arm.jacobians(q, theta)
+            place, jacobian, turned = arm.jacobians(q, theta, free)
             white = self._whitening(turned, variance)
             residual = np.einsum("nij,nj->ni", white, p - place)
-            rows = np.einsum("nij,njk->nik", white, jacobian[:, :, free]).reshape(-1, len(free)) * scale
+            rows = np.einsum("nij,njk->nik", white, jacobian).reshape(-1, len(free)) * scale
             left, singular, right = np.linalg.svd(rows, full_matrices=False)
             # the noise in units of itself is 1: a direction with a smaller singular value is known to worse than TURN
             seen = singular > np.sqrt(_level(residual, len(free)))
             kept = right[seen].T
             step = right[seen].T @ ((left[:, seen].T @ residual.ravel()) / singular[seen])
             theta[free] += scale * step
-            variance = self._variance(p - arm.places(q, theta), turned, variance, int(seen.sum()))
-            now = float(np.sum((p - arm.places(q, theta)) ** 2))
+            left = p - arm.places(q, theta, free)
+            variance = self._variance(left, turned, variance, int(seen.sum()))
+            now = float(np.sum(left**2))
             if abs(cost - now) <= TIGHT * max(now, 1e-300) or now < 1e-26 * float(np.sum(p**2)):
                 converged = True
                 break
@@ -293,6 +320,35 @@ def marked(model: str, marker: tuple[float, float, float]) -> MarkedArm:
     from harness.physics.arms.marked_arm import MarkedArm
 
     return MarkedArm(load_arm(model), marker)
+
+
+def free_parameters(
+    arm: MarkedArm,
+    fixed: Sequence[str] = (),
+    *,
+    lengths: bool = False,
+    axes: bool = False,
+    free_marker: bool = False,
+    camera: bool = False,
+) -> list[str]:
+    """Return the names of what a calibration fits; options as of :class:`JointCalibration`."""
+    kinds = ["offset"]
+    kinds += ["length"] * lengths + ["tilt", "shift"] * axes + ["marker_"] * free_marker + ["camera_"] * camera
+    left = {*fixed, "length_marker"} if free_marker else {*fixed}  # a free place has its length
+    return [name for name in arm.parameters if name.startswith(tuple(kinds)) and name not in left]
+
+
+def _camera(arm: MarkedArm, q: FloatArray, p: FloatArray) -> dict[str, float]:
+    """Return the pose of the base in the camera's frame that brings the file's places nearest to those seen."""
+    from scipy.spatial.transform import Rotation
+
+    there = arm.places(q)
+    middle, seen = there.mean(axis=0), p.mean(axis=0)
+    left, _, right = np.linalg.svd((there - middle).T @ (p - seen))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
+    turn = right.T @ flip @ left.T
+    values = [*(seen - turn @ middle), *Rotation.from_matrix(turn).as_rotvec()]
+    return dict(zip([f"camera_{r}{axis}" for r in ("", "r") for axis in "xyz"], map(float, values), strict=True))
 
 
 def _level(residual: FloatArray, count: int) -> float:

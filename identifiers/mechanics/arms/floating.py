@@ -17,7 +17,7 @@ from harness.physics.arms.inertia import is_consistent, pseudo_inertia
 from harness.physics.arms.inertial_fit import Bodies, Problem, by_semidefinite_program
 from harness.physics.lumps.identifiability import identifiability
 from harness.signals import Dataset, FloatArray, Trajectory
-from identifiers.mechanics.floating_rows import Rows, channels_of, floating_motion, measured, rows_of
+from identifiers.mechanics.arms.floating_rows import Rows, channels_of, floating_motion, measured, rows_of
 from identifiers.mechanics.motion import Smoothing
 
 if TYPE_CHECKING:

@@ -76,11 +76,11 @@ class Ensemble(ABC):
 
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the mean of the members' outputs (..., ny)."""
-        return np.asarray(np.mean([member.output(part, u) for member, part in self._parts(x)], axis=0))
+        return np.asarray(np.mean([member.output(part, u) for member, part in self.parts(x)], axis=0))
 
     def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
         """Return the equal mixture of the members' distributions (..., ny)."""
-        each = [member.predictive(part, u) for member, part in self._parts(x)]
+        each = [member.predictive(part, u) for member, part in self.parts(x)]
         means, stds = (
             np.concatenate([getattr(mixture, name) for mixture in each], axis=-2) for name in ("means", "stds")
         )
@@ -88,15 +88,15 @@ class Ensemble(ABC):
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next states (..., nx)."""
-        return np.concatenate([member.step(part, u) for member, part in self._parts(x)], axis=-1)
+        return np.concatenate([member.step(part, u) for member, part in self.parts(x)], axis=-1)
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
         """Return the states with the present output as it was measured (..., nx)."""
-        return np.concatenate([member.correct(part, u, y) for member, part in self._parts(x)], axis=-1)
+        return np.concatenate([member.correct(part, u, y) for member, part in self.parts(x)], axis=-1)
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
-        return np.asarray(np.mean([member.free_run(part, u) for member, part in self._parts(x)], axis=0))
+        return np.asarray(np.mean([member.free_run(part, u) for member, part in self.parts(x)], axis=0))
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -109,5 +109,6 @@ class Ensemble(ABC):
         members = tuple(cls.member.from_dict(member) for member in content["members"])
         return cls(spec_from_dict(content["spec"]), members, dict(content.get("notes", {})))
 
-    def _parts(self, x: FloatArray) -> list[tuple[Any, FloatArray]]:
+    def parts(self, x: FloatArray) -> list[tuple[Any, FloatArray]]:
+        """Return every member with its part of states (..., nx)."""
         return list(zip(self.members, np.split(np.asarray(x, dtype=float), len(self.members), axis=-1), strict=True))
