@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 import numpy as np
 
 from harness import registry
-from harness.errors import HarnessError, InputError, PlantError, PluginError
+from harness.errors import HarnessError, InputError, PlantError, PluginError, refuse_no_file
 from harness.fitted import FittedModel, Usable, load_model
+from harness.options import meant_options
 from harness.parts.files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
 from harness.parts.listing import LISTED, describe_part, list_parts
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
@@ -24,6 +25,8 @@ from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory, Use
 from harness.trust import names_fmu
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
     from harness.benchmark.public import PublicResult
@@ -493,6 +496,9 @@ def table(directory: str | Path) -> BenchResult:
     return benchmark.table(directory)
 
 
+_DRAWN = 20_000
+"""Samples that a notebook draws by itself: longer records ask for plot()."""
+
 DEFAULT_IDENTIFIER = "arx"
 """Where none is asked for: least squares without start values, its order and delay chosen on data held out."""
 
@@ -507,6 +513,24 @@ class Identified(Usable):
     warnings: tuple[str, ...]
     probability: dict[Use, list[ProbabilityScore]] = field(default_factory=dict)
     """One step ahead, of a model that predicts distributions; empty for others."""
+    judged: Trajectory | None = field(default=None, repr=False, compare=False)
+    """The record that the picture in a notebook shows: the first that validates."""
+
+    def plot(self) -> Figure:
+        """Return the figure of the record that judges: its inputs, what was measured, and the free run of the model."""
+        from harness.scoring import predict
+
+        if self.judged is None:
+            raise InputError("no record to plot", expected="what identify returned", got="none", remedy="plot a record")
+        figure: Figure = self.judged.plot()
+        run = np.asarray(predict(self.model, self.judged, horizon=None))
+        for axis, values in zip(figure.axes[self.judged.spec.nu :], run.T, strict=True):
+            low, high = axis.get_ylim()
+            axis.plot(self.judged.t, values, "--", color="#cc6677", linewidth=0.9, label="free run")
+            room = 0.4 * (high - low)
+            axis.set_ylim(max(axis.get_ylim()[0], low - room), min(axis.get_ylim()[1], high + room))
+            axis.legend(loc="upper right", fontsize=8)
+        return figure
 
     def errors(self) -> dict[str, tuple[float, str]]:
         """Return the rms of the free run on validation data (on estimation data where none validates), with its unit.
@@ -547,9 +571,16 @@ class Identified(Usable):
         titles = ["use", "run", "output", "NRMSE one step ahead", "NRMSE in free run", "rms in free run"]
         parts = [table(titles, self._rows())]
         if values := getattr(self.model, "parameters", None):
-            spread = getattr(self.model, "deviations", {})
-            shown = [(n, f"{v:.6g}", f"{spread[n]:.2g}" if n in spread else "") for n, v in values.items()]
-            parts.append(table(["parameter", "value", "standard deviation"], shown))
+            spread, found = getattr(self.model, "deviations", {}), self.estimate
+            units = {} if found is None else dict(zip(found.names, found.units, strict=True))
+            shown = [
+                (n, f"{v:.6g}", f"{spread[n]:.2g}" if n in spread else "", units.get(n, "")) for n, v in values.items()
+            ]
+            parts.append(table(["parameter", "value", "standard deviation", "unit"], shown))
+        if self.judged is not None and len(self.judged) <= _DRAWN:
+            from harness.plots import inlined
+
+            parts.append(inlined(self.plot(), "measured and simulated"))
         return page(f"{type(self.model).__name__}: {self.model.spec}", *parts)
 
 
@@ -710,6 +741,12 @@ def identify(
             remedy="choose one (sysid list identifiers); of an FMU or an SSP name what is free: --free NAME,NAME",
         )
     identifier = DEFAULT_IDENTIFIER if identifier is None else identifier
+    if (
+        model is None
+        and signals.get("output") is None
+        and hasattr(registry.load("identifiers", identifier), "channels")
+    ):
+        signals = {**signals, **_channels(registry.create("identifiers", identifier, **dict(options or {})), dataset)}
     loaded = load_dataset(
         registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven, **signals
     )
@@ -741,6 +778,7 @@ def identify(
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
         (*_said(fitted), *data.warnings),
         probability,
+        next(iter((*data.validation, *data.estimation)), None),
     )
 
 
@@ -1510,17 +1548,18 @@ def analyse(
     return found
 
 
-def _channels(analysis: Any, subject: Any) -> Signals:
-    """Return the columns of a bare table that an analysis names: those that it needs, and others that are there."""
+def _channels(part: Any, subject: Any) -> Signals:
+    """Return the columns of a bare table that an analysis or an identifier names: what it needs, and what is there."""
     from harness.data.tables.table import FORMATS, open_table, suffix_of
 
     path = registry.dataset_path(subject)
     if not isinstance(path, str | Path) or suffix_of(Path(path)) not in FORMATS:
         return {}
-    needed, useful = analysis.channels()
+    needed, useful = part.channels()
     table = open_table(Path(path), {})
     there = [table.split(title)[0] for title in table.titles]
-    return {"input": "none", "output": [*needed, *(name for name in useful if name in there)]}
+    driven = part.inputs() if hasattr(part, "inputs") else "none"
+    return {"input": driven, "output": [*needed, *(name for name in useful if name in there)]}
 
 
 def _subject(takes: Takes, subject: Any, more: dict[str, Any], signals: Signals) -> Any:
@@ -1737,6 +1776,7 @@ def _as_is(
 ) -> Trajectory:
     """Return the record of an FMU or a system that runs with its own experiment."""
     if not is_plant_file(plant) or more:
+        refuse_no_file(plant, "the id of a plant (sysid list plants), an FMU, or a system of them")
         raise InputError(
             "no scenario",
             expected="--scenario ID (sysid list scenarios); only an FMU or a system of them runs without one, with "
@@ -1745,6 +1785,13 @@ def _as_is(
             remedy="add --scenario, for example --scenario multisine",
         )
     chosen = dict(options)
+    if names_fmu(plant):
+        if "path" in chosen:
+            raise InputError(
+                f"options of the FMU {plant}", expected="none of the name path", got=f"path={chosen['path']!r}",
+                remedy="remove it: the file is named already",
+            )  # fmt: skip
+        chosen = meant_options(f"the FMU {Path(plant).name}", registry.load("tools", "fmu-as-is"), chosen)
     names = {"start": "start_time", "step": "sample_time"}  # the same things, said as options
     told = {name: chosen.pop(names[name], None) if name in names else None for name in asked}
     window = {name: told[name] if value is None else value for name, value in asked.items()}
@@ -1828,6 +1875,15 @@ def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | Non
 
 def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, str, Mapping[str, float]]]) -> Plant:
     """Return a plant by id or file, with effects hidden inside where it takes them, else around it."""
+    wrong = [one for one in hide if isinstance(one, str) or len(one) != 3]
+    if wrong:
+        raise InputError(
+            "what is hidden",
+            expected='effects as (name, port, {parameter: value}), such as ("coulomb_friction", "theta", {"Fc": 0.05})',
+            got=repr(wrong[0]),
+            remedy="name the three (on the command line it is one text: --hide)",
+            place="hide",
+        )
     effects = [(name, port, dict(parameters)) for name, port, parameters in hide]
     if effects and not is_plant_file(plant) and "effects" in registry.named_options("plants", plant):
         return cast(Plant, registry.create("plants", plant, effects=effects, **options))

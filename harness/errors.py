@@ -6,10 +6,26 @@ benchmark row carries when the error ends its cell.
 
 from __future__ import annotations
 
+import difflib
+import os
+import re
 from pathlib import Path
 from unicodedata import category
 
-__all__ = ["FitError", "HarnessError", "InputError", "PlantError", "PluginError", "printable"]
+__all__ = [
+    "FitError",
+    "HarnessError",
+    "InputError",
+    "PlantError",
+    "PluginError",
+    "no_file",
+    "printable",
+    "refuse_no_file",
+    "unread",
+]
+
+ENDING = re.compile(r"\.[A-Za-z]\w{0,15}")
+"""Ending of a file's name; ids of parts have none."""
 
 
 def printable(text: str) -> str:
@@ -92,6 +108,70 @@ class InputError(HarnessError):
             file=self.file if self.file is not None else file,
             place=self.place if self.place is not None else place,
         )
+
+
+def no_file(path: str | Path) -> str:
+    """Return what stands where a file was expected: nothing, or files with similar names.
+
+    Examples
+    --------
+    >>> no_file("nowhere/run7.csv"), no_file(".")
+    ('no file (nor a folder nowhere)', 'a folder')
+    """
+    path = Path(path)
+    if os.path.isdir(path):
+        return "a folder"
+    if not os.path.isdir(path.parent):
+        return f"no file (nor a folder {path.parent})"
+    try:
+        near = difflib.get_close_matches(path.name, os.listdir(path.parent), n=2)
+    except OSError:  # a folder whose content may not be seen
+        near = []
+    return f"no file (near it: {', '.join(near)})" if near else "no file"
+
+
+def unread(path: str | Path, error: Exception) -> str:
+    """Return in words why a file was not read.
+
+    Examples
+    --------
+    >>> unread("nowhere/rows.csv", FileNotFoundError()), unread("rows.csv", PermissionError(13, "Permission denied"))
+    ('no file (nor a folder nowhere)', 'Permission denied')
+    """
+    if isinstance(error, FileNotFoundError | NotADirectoryError | IsADirectoryError):
+        return no_file(path)
+    if isinstance(error, UnicodeDecodeError):
+        return "bytes that are no text in UTF-8"
+    return error.strerror or type(error).__name__ if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+
+
+def refuse_no_file(name: str, expected: str) -> None:
+    """Refuse what can only be the name of a file, by its folder or its ending, where there is no such file.
+
+    Parameters
+    ----------
+    name : str
+        What a person gave. Nothing happens if it may be the id of a part.
+    expected : str
+        What may stand there.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+
+    Examples
+    --------
+    >>> refuse_no_file("pendulum", "the id of a plant, or a file")
+    >>> refuse_no_file("nowhere/run7.csv", "the id of a plant, or a file")
+    Traceback (most recent call last):
+    harness.errors.InputError: nowhere/run7.csv: no such file: expected the id of a plant, or a file, got no file (nor a
+    folder nowhere); remedy: check the path
+    """
+    path = Path(name)
+    told = any(mark and mark in name for mark in (os.sep, os.altsep)) or ENDING.fullmatch(path.suffix)
+    if told and not os.path.exists(path):
+        raise InputError("no such file", expected=expected, got=no_file(path), remedy="check the path", file=path)
 
 
 def _rebuild_input_error(

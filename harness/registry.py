@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.errors import HarnessError, InputError, PluginError
+from harness.errors import HarnessError, InputError, PluginError, refuse_no_file
 from harness.fingerprint import files_named, fingerprint
 from harness.options import instead, meant_options
 
@@ -161,11 +161,14 @@ def entry(kind: str, id: str) -> Entry:
     Raises
     ------
     InputError
-        If no part of that kind has this id; the message lists the nearest ids.
+        If no part of that kind has this id; the message lists the nearest ids, or says that there is no such file of a
+        plant.
     """
     known = _all(kind)
     if id in known:
         return known[id]
+    if kind == "plants":  # the only parts that may be files
+        refuse_no_file(id, "the id of a plant (sysid list plants), an FMU, or a system of them")
     near = difflib.get_close_matches(id, known, n=3)
     hint = f"did you mean {' or '.join(near)}?" if near else f"run 'sysid list {kind}'"
     raise InputError(
@@ -204,7 +207,7 @@ def dataset_path(dataset: Any) -> Any:
     Raises
     ------
     InputError
-        If a bare name is no recording.
+        If a bare name is neither a file or folder nor a recording.
 
     Examples
     --------
@@ -213,10 +216,21 @@ def dataset_path(dataset: Any) -> Any:
     """
     if not isinstance(dataset, str | Path):
         return dataset
-    path = Path(dataset)
+    path, name = Path(dataset), str(dataset)
     if path.suffix or len(path.parts) != 1 or path.is_file():
         return path
-    return Path(load("recordings", str(dataset)))
+    known = _all("recordings")
+    if name not in known:
+        if path.is_dir():
+            return path
+        near = difflib.get_close_matches(name, known, n=3)
+        raise InputError(
+            "no such file or recording",
+            expected=f"a file of data, or one of the recordings {', '.join(sorted(known))}",
+            got=repr(name),
+            remedy=f"did you mean {' or '.join(near)}?" if near else "check the path, or run 'sysid list recordings'",
+        )
+    return Path(load("recordings", name))
 
 
 def named_options(kind: str, id: str) -> dict[str, inspect.Parameter]:

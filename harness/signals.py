@@ -454,7 +454,14 @@ def residual(outputs: Sequence[Channel], measured: FloatArray, predicted: FloatA
 
 
 def _frozen(values: npt.ArrayLike, name: str, axes: tuple[str, ...], shape: tuple[int | None, ...]) -> FloatArray:
-    """Return a read-only float64 copy, refusing a wrong shape or a value that is not finite."""
+    """Return a read-only float64 copy, refusing a wrong shape, complex numbers or a value that is not finite."""
+    if np.iscomplexobj(values):
+        raise InputError(
+            f"numbers of {name}",
+            expected="real numbers",
+            got="complex ones, whose imaginary part would be lost",
+            remedy="take the real part, or give real and imaginary part a channel each",
+        )
     array = np.array(values, dtype=np.float64)
     wanted = tuple(axis if size is None else size for axis, size in zip(axes, shape, strict=True))
     fits = array.ndim == len(shape) and all(

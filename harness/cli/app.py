@@ -6,11 +6,12 @@ Exit status: 0 done (whatever the verdict), 1 done and it fails what was asked (
 
 from __future__ import annotations
 
+import copy
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -160,7 +161,8 @@ def run(
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))
     try:
-        code = get_command(application).main(
+        words = sys.argv[1:] if arguments is None else arguments
+        code = get_command(_asked(application, words)).main(
             args=None if arguments is None else list(arguments), prog_name=program, standalone_mode=False
         )
         if code == INTERRUPTED or interrupts.seen:  # a library turns Ctrl-C into a status, or swallows it
@@ -178,6 +180,23 @@ def run(
         return _interrupted()
     except Exception as error:
         return _interrupted() if interrupts.seen else _failed(error)
+
+
+def _asked(application: typer.Typer, words: Sequence[str]) -> typer.Typer:
+    """Return the application with the command alone that is asked for by name: building all of them takes 20 ms."""
+    own = [one for one in application.registered_commands if words and _name_of(one) == words[0]]
+    if len(own) != 1 or application.registered_callback is None:  # without it one command alone has no name to type
+        return application
+    alone = copy.copy(application)
+    alone.registered_commands, alone.registered_groups = own, []
+    return alone
+
+
+def _name_of(command: Any) -> str:
+    """Return what a command is called by: its name, or that of its function."""
+    from typer.main import get_command_name
+
+    return str(command.name or get_command_name(command.callback.__name__))
 
 
 def _interrupted() -> int:

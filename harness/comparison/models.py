@@ -15,8 +15,8 @@ from harness import registry
 from harness.comparison.residuals import LAGS, Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
 from harness.comparison.uncertain import bode_lines, is_linear, pole_figure, pole_rows, step_figure
-from harness.display import STYLE, table
-from harness.errors import HarnessError, InputError
+from harness.display import STYLE, page, table
+from harness.errors import HarnessError, InputError, no_file, unread
 from harness.models.determined import bands_of, bands_words
 from harness.plots import inlined
 from harness.protocols import Model
@@ -121,7 +121,13 @@ class Comparison:
         return table(titles, rows)
 
     def _repr_html_(self) -> str:
-        return self._table()
+        """Return the table and the pictures over time and frequency, as a notebook shows them."""
+        pictures = [inlined(_time_figure(self), "measured and simulated")]
+        if self.spectrum is not None and self.linear():
+            pictures.append(inlined(_bode_figure(self), "frequency responses"))
+        return page(
+            f"{', '.join(compared.name for compared in self.models)} on {self.dataset.name}", self._table(), *pictures
+        )
 
     def linear(self) -> dict[str, Model]:
         """Return the models that have a frequency response, by name."""
@@ -176,15 +182,19 @@ def read_model(path: str | Path) -> Model:
         If the file is missing or is no model, or names code that is not trusted (:func:`harness.trust.trusting`).
     """
     path = Path(path)
-    path = path / "model.json" if path.is_dir() else path
+    whole = path.is_dir()
+    path = path / "model.json" if whole else path
+    wanted = "model.json of sysid identify -o, or a folder of sysid close-loop"
+    if not whole and not path.exists():
+        raise InputError("no such file", expected=wanted, got=no_file(path), remedy="check the path", file=path)
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         kind = content["kind"]
     except (OSError, ValueError, KeyError, TypeError, ArithmeticError) as error:
         raise InputError(
             "not a model",
-            expected="model.json of sysid identify -o, or a folder of sysid close-loop",
-            got=f"{type(error).__name__}: {error}",
+            expected=wanted,
+            got=unread(path, error),
             remedy="give the file that sysid identify -o wrote",
             file=path,
         ) from error
@@ -251,11 +261,11 @@ def compare(models: Mapping[str, Model], dataset: Dataset) -> Comparison:
 
 def _time_figure(found: Comparison) -> Any:
     """Draw the record that judges, and the free run of every model over it, each with what it may miss by."""
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
     record = (found.dataset.validation or found.dataset.estimation)[0].measured()
     outputs = found.dataset.spec.outputs
-    figure = Figure(figsize=(10, 1.9 * len(outputs) + 0.4), layout="constrained")
+    figure = sheet(figsize=(10, 1.9 * len(outputs) + 0.4), layout="constrained")
     axes = figure.subplots(len(outputs), 1, squeeze=False, sharex=True)[:, 0]
     shown = slice(0, min(len(record), MOST_SAMPLES))
     for axis, channel, measured in zip(axes, outputs, record.y.T, strict=True):
@@ -280,11 +290,11 @@ def _time_figure(found: Comparison) -> Any:
 
 def _residual_figure(found: Comparison) -> Any:
     """Draw the correlations of every model's residuals."""
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
     outputs = [channel.name for channel in found.dataset.spec.outputs]
     nu = found.dataset.spec.nu
-    figure = Figure(figsize=(10, 1.9 * len(found.models) * len(outputs) + 0.4), layout="constrained")
+    figure = sheet(figsize=(10, 1.9 * len(found.models) * len(outputs) + 0.4), layout="constrained")
     axes = figure.subplots(len(found.models) * len(outputs), 1 + nu, squeeze=False)
     row = 0
     for compared in found.models:

@@ -144,10 +144,11 @@ class OrderSelection:
         -------
         matplotlib.figure.Figure
         """
-        from matplotlib.figure import Figure
         from matplotlib.ticker import MaxNLocator
 
-        figure = Figure(figsize=(8, 8), layout="constrained")
+        from harness.plots import sheet
+
+        figure = sheet(figsize=(8, 8), layout="constrained")
         axes = figure.subplots(3, 1)
         for axis, error, label in zip(axes, ("one_step", "free_run"), ("one step ahead", "in free run"), strict=False):
             chosen = self.suggested(error)

@@ -46,10 +46,10 @@ class Response:
 
     def plot(self) -> Any:
         """Return a matplotlib figure: a panel for each output and input."""
-        from matplotlib.figure import Figure
+        from harness.plots import sheet
 
         ny, nu = self.y.shape[1:]
-        figure = Figure(figsize=(4.5 * nu, 2.4 * ny + 0.4), layout="constrained")
+        figure = sheet(figsize=(4.5 * nu, 2.4 * ny + 0.4), layout="constrained")
         axes = figure.subplots(ny, nu, squeeze=False, sharex=True)
         for i, output in enumerate(self.spec.outputs):
             for j, given in enumerate(self.spec.inputs):

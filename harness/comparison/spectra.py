@@ -85,9 +85,9 @@ class Spectrum:
 
     def plot(self) -> Any:
         """Draw magnitude with a band of two standard deviations, phase and coherence; returns the figure."""
-        from matplotlib.figure import Figure
+        from harness.plots import sheet
 
-        figure = Figure(figsize=(8, 7), layout="constrained")
+        figure = sheet(figsize=(8, 7), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True)
         f = self.frequency[1:]
         for row, output in enumerate(self.spec.outputs):

@@ -83,12 +83,11 @@ def _drawn(
 
 def step_figure(models: Mapping[str, Any]) -> Any:
     """Draw the answers to a unit step of each input, with 95 % bands."""
-    from matplotlib.figure import Figure
-
     from harness.comparison.responses import length
+    from harness.plots import sheet
 
     spec: PlantSpec = next(iter(models.values())).spec
-    figure = Figure(figsize=(5.0 * spec.nu, 2.4 * spec.ny + 0.5), layout="constrained")
+    figure = sheet(figsize=(5.0 * spec.nu, 2.4 * spec.ny + 0.5), layout="constrained")
     axes = figure.subplots(spec.ny, spec.nu, squeeze=False, sharex=True)
     count = min(max(length(model) for model in models.values()), SHOWN)
     t = spec.sample_time * np.arange(count)
@@ -115,10 +114,11 @@ def step_figure(models: Mapping[str, Any]) -> Any:
 
 def pole_figure(models: Mapping[str, Any]) -> Any:
     """Draw the poles in the z plane with the unit circle and the ellipses that hold each with 95 %, and the zeros."""
-    from matplotlib.figure import Figure
     from scipy.stats import chi2
 
-    figure = Figure(figsize=(5.2, 5.0), layout="constrained")
+    from harness.plots import sheet
+
+    figure = sheet(figsize=(5.2, 5.0), layout="constrained")
     axis = figure.subplots()
     axis.plot(np.cos(ELLIPSE), np.sin(ELLIPSE), color="#888888", linewidth=0.8)
     size = np.sqrt(chi2.ppf(0.95, 2))

@@ -19,7 +19,7 @@ from harness.conformance.plants import check_plant
 from harness.conformance.results import CheckResult
 from harness.conformance.scenarios import check_scenario
 from harness.conformance.workloads import KINDS, PLANT
-from harness.errors import HarnessError, InputError
+from harness.errors import HarnessError, InputError, no_file, refuse_no_file
 from harness.protocols import Identifier, OnlineIdentifier, Plant, Scenario
 from harness.trust import names_fmu
 
@@ -64,11 +64,13 @@ def check(name: str) -> list[CheckResult]:
         return _check_registered(kind, id)
     found = [candidate for candidate in CHECKED if name in _ids(candidate)]
     if not found:
+        expected = "the id of a plant, identifier, scenario, effect or model, FILE.py:NAME, or FILE.fmu"
+        refuse_no_file(name, expected)
         everything = sorted({id for candidate in CHECKED for id in _ids(candidate)})
         near = difflib.get_close_matches(name, everything, n=3)
         raise InputError(
             "no part has this name",
-            expected="the id of a plant, identifier, scenario, effect or model, FILE.py:NAME, or FILE.fmu",
+            expected=expected,
             got=repr(name),
             remedy=f"did you mean {' or '.join(near)}?" if near else "see sysid list",
         )
@@ -173,12 +175,14 @@ def _from_file(name: str) -> Callable[[], Any]:
     """Return a factory of the part that ``FILE.py:NAME`` names."""
     path_text, _, attribute = name.rpartition(":") if ".py:" in name else (name, "", "")
     path = Path(path_text)
-    if not path.is_file() or not attribute:
+    if not path.is_file():
+        raise InputError("no such file", expected="FILE.py:NAME", got=no_file(path), remedy="check the path", file=path)
+    if not attribute:
         raise InputError(
             "no such part",
             expected="FILE.py:NAME",
-            got=name if attribute else f"{name} without a name in it",
-            remedy="check the path and write the name after a colon",
+            got=f"{name} without a name in it",
+            remedy="write the name after a colon",
             file=path,
         )
     module_name = f"sysid_harness_checked_{path.stem}"

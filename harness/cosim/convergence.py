@@ -64,9 +64,9 @@ class Convergence:
         -------
         matplotlib.figure.Figure
         """
-        from matplotlib.figure import Figure
+        from harness.plots import sheet
 
-        figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+        figure = sheet(figsize=(6.4, 4.4), layout="constrained")
         axes = figure.subplots()
         steps = self.steps[:-1]
         moved = [j for j in range(len(self.outputs)) if (self.shares[:, j] > EXACT).any()]

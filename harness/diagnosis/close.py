@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
 
@@ -59,6 +60,8 @@ class Report:
     data: dict[str, Any]
     folder: Path | None
     model: AnySystem | ArmModel | None = None
+    figures: Callable[[], Mapping[str, str]] | None = field(default=None, repr=False)
+    """Draws the pictures as SVG texts by name, when they are asked for."""
 
     @property
     def verdict(self) -> str:
@@ -72,6 +75,15 @@ class Report:
 
     def __str__(self) -> str:
         return str(self.data["summary"])
+
+    def __repr__(self) -> str:
+        return f"<Report {self.verdict}: {self}>"
+
+    def _repr_html_(self) -> str:
+        from harness.diagnosis.report.notebook import notebook
+
+        where = "" if self.html is None or not self.html.is_file() else str(self.html)
+        return notebook(self.data, {} if self.figures is None else self.figures(), where)
 
 
 def close_loop(
@@ -132,7 +144,7 @@ def close_loop(
         If the data do not fit the model, or ``out`` holds a report and neither ``resume`` nor ``force`` is given.
     """
     from harness.diagnosis.report.evidence_json import evidence_data
-    from harness.diagnosis.report.evidence_page import write_evidence
+    from harness.diagnosis.report.evidence_page import drawn, write_evidence
     from harness.diagnosis.store import write_atomic
     from harness.supervision.workers import one_thread
 
@@ -153,8 +165,8 @@ def close_loop(
                     got=repr(wanted),
                     remedy="leave it out",
                 )
-            data = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
-            return Report(data, folder, arm)
+            data, figures = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
+            return Report(data, folder, arm, figures)
         system = _system(model, parameters, dataset)
         box = is_fmu(system)
         if by_equations(system):
@@ -177,8 +189,9 @@ def close_loop(
         with one_thread():
             data = evidence_data(diagnosis, cut_alike(references, whole_runs, diagnosis.dataset))
             data["oddities"] = oddities_data(whole_runs)
+            figures = cache(partial(drawn, diagnosis))
             if folder is not None:
-                write_evidence(diagnosis, data, folder / HTML, odd_pictures(whole_runs))
+                write_evidence(data, figures(), folder / HTML, odd_pictures(whole_runs))
         if folder is not None:
             if box:
                 repaired = _repaired_fmu(diagnosis, folder)
@@ -189,7 +202,7 @@ def close_loop(
         if progress is not None:
             progress(1.0, data["summary"])
         last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
-        return Report(data, folder, last.model.with_parameters(last.values))
+        return Report(data, folder, last.model.with_parameters(last.values), figures)
 
 
 def close_loop_file(

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import InputError
+from harness.errors import InputError, unread
 from harness.frequency.data import FrequencyResponse
 from harness.signals import Channel, FloatArray
 
@@ -154,7 +154,7 @@ def _table(path: Path) -> tuple[list[str], FloatArray]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
-            "frequency response", expected="a CSV file", got=type(error).__name__, remedy="give a file", file=path
+            "frequency response", expected="a CSV file", got=unread(path, error), remedy="give a file", file=path
         ) from error
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if len(lines) < 2:

@@ -56,10 +56,10 @@ class IdentifiedResponse:
 
     def plot(self) -> Any:
         """Draw gain and phase, measured with two standard deviations, and the model with its 95 % band."""
-        from matplotlib.figure import Figure
+        from harness.plots import sheet
 
         data = self.data
-        figure = Figure(figsize=(8, 5.5), layout="constrained")
+        figure = sheet(figsize=(8, 5.5), layout="constrained")
         axes = figure.subplots(2, 1, sharex=True)
         f = data.frequency[data.frequency > 0]
         fine = np.geomspace(f[0], f[-1], 400)

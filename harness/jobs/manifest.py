@@ -42,7 +42,7 @@ def read_manifest(path: Path, form: str, kind: type[msgspec.Struct], *, what: st
         raise InputError(
             f"no {what} here",
             expected=wanted,
-            got="none",
+            got="none in it" if path.parent.is_dir() else "a file" if path.parent.is_file() else "no such folder",
             remedy=f"give the folder that {command} wrote",
             file=path.parent,
         ) from None

@@ -41,9 +41,9 @@ def stabilisation_diagram(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
-    figure = Figure(figsize=(8, 6.6), layout="constrained")
+    figure = sheet(figsize=(8, 6.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
     values = {mode.pole.value for mode in modes}
     loose: list[tuple[float, int]] = []
@@ -103,10 +103,10 @@ def shapes_and_coordinates(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
     drawn = modes[:MOST]
-    figure = Figure(figsize=(9, max(1.7 * len(drawn), 2.0)), layout="constrained")
+    figure = sheet(figsize=(9, max(1.7 * len(drawn), 2.0)), layout="constrained")
     if not drawn:
         figure.text(0.5, 0.5, "no mode determined", ha="center")
         return figure
@@ -133,11 +133,11 @@ def space_and_time(modes: Sequence[Mode], names: Sequence[str], time: FloatArray
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
+    from harness.plots import sheet
 
     drawn = modes[:MOST]
     rows = max(-(-len(drawn) // 2), 1)
-    figure = Figure(figsize=(9, 2.1 * rows), layout="constrained")
+    figure = sheet(figsize=(9, 2.1 * rows), layout="constrained")
     axes = figure.subplots(rows, 2, squeeze=False).ravel()
     for number, (axis, mode) in enumerate(zip(axes, drawn, strict=False)):
         wave = coordinates[:, number]

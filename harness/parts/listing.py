@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from harness import registry
-from harness.errors import InputError
+from harness.errors import InputError, refuse_no_file
 
 __all__ = ["LISTED", "describe_part", "list_parts"]
 
@@ -41,9 +41,11 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
     True
     """
     if kind is not None and kind not in LISTED:
+        expected = f"one of {', '.join(LISTED)}, the id of one of them, or a file"
+        refuse_no_file(kind, expected)
         raise InputError(
             "nothing to list",
-            expected=f"one of {', '.join(LISTED)}, or a file that ends in .fmu",
+            expected=expected,
             got=repr(kind),
             remedy="correct the word",
         )

@@ -149,13 +149,11 @@ class Agreement:
 
     def plot(self) -> Any:
         """Draw every channel with its tube, and less the reference; what lies outside is red. Returns the figure."""
-        from matplotlib.figure import Figure
-
-        from harness.plots import plain_texts
+        from harness.plots import plain_texts, sheet
 
         shown = sorted(self.channels, key=lambda one: one.passed)[:MOST]
         count = max(len(shown), 1)
-        figure = Figure(figsize=(9, 2.1 * count + 0.4), layout="constrained")
+        figure = sheet(figsize=(9, 2.1 * count + 0.4), layout="constrained")
         for pair, one in zip(figure.subplots(count, 2, squeeze=False), shown, strict=False):
             middle = np.interp(one.t, *one.reference)
             out = ~((one.y >= one.low) & (one.y <= one.high))

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from harness.errors import InputError
+from harness.errors import InputError, unread
 from sysid_lab.outcome import STAND_IN, Answer, Outcome, judge_answer
 from sysid_lab.package import TRUTH_COLUMNS, record_name
 from sysid_lab.pages.statistics import clopper_pearson
@@ -222,7 +222,7 @@ def _rows(path: str | Path, needed: Sequence[str], optional: Sequence[str]) -> l
             names, rows = list(reader.fieldnames or ()), list(reader)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
-            "table", expected="a CSV file", got=type(error).__name__, remedy="check the path", file=path
+            "table", expected="a CSV file", got=unread(path, error), remedy="check the path", file=path
         ) from error
     missing = [name for name in needed if name not in names]
     unknown = [name for name in names if name not in (*needed, *optional)]

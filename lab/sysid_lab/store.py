@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.data.whole_files import whole_file
-from harness.errors import InputError
+from harness.errors import InputError, unread
 from harness.jobs import shard_file
 from sysid_lab.row import COLUMNS
 
@@ -105,7 +105,7 @@ def read_rows(path: Path) -> dict[str, dict[str, str]]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
-            "rows of a study", expected="a CSV file", got=type(error).__name__, remedy="check the folder", file=path
+            "rows of a study", expected="a CSV file", got=unread(path, error), remedy="check the folder", file=path
         ) from error
     whole = text if text.endswith("\n") else text[: text.rfind("\n") + 1]
     reader = csv.DictReader(io.StringIO(whole))

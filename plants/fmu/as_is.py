@@ -14,6 +14,7 @@ import numpy as np
 
 from harness.cosim.free_run import FreeRun, free_run, hold, window
 from harness.errors import InputError, PlantError
+from harness.options import meant_options
 from harness.signals import FloatArray
 from plants.fmu.archive import FmuFile, read_fmu
 from plants.fmu.options import default
@@ -74,6 +75,7 @@ def run_as_is(
     >>> found.trajectory.t.tolist(), found.trajectory.y.tolist(), found.ended
     ([0.0, 0.05, 0.1], [[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]], None)
     """
+    options = meant_options(f"the FMU {Path(path).name}", FmuPlant, options)
     file = read_fmu(path)
     suggested = {name: default(file, name) for name in ("startTime", "stopTime", "stepSize")}
     span = window(suggested, start=start_time, stop=stop_time, step=sample_time, file=path, who="the FMU")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 import inspect
 import os
 import pickle
@@ -13,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import numpy as np
@@ -24,6 +23,9 @@ from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, 
 from harness.signals import FloatArray
 from plants.isolation import frames
 from plants.isolation.frames import Answer, Made
+
+if TYPE_CHECKING:
+    import importlib.metadata
 
 __all__ = ["registered", "serve"]
 
@@ -150,6 +152,8 @@ def registered(id: str) -> importlib.metadata.EntryPoint:
     InputError
         If no plant is registered under this id.
     """
+    import importlib.metadata  # 10 ms that a child with a plant of its own file does not need
+
     points = importlib.metadata.entry_points(group="sysid_harness.plants")
     for point in points:
         if point.name == id:

@@ -116,6 +116,9 @@ def test_a_part_of_the_plot_is_chosen_by_dragging_and_gaps_stay_open(browser: An
     rows = (folder / "log.csv").read_text().splitlines()
     rows[100:120] = [f"{row.split(',')[0]},," for row in rows[100:120]]
     page.set_input_files("#upload", {"name": "holes.csv", "mimeType": "x", "buffer": "\n".join(rows).encode()})
+    page.wait_for_function(
+        "() => document.querySelectorAll('#plot path')[0]?.getAttribute('d').split('M').length === 3"
+    )
     page.wait_for_selector("#plot-told:has-text('400 rows')")
     paths = [page.locator("#plot path").nth(k).get_attribute("d") for k in (0, 1)]
     assert [path.count("M") for path in paths] == [2, 2]  # the pen is lifted over the hole

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -174,6 +176,62 @@ def test_an_fmu_that_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         assert "fake.fmu" in line
         assert "zip" in line
     assert "missing.fmu" in refused(["list", str(tmp_path / "missing.fmu")], capsys)
+
+
+@pytest.mark.parametrize(
+    "line",  # what is not there stands in braces
+    [
+        "list {run7.csv}",
+        "list {run7.toml}",
+        "list {arm.urdf}",
+        "list {model.json}",
+        "check-data {run7.csv}",
+        "identify {run7.csv} --identifier arx",
+        "identify estimation.csv --model {swing.eqs} --identifier output-error",
+        "simulate {run7.json}",
+        "simulate {arm.urdf} --scenario multisine",
+        "simulate {rig.ssp}",
+        "compare {model.json} dataset.toml",
+        "compare {run7} run8 dataset.toml",
+        "open {run7.csv}",
+        "equations {model.json}",
+        "equations {arm.mjcf}",
+        "equations {swing.py}:swing",
+        "equations {run7.csv}",
+        "modes {run7.csv}",
+        "spectrum {run7}",
+        "table {results/quick}",
+        "query {results/quick} 'select 1'",
+        "export {run7.json} -o out.fmu",
+        "learn-residual {report} dataset.toml --out learned",
+        "check {mine.csv}",
+        "check {mine.py}:Mine",
+        "isolability {theirs.fmu} --scenario multisine",
+        "close-loop {run7.csv} --model pendulum --out out",
+        "close-loop estimation.csv --model {theirs.xml} --out out",
+        "close-loop fleet.csv --model pendulum --out out",
+    ],
+)
+def test_what_is_not_there_is_said_to_be_not_there(
+    line: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    (folder / "fleet.csv").write_text("file,machine,date\nrun7.csv,A,2026-01-01\n")
+    said = refused(shlex.split(re.sub(r"[{}]", "", line)), capsys)
+    assert re.search(r"no such (file|folder|model|recording)|got no (file|'run7)", said), said
+    missing = re.search(r"\{(.*)\}", line)
+    assert (missing[1] if missing else "run7.csv") in said  # which the table of the fleet names
+    assert "Errno" not in said
+
+
+def test_a_name_near_the_one_that_is_not_there_is_told(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    assert "no file (near it: estimation.csv" in refused(["list", "estimatoin.csv"], capsys)
+    assert "did you mean" not in refused(["list", "run7"], capsys)  # may be the id of a part as well
+    (folder / "bag").mkdir()  # a folder is no recording that is unknown
+    assert "bag: no such data set: expected a dataset.toml" in refused(["check-data", "bag"], capsys)
 
 
 def test_a_bare_csv_needs_its_model(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

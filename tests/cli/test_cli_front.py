@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import signal
@@ -247,3 +248,34 @@ def test_a_shell_completes_ids() -> None:
     done = sysid(_SYSID_COMPLETE="complete_bash", COMP_WORDS="sysid identify x --identifier lum", COMP_CWORD="4")
     assert "lumped-momentum" in done.stdout, done.stderr
     assert "arx" not in done.stdout
+
+
+def test_every_command_that_prints_a_result_prints_it_for_a_program(capsys: pytest.CaptureFixture[str]) -> None:
+    from typer.main import get_command
+
+    from harness.cli.app import app
+
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    silent = {"open", "study"}  # a page in the browser, and a sign-post
+    for name, command in commands.items():
+        options = {word for parameter in command.params for word in parameter.opts}
+        assert ("--json" in options) is (name not in silent), name
+    with pytest.raises(SystemExit):
+        main(["equations", "pendulum", "--as", "python", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert (found["model"], found["as"], found["wrote"]) == ("pendulum", "python", None)
+    assert "def derivative" in found["text"]
+
+
+def test_a_command_that_is_asked_for_is_built_alone_and_reads_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    from harness.cli.app import _asked, app
+
+    assert [one.callback.__name__ for one in _asked(app, ["close-loop", "x"]).registered_commands] == ["close_loop"]
+    for words in ([], ["--help"], ["nothing"]):
+        assert _asked(app, words) is app
+    with pytest.raises(SystemExit):
+        main(["simulat"])
+    assert "Did you mean 'simulate'?" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    assert "Usage: sysid simulate" in capsys.readouterr().out

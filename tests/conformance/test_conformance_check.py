@@ -53,7 +53,7 @@ def test_a_file_is_checked(tmp_path: Path) -> None:
         ("mine.py:odd", "no known kind"),
         ("mine.py:nothing", "no 'nothing'"),
         ("mine.py", "FILE.py:NAME"),
-        ("none.py:x", "no such part"),
+        ("none.py:x", "no such file"),
         ("none.fmu", "no such FMU"),
         ("bad.py:x", "does not run"),
     ],

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,13 +79,76 @@ def test_a_record_can_be_plotted() -> None:
     assert [axis.get_ylabel() for axis in figure.axes] == ["u [N m]", "theta [rad]"]
 
 
-def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    book = json.loads((DOCS / "first-steps.ipynb").read_text(encoding="utf-8"))
+def report_in_words(report: Any) -> None:
+    """Hold a report in a notebook to its verdict, effect with value and unit, errors before and after, pictures."""
+    page = report._repr_html_()
+    assert repr(report).startswith("<Report effects_found: pendulum lacks quadratic drag")
+    found = report.data["effects"][0]["parameters"]["c"]
+    rms = [report.data["errors"][key]["simulation_error"]["validation"]["theta"]["rms"] for key in ("before", "after")]
+    for words in ("effects found: pendulum lacks", "quadratic drag at theta</td><td>c", f"{found['value']:.3g}",
+                  found["unit"], "<th>before</th><th>after</th><th>unit</th>", "<th>warnings</th>",
+                  *(f"{value:.3g}" for value in rms)):  # fmt: skip
+        assert words in page, words
+    assert page.count('src="data:image/svg+xml;base64,') == 2
+    assert len(page) < 400_000
+
+
+def test_the_notebook_runs_and_shows_its_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored = json.loads((DOCS / "first-steps.ipynb").read_text(encoding="utf-8"))
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {"__name__": "__main__"}
-    cells = [cell for cell in book["cells"] if cell["cell_type"] == "code"]
-    assert len(cells) >= 5
-    for cell in cells:
-        assert cell["outputs"] == []
-        exec(compile("".join(cell["source"]), "first-steps.ipynb", "exec"), names)
-    assert names["report"].verdict == "effects_found"  # type: ignore[attr-defined]
+    monkeypatch.syspath_prepend(str(DOCS))
+    from run_notebook import run  # type: ignore[import-not-found]
+
+    done = run(json.loads((DOCS / "first-steps.ipynb").read_text(encoding="utf-8")))
+    assert done["names"]["report"].verdict == "effects_found"
+    for cell, before in zip(done["book"]["cells"], stored["cells"], strict=True):
+        if cell["cell_type"] != "code":
+            continue
+        kinds = [[(o["output_type"], sorted(o.get("data", ()))) for o in one["outputs"]] for one in (cell, before)]
+        assert kinds[0] == kinds[1], "run docs/run_notebook.py"
+    pages = [
+        o["data"]["text/html"][0]
+        for cell in stored["cells"]
+        for o in cell.get("outputs", ())
+        if "text/html" in o.get("data", {})
+    ]
+    assert sum("data:image/svg+xml;base64," in page for page in pages) >= 3  # fit, figure, report
+    assert max(map(len, pages)) < 400_000
+    report_in_words(done["names"]["report"])
+    assert not any("<script" in page or "http-equiv" in page or "<iframe" in page for page in pages)
+
+
+def test_what_others_named_is_escaped_in_a_report() -> None:
+    from harness.diagnosis.report.notebook import notebook
+
+    entry = {"value": 1.0, "low": 0.9, "high": 1.1, "state": "determined", "unit": "N<m", "meaning": "a & b"}
+    data = {
+        "verdict": "effects_found", "summary": "<b>arm</b> & more", "warnings": ["<img src=x onerror=alert(1)>"] * 9,
+        "effects": [{"name": "drag", "at": "q<1>&", "parameters": {"c": entry}, "summary": ""}],
+        "joints": [{"joint": "j<&1", "before": {"validation": 2.0}, "after": {"validation": None}, "unit": "N m"}],
+    }  # fmt: skip
+    page = notebook(data, {"residual": "<svg viewBox='0 0 1 1'></svg>", "overlay": ""}, "a/<b>.html")
+    for words in (
+        "&lt;b&gt;arm&lt;/b&gt; &amp; more",
+        "drag at q&lt;1&gt;&amp;",
+        "N&lt;m",
+        "a &amp; b",
+        "j&lt;&amp;1",
+        "&lt;img src=x",
+        "3 more",
+        "a/&lt;b&gt;.html",
+        "0.90 … 1.10",
+    ):
+        assert words in page, words
+    assert "<b>arm" not in page
+    assert page.count("<img ") == 1
+
+
+def test_figures_and_fits_show_themselves() -> None:
+    record = harness.simulate("pendulum-ode", scenario="multisine", scenario_options={"duration": 4.0, "noise": 1e-3})
+    assert "data:image/svg+xml;base64," in record.plot()._repr_html_()
+    fitted = harness.identify(record.measured(), model="pendulum", identifier="lumped-momentum")
+    page = fitted._repr_html_()
+    assert "data:image/svg+xml;base64," in page
+    assert "<td>J</td>" in page
+    assert [line.get_label() for line in fitted.plot().axes[-1].lines][-1] == "free run"

@@ -124,3 +124,12 @@ def test_errors_travel_between_processes() -> None:
     assert (str(plant), plant.status) == ("gone", "timeout")
     assert one.located(file="b.csv").file == "a.csv"
     assert InputError("w", expected="e", got="g", remedy="r").located(place="p").place == "p"
+
+
+def test_complex_numbers_are_refused_and_not_cut() -> None:
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    t, column = np.arange(3.0), np.ones((3, 1))
+    with pytest.raises(InputError, match=r"numbers of u: expected real numbers, got complex"):
+        Trajectory(t, column * 1j, column, spec)
+    with pytest.raises(InputError, match=r"numbers of y"):
+        Trajectory(t, column, column + 0j, spec)

@@ -161,3 +161,10 @@ def test_runs_beside_each_other() -> None:
     big = a * [100, 1, 1], b * [100, 1, 1]
     notes = check_runs(runs((big[0], "estimation"), (big[1][:, [1, 0, 2]], "validation")))
     assert any("columns swapped" in note for note in notes)
+
+
+def test_pieces_of_one_record_share_their_units_however_little_one_moves() -> None:
+    a, b = swing(0), swing(1)
+    pieces = runs((a, "estimation"), (b * [1, 1e-3, 1e-3], "estimation"))
+    assert check_runs(pieces, [0, 0]) == []
+    assert any("wrong by 1000" in note for note in check_runs(pieces))

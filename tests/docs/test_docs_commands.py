@@ -8,9 +8,11 @@ import json
 import re
 import shlex
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
@@ -109,12 +111,14 @@ ONLY_PARSED = {
     r"(check|list|identify) .*(soft_friction|peer-sippy|neighbours)": "needs a plug-in installed by pip",
     r"export learned": "needs a force that lowers the error: tests/learned has one",
     r"dask://": "needs a cluster",
+    r"^sysid open": "serves a page until somebody ends it: tests/app has it",
     r"rig\.ssp": "needs a system: tests/calibration has one",
-    r"--model iiwa --out|robot\.urdf": "an arm takes half a minute: tests/diagnosis has them",
+    r"--model iiwa --out|--model (robot|arm)\.(urdf|xml)": "an arm takes half a minute: tests/diagnosis has them",
+    r"--download": "needs the network",
 }
 """Commands that no test runs, and why: what is not here runs."""
-SHORTENED = {"bench quick": "bench quick --dry-run"}
-"""Commands that take minutes, and what runs of them: the plan of the cells."""
+SHORTENED = {"bench quick": "bench quick --dry-run", "bench public": "bench public --choices small.toml"}
+"""Commands that take minutes, and what runs of them: the plan of the cells, one cell."""
 SENTENCES = re.compile(
     r"list (plants|effects|model)|isolability|simulate (pendulum|loop)|sysid-lab (score|answer) docs"
 )
@@ -141,6 +145,84 @@ def sysid(line: str) -> None:
     with pytest.raises(SystemExit) as ended:
         main(words(line), cli=PROGRAMS[line.partition(" ")[0]])
     assert ended.value.code == 0, line
+
+
+PARTS = {"arm": ("pendulum", "u", "theta"), "controller": ("pi_controller", "r y", "u")}
+"""Of a system: the FMUs by the name of their part, their inputs and outputs."""
+WIRES = {"set": "controller.r", "arm.theta": "controller.y", "controller.u": "arm.u"}
+SSP = "http://ssp-standard.org/SSP1/SystemStructure"
+OSP = "http://opensimulationplatform.com/MSMI/OSPSystemStructure"
+
+
+def systems() -> None:
+    """Write one loop as ``system.ssp``, and the part of it that is no input as ``folder/OspSystemStructure.xml``."""
+
+    def connectors(kind: str, names: str) -> str:
+        return "".join(f'<ssd:Connector name="{n}" kind="{kind}"><ssc:Real/></ssd:Connector>' for n in names.split())
+
+    def end(which: str, place: str) -> str:
+        part, _, name = place.rpartition(".")
+        return (f'{which}Element="{part}" ' if part else "") + f'{which}Connector="{name}"'
+
+    def variable(place: str) -> str:
+        part, _, name = place.partition(".")
+        return f'<Variable simulator="{part}" name="{name}"/>'
+
+    elements = "".join(
+        f'<ssd:Component name="{name}" source="resources/{fmu}.fmu"><ssd:Connectors>{connectors("input", inputs)}'
+        f"{connectors('output', outputs)}</ssd:Connectors></ssd:Component>"
+        for name, (fmu, inputs, outputs) in PARTS.items()
+    )
+    wires = "".join(
+        f"<ssd:Connection {end('start', a)} {end('end', b)}/>" for a, b in [*WIRES.items(), ("arm.theta", "angle")]
+    )
+    with zipfile.ZipFile("system.ssp", "w") as archive:
+        archive.writestr(
+            "SystemStructure.ssd",
+            f'<ssd:SystemStructureDescription xmlns:ssd="{SSP}Description" xmlns:ssc="{SSP}Common" version="1.0" '
+            f'name="loop"><ssd:System name="loop"><ssd:Connectors>{connectors("input", "set")}'
+            f"{connectors('output', 'angle')}</ssd:Connectors><ssd:Elements>{elements}</ssd:Elements>"
+            f"<ssd:Connections>{wires}</ssd:Connections></ssd:System>"
+            '<ssd:DefaultExperiment startTime="0" stopTime="2"/></ssd:SystemStructureDescription>',
+        )
+        for fmu, _, _ in PARTS.values():
+            archive.write(mockup(fmu), f"resources/{fmu}.fmu")
+    Path("folder").mkdir()
+    for fmu, _, _ in PARTS.values():
+        shutil.copy(mockup(fmu), f"folder/{fmu}.fmu")
+    simulators = "".join(f'<Simulator name="{name}" source="{fmu}.fmu"/>' for name, (fmu, _, _) in PARTS.items())
+    joined = "".join(
+        f"<VariableConnection>{variable(a)}{variable(b)}</VariableConnection>" for a, b in WIRES.items() if "." in a
+    )
+    Path("folder", "OspSystemStructure.xml").write_text(
+        f'<OspSystemStructure xmlns="{OSP}" version="0.1"><BaseStepSize>0.01</BaseStepSize>'
+        f"<Simulators>{simulators}</Simulators><Connections>{joined}</Connections></OspSystemStructure>"
+    )
+
+
+ARM = """<mujoco><worldbody>
+<body><joint name="shoulder" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.03"/>
+<body pos="0 0 -0.4"><joint name="elbow" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03"/></body>
+</body></worldbody></mujoco>
+"""
+MOTOR = """input u [N m]
+state theta [rad], w [rad/s]
+motion theta: w, J
+J = 0.1 kg m^2      >= 0
+b = 0.05 N m s/rad  >= 0
+mgl = 1 N m         >= 0
+theta' = w
+w' = (u - b*w - mgl*sin(theta))/J
+output theta
+"""
+SMALL = '[cascaded-tanks.black]\nvalidation = 0.25\ncandidates = [{ id = "arx", options = { order = 2 } }]\n'
+
+
+def given(page: str, pattern: str) -> str:
+    """Return what a page tells its reader to write into a file."""
+    found = re.search(pattern, (ROOT / "docs" / page).read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert found is not None, (page, pattern)
+    return found[1]
 
 
 @pytest.fixture(scope="module")
@@ -186,9 +268,25 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for name, source in (("theirs", "always-nothing-missing"), ("ours", "sysid-harness")):
             shutil.copy(kept / "answers" / f"{source}.csv", folder / f"{name}.csv")
         (folder / "docs").symlink_to(ROOT / "docs")
-        toml = next(match["code"] for match in FENCE.finditer((ROOT / "docs" / "co-simulation.md").read_text())
-                    if match["info"] == "toml")  # fmt: skip
-        (folder / "loop.toml").write_text(toml)
+        (folder / "examples").symlink_to(ROOT / "examples")
+        systems()
+        for run, name in (("run.csv", "run7.csv"), ("estimation.csv", "run8.csv")):
+            shutil.copy(run, name)
+        shutil.copytree("box", "report2")
+        rng = np.random.default_rng(0)
+        u, y = rng.standard_normal(400), np.zeros(400)
+        for k in range(399):
+            y[k + 1] = 0.8 * y[k] + 0.5 * u[k] + 1e-3 * rng.standard_normal()
+        (folder / "log.csv").write_text("u,y\n" + "".join(f"{a},{b}\n" for a, b in zip(u, y, strict=True)))
+        for name, text in (
+            ("loop.toml", given("co-simulation.md", r"```toml\n(.*?)^```")),
+            ("cart-pole.urdf", given("mechanical.md", r'Path\("cart-pole\.urdf"\)\.write_text\("""(.*?)"""')),
+            ("motor.eqs", MOTOR),
+            ("arm.xml", ARM),
+            ("small.toml", SMALL),
+        ):
+            (folder / name).write_text(text)
+        sysid("sysid bench public --choices small.toml")
     return folder
 
 
@@ -198,6 +296,14 @@ def arrange(folder: Path, line: str) -> None:
     if given[0] == "learn-residual":
         shutil.rmtree(folder / "report")
         (folder / "unexplained").rename(folder / "report")
+    if given[:2] == ["new", "dataset"]:
+        (folder / "dataset.toml").unlink()
+    if given[:2] == ["bench", "public"] and "--resume" not in given:
+        shutil.rmtree(folder / "results" / "public")
+    if "dog.csv" in given and given[0] == "analyse":
+        sysid(next(line for _, line in COMMANDS if line.endswith("-o dog.csv")))
+    if "wind.csv" in given and given[0] == "modes":
+        sysid(next(line for _, line in COMMANDS if line.endswith("-o wind.csv")))
     if "repaired.ssp" in given and given[0] == "simulate":
         sysid("sysid export box --trust box --out repaired.ssp")
     if "iiwa" in given:
@@ -207,6 +313,18 @@ def arrange(folder: Path, line: str) -> None:
         if flag in ("-o", "--out") and "--resume" not in given:
             path = folder / target
             shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+
+
+def make_before(page: str, line: str) -> None:
+    """Run the earlier commands of a page that write the files that one reads and nobody else has prepared."""
+    for name in words(line):
+        wanted = re.compile(rf"(?:-o|--out) {re.escape(name)}(?:\s|$)")
+        if "." not in name or Path(name).exists() or wanted.search(line):
+            continue
+        maker = next((one for where, one in COMMANDS if where == page and wanted.search(one)), None)
+        if maker is not None:
+            make_before(page, maker)
+            sysid(maker)
 
 
 @pytest.mark.slow
@@ -223,6 +341,7 @@ def test_a_command_runs(
         request.getfixturevalue("recordings_folder")
     shutil.copytree(prepared, tmp_path / "here", symlinks=True)
     monkeypatch.chdir(tmp_path / "here")
+    make_before(page, line)
     arrange(tmp_path / "here", line)
     for long, short in SHORTENED.items():
         line = line.replace(long, short)

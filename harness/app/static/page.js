@@ -7,6 +7,9 @@ import { busy, hear, listen, take } from "./runs.js";
 const at = (id) => document.getElementById(id);
 const state = { session: null, log: null, content: null, columns: [], ports: [], matched: {}, model: "", check: null };
 const SHOWN = 4;
+let openings = 0; // of logs: what was asked for last is shown, whatever is read first
+let begun;
+const session = new Promise((resolve) => { begun = resolve; });
 
 const number = (value) => (value == null ? "" : Number(value.toPrecision(4)).toString());
 const isToml = () => Boolean(state.content?.described);
@@ -16,8 +19,12 @@ const isToml = () => Boolean(state.content?.described);
 async function upload(file, after) {
   quiet();
   const log = !isModel(file.name);
-  if (log) at("facts").replaceChildren(make("p", { class: "soft" }, `reading ${file.name} ...`));
+  if (log) {
+    openings += 1;
+    at("facts").replaceChildren(make("p", { class: "soft" }, `reading ${file.name} ...`));
+  }
   try {
+    await session;
     const found = await ask(`upload?name=${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
     Object.assign(state.session, { logs: found.logs, models: found.models });
     fillPicks();
@@ -45,8 +52,11 @@ function fillPicks() {
 async function openLog(name) {
   quiet();
   if (!name) return;
+  openings += 1;
+  const turn = openings;
   at("facts").replaceChildren(make("p", { class: "soft" }, `reading ${name} ...`));
   const content = await ask(`log?name=${encodeURIComponent(name)}`).catch((error) => { at("facts").replaceChildren(); throw error; });
+  if (turn !== openings) return;
   Object.assign(state, { log: name, content, check: null });
   fillPicks();
   at("facts").replaceChildren(...content.facts.map((fact) => make("p", {}, fact)));
@@ -122,13 +132,13 @@ function fillTable() {
     const name = `Column ${one.title}`;
     const choose = make("select", { "aria-label": `${name} is`, onchange: (event) => use(k, event.target.value) }, ...uses(one));
     const asked = one.use === "time" ? !state.content.clock_stated : one.use && !one.unit;
-    const unit = make("input", { class: "unit", value: one.given, placeholder: one.unit || (asked ? "unit?" : ""), "aria-label": `Unit of ${name}`, autocomplete: "off", spellcheck: "false",
+    const unit = make("input", { class: "unit", value: one.given, placeholder: one.unit || (asked ? "unit?" : one.use === "time" ? (/[\[(]([^\])]+)[\])]\s*$/.exec(one.title)?.[1] ?? "in title") : ""), "aria-label": `Unit of ${name}`, autocomplete: "off", spellcheck: "false",
       onchange: (event) => { one.given = event.target.value.trim(); changed(); } });
     const tick = make("input", { type: "checkbox", checked: one.shown, "aria-label": `Plot ${name}`, disabled: one.use === "time", onchange: (event) => { one.shown = event.target.checked; redraw(); } });
     const size = one.minimum == null ? (one.note || "") : `${number(one.minimum)} to ${number(one.maximum)}`;
     return make("tr", {}, make("td", { class: "name" }, one.title, one.note ? make("small", {}, one.note) : null),
       isToml() ? null : make("td", {}, choose), isToml() ? make("td", {}, one.unit) : make("td", {}, unit), make("td", { class: size ? "n" : "n none", "data-label": "range" }, size),
-      make("td", { class: one.mean == null ? "n none" : "n", "data-label": "mean" }, one.mean == null ? "" : `${number(one.mean)} ± ${number(one.deviation)}`),
+      make("td", { class: one.mean == null ? "n none" : "n", "data-label": "mean" }, one.mean == null ? "" : `${number(Math.abs(one.mean) < 1e-9 * one.deviation ? 0 : one.mean)} ± ${number(one.deviation)}`),
       holes ? make("td", { class: "n", "data-label": "empty" }, String(one.empty ?? 0)) : null, make("td", { class: "n", "data-label": "plot" }, tick));
   });
   const titles = ["column", ...(isToml() ? [] : ["is"]), "unit", "range", "mean ± deviation", ...(holes ? ["empty"] : []), "plot"];
@@ -240,6 +250,7 @@ async function parts() {
 
 async function begin() {
   state.session = { catalogue: [], ...await ask("session") };
+  begun();
   const { opened, file, logs, jobs } = state.session;
   at("opened").textContent = opened ?? "nothing opened yet";
   fillPicks();
@@ -248,7 +259,7 @@ async function begin() {
   jobs.forEach(take);
   listen();
   const first = file && logs.includes(file) ? file : logs.length === 1 ? logs[0] : "";
-  if (first) await said(openLog)(first);
+  if (first && !openings) await said(openLog)(first);
   await parts(); // after the first picture: the machine may have few cores
 }
 

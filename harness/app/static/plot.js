@@ -3,7 +3,10 @@
 import { ask, said } from "./ask.js";
 
 const place = document.getElementById("plot"), told = document.getElementById("plot-told");
-const COLOURS = ["#2f77b4", "#d1641f", "#2c8a57", "#a8479c", "#a07c00", "#5b63c4"];
+const LIGHT = ["#2f77b4", "#d1641f", "#2c8a57", "#a8479c", "#a07c00", "#5b63c4"];
+const DARK = ["#6cb4ec", "#f0915a", "#6cc793", "#dc8ad0", "#d6b44a", "#a3a9f2"];  // at least 6:1 on the dark paper
+const dark = matchMedia("(prefers-color-scheme: dark)");
+const colour = (k) => (dark.matches ? DARK : LIGHT)[k % LIGHT.length];
 const HIGH = 124, GAP = 12, LEFT = 66, RIGHT = 8, TOP = 6, BOTTOM = 40;
 let now = null, whole = null, span = null, waiting = null, drawn = null;
 
@@ -57,7 +60,7 @@ function picture(lines) {
     svg.prepend(grid);
     svg.append(part("text", { x: -(top + HIGH / 2), y: 13, transform: "rotate(-90)", "text-anchor": "middle", class: "label" }, now.channels[k].label));
     const clip = part("clipPath", { id: `part-${k}` }, part("rect", { x: LEFT, y: top, width: wide - LEFT - RIGHT, height: HIGH }));
-    svg.append(clip, part("path", { d: line(one, x, y), stroke: COLOURS[k % COLOURS.length], "clip-path": `url(#part-${k})` }));
+    svg.append(clip, part("path", { d: line(one, x, y), stroke: colour(k), "clip-path": `url(#part-${k})` }));
   });
   const foot = high - BOTTOM;
   for (const t of clock.values) svg.append(part("text", { x: x(t), y: foot + 16, "text-anchor": "middle" }, written(t, clock.step)));
@@ -106,6 +109,7 @@ place.addEventListener("pointerleave", () => {
   place.querySelector(".reading").textContent = "";
   place.querySelector(".here").setAttribute("x1", -9); place.querySelector(".here").setAttribute("x2", -9);
 });
+dark.addEventListener("change", said(draw));
 place.addEventListener("dblclick", said(async () => { span = null; await draw(); }));
 
 // what: { name, clock, unit, step, channels: [{ title, label }] }

@@ -77,10 +77,13 @@ def _gain(target: FloatArray, other: FloatArray) -> float:
     return float(alone / max(abs(left[-1]) / np.sqrt(len(goal)), 1e-12))
 
 
-def units_between_runs(runs: Sequence[Run]) -> list[str]:
-    """Say so if a signal is a thousand, or 57.3, times as large in one run as in the first."""
+def units_between_runs(runs: Sequence[Run], records: Sequence[int] = ()) -> list[str]:
+    """Say so if a signal is a thousand, or 57.3, times as large in one run as in the first.
+
+    ``records`` tells which runs are pieces of one record: those share their units, however little one of them moves.
+    """
     notes = []
-    for kind, _, name, sizes in _sizes(runs):
+    for kind, _, name, sizes in _sizes(runs, records):
         for number, size in enumerate(sizes[1:], start=1):
             if not sizes[0] or not size:
                 continue
@@ -92,14 +95,14 @@ def units_between_runs(runs: Sequence[Run]) -> list[str]:
     return notes
 
 
-def swapped_runs(runs: Sequence[Run]) -> list[str]:
-    """Say so if two signals seem to have changed places from the first run to another."""
-    table = _sizes(runs)
+def swapped_runs(runs: Sequence[Run], records: Sequence[int] = ()) -> list[str]:
+    """Say so if two signals seem to have changed places from the first run to another (pieces as above)."""
+    table = _sizes(runs, records)
     notes = []
     for a in range(len(table)):
         for b in range(a + 1, len(table)):
             (_, _, name_a, sizes_a), (_, _, name_b, sizes_b) = table[a], table[b]
-            for number in range(1, len(runs)):
+            for number in range(1, len(sizes_a)):
                 here = (sizes_a[0], sizes_b[0], sizes_a[number], sizes_b[number])
                 if min(here) <= 0 or not 0.1 > min(here[0] / here[1], here[1] / here[0]):
                     continue
@@ -110,12 +113,15 @@ def swapped_runs(runs: Sequence[Run]) -> list[str]:
     return notes
 
 
-def _sizes(runs: Sequence[Run]) -> list[tuple[str, int, str, list[float]]]:
-    """Return the standard deviation of every signal in every run."""
+def _sizes(runs: Sequence[Run], records: Sequence[int]) -> list[tuple[str, int, str, list[float]]]:
+    """Return the standard deviation of every signal in every run, or in all pieces of every record."""
     spec = runs[0].trajectory.spec
+    of = np.array(records or range(len(runs)))
+    groups = [np.flatnonzero(of == number) for number in np.unique(of)]
     table = []
     for kind, channels in (("input", spec.inputs), ("output", spec.outputs)):
         for column, channel in enumerate(channels):
             values = [(run.trajectory.u if kind == "input" else run.trajectory.y)[:, column] for run in runs]
-            table.append((kind, column, channel.name, [float(np.std(signal)) for signal in values]))
+            sizes = [float(np.std(np.concatenate([values[k] for k in group]))) for group in groups]
+            table.append((kind, column, channel.name, sizes))
     return table

@@ -51,6 +51,13 @@ DENSER = 0.1
 """Part of a step by which readings must be further apart than the samples of a grid for some of these to have none: as
 much as a clock wanders."""
 
+TWICE = 0.25
+"""Part of a step by which the stamps of a row that was logged twice may differ."""
+
+REPEATED = 0.1
+"""Share of rows that may repeat a time stamp with other readings: beyond it the stamps are coarser than the steps, and
+to keep one row of each would leave instants that nobody knows."""
+
 SHORTEST = 20
 """Rows of a record: a model of second order in one input has three parameters and two initial values, and an estimate
 needs several readings for each unknown (Ljung 1999, sec. 16.4, counts parameters against samples); four here."""
@@ -101,7 +108,7 @@ def sample_time_of(time: FloatArray) -> float:
     steps = np.diff(time)
     typical = float(np.median(steps))
     steady = steps[np.abs(steps - typical) < 0.5 * typical]
-    return float(f"{steady.mean():.9g}")
+    return float(f"{steady.mean():.9g}") if steady.size else float(f"{steps.mean():.9g}")
 
 
 def refuse_unlikely_seconds(time: FloatArray, title: str) -> None:
@@ -186,6 +193,7 @@ def pieces_of(
         where = _renamed(where, rows)
         dt, index = _clock(time, rules, common, notes)
         if index is not None and not (np.diff(index) > 0).all():
+            _refuse_two_in_one(index, time, dt, rules, where)
             time, values, rows = _without_duplicates(index, time, values, rules, notes)
             where, index = _renamed(where, rows), index[rows]
         _check_order(time if index is None else index, time, where)
@@ -264,6 +272,15 @@ def _without_duplicates(
     first = np.concatenate(([True], np.diff(keys) != 0))
     if first.all():
         return time, values, rows
+    differ = ~first[1:] & ~np.isclose(values[1:], values[:-1], rtol=0.0, atol=0.0, equal_nan=True).all(axis=1)
+    if differ.mean() > REPEATED:
+        raise InputError(
+            f"{int(differ.sum())} of {len(time)} rows repeat the time stamp of the row before with other readings",
+            expected=f"at most {REPEATED:.0%} of the rows: more are no doubled rows, but stamps coarser than the steps",
+            got=f"{int(first.sum())} time stamps for {len(time)} rows, and duplicates = {rules.duplicates!r}",
+            remedy="declare sample_time without duplicates if a clock took the rows, or record finer time stamps",
+            place="duplicates",
+        )
     groups = np.cumsum(first) - 1
     count = int(groups[-1]) + 1
     last = np.concatenate((first[1:], [True]))
@@ -271,8 +288,28 @@ def _without_duplicates(
     chosen = values[kept]
     if rules.duplicates == "mean":
         chosen = np.column_stack([np.bincount(groups, column) for column in values.T]) / np.bincount(groups)[:, None]
-    notes.append(f"{len(time) - count} rows repeat the time stamp of the row before: the {rules.duplicates} counts")
+    other = f"; {int(differ.sum())} of them have other readings" if differ.any() else ""
+    notes.append(
+        f"{len(time) - count} rows repeat the time stamp of the row before: the {rules.duplicates} counts{other}"
+    )
     return time[kept], chosen, rows[kept]
+
+
+def _refuse_two_in_one(
+    index: npt.NDArray[np.int64], time: FloatArray, dt: float, rules: TimeRules, where: Callable[[int], str]
+) -> None:
+    """Refuse rows in one sample of a clock whose stamps are apart: they are no doubled rows, of which one is enough."""
+    apart = (np.diff(index) == 0) & (np.diff(time) > TWICE * dt)
+    if rules.duplicates != "refuse" and apart.any():
+        row = int(np.argmax(apart)) + 1
+        raise InputError(
+            "two rows in one sample of the declared clock",
+            expected=f"stamps of doubled rows within {TWICE:g} of {dt:g} s, or rows in samples of their own",
+            got=f"{time[row] - time[row - 1]:.3g} s between {where(row - 1)} and {where(row)}",
+            remedy="correct sample_time, or cut the run there by rows = [start, stop]: the stamps are too rough to say "
+            "which samples these rows are",
+            place=where(row),
+        )
 
 
 def _check_finite(time: FloatArray, where: Callable[[int], str]) -> None:
@@ -321,7 +358,7 @@ def _clock(
         return wanted or common or 1.0, None  # refused by its order
     if wanted is None:
         return _rounded(time, rules, common, notes)
-    n, coarse = len(time), _resolution(time)
+    n, coarse = len(time), max(_resolution(time), _tick(time))
     own = float((time[-1] - time[0]) / (n - 1))
     if np.ptp(time - time[0] - np.arange(n) * own) <= 2 * JITTER_ACCEPTED * wanted and own > 0.5 * wanted:
         return _agreed(own, n, rules, common), None
@@ -342,6 +379,10 @@ def _clock(
     index = _tracked(time, wanted)
     for measured in (sample_time_of(time), float((time[-1] - time[0]) / max(index[-1], 1))):
         _agreed(measured, n, rules, common, slack=1 / n)  # rough stamps at both ends, half a sample each
+    if index[-1] > 2:
+        slope, offset = np.polyfit(index, time - time[0], 1)
+        rough = float(np.ptp(time - time[0] - offset - slope * index)) / wanted
+        _agreed(float(slope), n, rules, common, slack=2 * min(rough, 0.5) / n)  # a line sees the clock more sharply
     off = float(np.abs(np.diff(time) / wanted - np.diff(index)).max())
     notes.append(
         f"the steps of the time stamps are up to {100 * off:.2g} % of a sample off: rows are samples of the declared "
@@ -356,17 +397,19 @@ def _rounded(
     """Return the sample time [s] of undeclared stamps, and their samples where they are a clock's, rounded."""
     if not (np.diff(time) > 0).all():
         return common or 1.0, None  # refused by its order
-    typical, resolution = sample_time_of(time), _resolution(time)
-    index = np.concatenate(([0], np.cumsum(np.round(np.diff(time) / typical)))).astype(np.int64)
-    steady = index[-1] > 2 and (np.diff(index) > 0).all()
-    if steady and 2 * JITTER_UNNOTICED * typical < resolution <= 0.5 * typical:
+    steps, resolution = np.diff(time), _resolution(time)
+    for typical in (sample_time_of(time), float(steps.mean())):  # where half of the steps are rounded up, their mean
+        index = np.concatenate(([0], np.cumsum(np.round(steps / typical)))).astype(np.int64)
+        steady = index[-1] > 2 and (np.diff(index) > 0).all()
+        if not steady or not 2 * JITTER_UNNOTICED * typical < resolution <= 0.5 * typical:
+            continue
         slope, offset = np.polyfit(index, time - time[0], 1)
         left = np.ptp(time - time[0] - offset - slope * index)
         if 2 * JITTER_UNNOTICED * typical < left <= ROUNDED * resolution:
             dt = _agreed(float(f"{slope:.9g}"), len(time), rules, common)
             notes.append(f"the time stamps are rounded to {resolution:g} s: a clock of {dt:g} s explains them all")
             return dt, index
-    return _agreed(typical, len(time), rules, common), None
+    return _agreed(sample_time_of(time), len(time), rules, common), None
 
 
 def _resolution(time: FloatArray) -> float:
@@ -382,6 +425,22 @@ def _resolution(time: FloatArray) -> float:
         if (np.abs(scaled - np.round(scaled)) <= 1e-6 + 4e-16 * np.abs(scaled)).all():
             return float(10.0**-digits)
     return 0.0
+
+
+def _tick(time: FloatArray) -> float:
+    """Return the step [s] of which all steps are multiples, where some stamps repeat; 0 else: 5 ms, a 64th of a second.
+
+    Examples
+    --------
+    >>> _tick(np.array([0.0, 0.005, 0.005, 0.015])), _tick(np.array([0.0, 0.01, 0.03]))
+    (0.005, 0.0)
+    """
+    steps = np.diff(time)
+    moved = steps[steps > 0]
+    if not moved.size or moved.size == steps.size:
+        return 0.0
+    tick = float(moved.min())
+    return tick if (np.abs(moved / tick - np.round(moved / tick)) < 1e-3).all() else 0.0
 
 
 def _tracked(time: FloatArray, dt: float) -> npt.NDArray[np.int64]:

@@ -251,6 +251,7 @@ class _Reader:
         runs: list[Run] = []
         references: list[dict[str, FloatArray]] = []
         names: list[str] = []
+        records: list[int] = []
         self._refuse_unrecorded()
         self._refuse_conditioning()
         measured = tuple((plan.port(name), plan.signal(name).derivative) for name in plan.outputs)
@@ -266,20 +267,23 @@ class _Reader:
                 pieces, notes = self._pieces(
                     section, open_table(file, self.tables, section.sheet), None if spec is None else spec.sample_time
                 )
+                longest = max((len(piece.values) for piece in pieces), default=0)
                 for order, piece in enumerate(pieces):
                     spec = spec or self._spec(piece.sample_time)
                     trajectory, extra = self._trajectory(piece, spec)
-                    notes += check_run(trajectory, measured, inverse_dynamics=arm, fitted=fitted)
+                    whole = len(piece.values) == longest
+                    notes += check_run(trajectory, measured, inverse_dynamics=arm, fitted=fitted, whole=whole)
                     label = section.label + (f"/{order}" if len(pieces) > 1 else "")
                     runs.append(Run(trajectory, section.use, label.lstrip("/")))
                     references.append(extra)
+                    records.append(number)
                     names.append(f"{place} ({file.name})" + (f", piece {order}" if len(pieces) > 1 else ""))
             except InputError as error:
                 raise error.located(file=file, place=place) from error
             self.notes += [f"{place} ({file.name}): {note}" for note in dict.fromkeys(notes)]
         for table in self.tables.values():
             self.notes += [f"{table.path.name}: {note}" for note in table.notes]
-        self.notes += check_runs(runs)
+        self.notes += check_runs(runs, records)
         self._check_overlap()
         if not any(run.use == "validation" for run in runs):
             self.notes.append("no validation run: nothing chooses between models on data that they have not seen")

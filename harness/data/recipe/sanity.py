@@ -35,6 +35,7 @@ def check_run(
     *,
     inverse_dynamics: bool = False,
     fitted: bool = True,
+    whole: bool = True,
 ) -> list[str]:
     """Return the warnings about one run, and refuse one that cannot be used.
 
@@ -48,6 +49,9 @@ def check_run(
         The model gives the inputs of a motion (an arm): where a controller holds the motion, the torque follows it.
     fitted : bool
         False where no model is learned from the run: then it may be short, and rest.
+    whole : bool
+        False for one of several pieces of a record, which the longest of them speaks for: in a short one chance may
+        make an input follow an output.
 
     Raises
     ------
@@ -93,7 +97,7 @@ def check_run(
     notes += said
     for i, channel in enumerate(spec.outputs):
         _refuse_whirling(channel, trajectory.y[:, i])
-    return notes if inverse_dynamics else notes + swapped_in_and_out(trajectory, besides=sure)
+    return notes if inverse_dynamics or not whole else notes + swapped_in_and_out(trajectory, besides=sure)
 
 
 def _refuse_other_categories(channel: Channel, values: FloatArray) -> None:
@@ -109,8 +113,14 @@ def _refuse_other_categories(channel: Channel, values: FloatArray) -> None:
         )
 
 
-def check_runs(runs: Sequence[Run]) -> list[str]:
+def check_runs(runs: Sequence[Run], records: Sequence[int] = ()) -> list[str]:
     """Return the warnings about runs beside each other, and refuse data that are used twice.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    records : sequence of int
+        Of which record each run is a piece; by default each is one.
 
     Raises
     ------
@@ -130,7 +140,7 @@ def check_runs(runs: Sequence[Run]) -> list[str]:
                 place=f"runs[{number}]",
             )
         seen.setdefault(key, (number, run))
-    return [*units_between_runs(runs), *swapped_runs(runs)]
+    return [*units_between_runs(runs, records), *swapped_runs(runs, records)]
 
 
 def _refuse_whirling(channel: Channel, values: FloatArray) -> None:

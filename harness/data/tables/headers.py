@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Collection, Iterator, Sequence
 
 from harness.errors import InputError
@@ -18,36 +19,69 @@ TRUTH = "truth:"
 
 _HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 _ROUND = re.compile(r"^(?P<name>.*?)\s*[(<](?P<unit>[^()<>]*)[)>]\s*$")
-_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[({<](?P<unit>[^\[\](){}<>]*)[\])}>]\s*$")
+_GROUP = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
+_WIDE = str.maketrans("（）［］｛｝【】〔〕〈〉《》＜＞／：，、；．＿－　＊", "()[]{}[][]<><><>/:,,;._- *")
 _BREAK = re.compile(r"[\s_,;:/.\-]+(?:in[\s_]+)?|(?<=[a-z])(?=[A-Z])")
+_SPLIT = re.compile(
+    r"[^\w*^×·]+|_+|(?<=\w)(?=[*^×·])|(?<=[a-zäöüéèß])(?=[A-Z])|(?<=[a-zA-Z\d])(?=[\u3040-\u9fff\uac00-\ud7af])"
+    r"|(?<=[\u3040-\u9fff\uac00-\ud7af])(?=[a-zA-Zµμ\d])"
+)
 _UNIT = re.compile(r"[^\W_][\w\s°%/*^.·⋅•×∙²³\-\u2212]*|[°%][\w\s/]*")
 _OF_DAY = re.compile(r"of[\s_\-.]*day", re.IGNORECASE)
+_NUMBERED = re.compile(r"(?P<word>[^\W\d]+?)\d{1,2}")
+_FACTOR = re.compile(r"[x*^×·]?\d.*|.*[*^×·].*")
 
 # ruff: noqa: RUF001 - words of other alphabets
 
 TIME_WORDS = frozenset(
-    "time times t ts timestamp timestamps stamp datetime elapsed clock zeit zeitstempel uhrzeit temps horodatage "
-    "tiempo tempo tijd tijdstempel tid czas čas cas aika idő zaman vreme vrijeme waktu час время 时间 時間 시간".split()
+    "time times t ts timestamp timestamps stamp datetime elapsed clock epoch unix unixtime zeit zeitstempel uhrzeit "
+    "zeitpunkt dauer temps horodatage durée duree instant tiempo instante tempo istante durata tijd tijdstempel tid "
+    "czas čas cas aika idő zaman vreme vrijeme waktu час время "
+    "时间 時間 时间戳 時間戳 时刻 時刻 经过时间 経過時間 采样时间 测量时间 測定時間 タイム "
+    "タイムスタンプ 시간 시각".split()
 )
 """Words for time, in small letters."""
+
+_ENDINGS = ("zeit", "time", "时间", "時間", "时刻", "時刻", "시간", "stempel", "stamp")
+"""How compounds for time end: Messzeit, runtime, 運転時間."""
+
+_BESIDE = frozenset(
+    "of in the since from start begin beginning reset boot up abs absolute rel relative raw log logged recorded record "
+    "rec publish header msg system sys local utc gps gmt ros sim simulation run test total measured measurement value "
+    "values val data array vec vector axis col column base code seit ab beginn messung écoulé ecoule écoulée depuis "
+    "début debut transcurrido desde inicio trascorso da inizio en em i achse axe eje asse 轴 軸 "
+    "de du la le el il da di der die das and".split()
+)
+"""Words beside one for time that say nothing of its unit, in small letters."""
 
 TIME_UNITS = {
     word: unit
     for unit, words in {
-        "s": "s sec secs second seconds sekunde sekunden seconde secondes segundo segundos secondo secondi сек с 秒 초",
-        "ms": "ms msec msecs milli millis millisec millisecs millisecond milliseconds millisekunde millisekunden "
-        "milliseconde millisecondes milisegundo milisegundos millisecondo millisecondi мс мсек 毫秒 ミリ秒 밀리초",
-        "us": "us µs μs usec usecs micro micros microsec microsecs microsecond microseconds mikrosekunde mikrosekunden "
-        "microseconde microsecondes microsegundo microsegundos microsecondi мкс 微秒 マイクロ秒",
+        "s": "s sec secs second seconds sek sekunde sekunden seconde seconden secondes seg segs segundo segundos "
+        "secondo secondi sekunda sekundy sekund sekunder saniye сек секунда секунды секунд с 秒 初 초",
+        "ms": "ms msec msecs msek mseg milli millis millisec millisecs millisecond milliseconds millisekunde "
+        "millisekunden milliseconde milliseconden millisecondes milisegundo milisegundos milissegundo milissegundos "
+        "millisecondo millisecondi milisekunda milisekundy milisekund millisekunder milisaniye миллисекунда "
+        "миллисекунды миллисекунд мс мсек 毫秒 ミリ秒 밀리초",
+        "us": "us µs μs usec µsec μsec usecs micro micros microsec microsecs microsecond microseconds mikrosekunde "
+        "mikrosekunden microseconde microsecondes microsegundo microsegundos microsecondo microsecondi mikrosekundy "
+        "микросекунды мкс 微秒 マイクロ秒 마이크로초",
         "ns": "ns nsec nsecs nano nanos nanosec nanosecs nanosecond nanoseconds nanosekunde nanosekunden nanoseconde "
-        "nanosecondes nanosegundo nanosegundos нс 纳秒 ナノ秒",
-        "min": "min mins minute minutes minuten minuto minutos minuti мин 分",
-        "h": "h hr hrs hour hours stunde stunden heure heures hora horas ore ч",
-        "d": "days day tage jours",
+        "nanosecondes nanosegundo nanosegundos nanosecondi нс наносекунды 纳秒 奈秒 ナノ秒 나노초",
+        "min": "min mins minute minutes minuten minuut minuto minutos minuti minuta minuty minutter minuter dakika мин "
+        "минута минуты минут 分 分钟 分鐘 분",
+        "h": "h hr hrs hour hours std stunde stunden heure heures hora horas ore uur uren godz godzina godziny godzin "
+        "hodina hodiny hodin timmar saat ч часы часов часа 小时 小時",
+        "d": "days day tag tage jour jours día días dia dias giorno giorni dag dagen dni дни дней 天 日",
     }.items()
     for word in words.split()
 }
 """What a word beside one for time means, in small letters."""
+
+_SI_SECONDS = frozenset(
+    {"ps", "cs", "ds", "d", "week", "weeks", "centisecond", "centiseconds", "decisecond", "deciseconds"}
+)
+"""Further units of time that are read; not what else SI would make of letters: hh is no hundred hours."""
 
 COUNTS = frozenset("tick ticks count counts cycle cycles sample samples frame frames step steps index jiffies".split())
 """Words that count instead of measuring time: how long one takes is not in the title."""
@@ -61,6 +95,7 @@ def split_header(header: str) -> tuple[str, str | None]:
     >>> split_header("u [N m]"), split_header("theta"), split_header("theta (deg)"), split_header("theta (raw)")
     (('u', 'N m'), ('theta', None), ('theta', 'deg'), ('theta (raw)', None))
     """
+    header = header.translate(_WIDE) if not header.isascii() else header
     found = _HEADER.match(header)
     if found is not None and found["name"]:
         return found["name"].strip(), found["unit"].strip() or "1"
@@ -97,8 +132,17 @@ def stated_unit(title: str, like: str) -> tuple[str, str] | None:
     return None
 
 
-def clock_unit(title: str) -> str | None:
+def clock_unit(title: str, *, path: bool = False) -> str | None:
     """Return the unit that the title of a time column states, in whatever form; None where it states none.
+
+    A word where a unit would stand that is none is refused: nobody can say that it means seconds.
+
+    Parameters
+    ----------
+    title : str
+        In any of a dozen languages, with brackets and signs of any kind.
+    path : bool
+        True where the title is a path in a file, whose steps may be called anything.
 
     Raises
     ------
@@ -107,30 +151,38 @@ def clock_unit(title: str) -> str | None:
 
     Examples
     --------
-    >>> [clock_unit(title) for title in ("Zeit (ms)", "time_ms", "t/us", "timestampNs", "Time, min", "Sekunden")]
-    ['ms', 'ms', 'us', 'ns', 'min', 's']
+    >>> [clock_unit(title) for title in ("Zeit (ms)", "time_ms", "t/us", "timestampNs", "Time, min", "时间（毫秒）")]
+    ['ms', 'ms', 'us', 'ns', 'min', 'ms']
     >>> clock_unit("time") is None
     True
     """
-    found = _BRACKETS.match(title)
-    name = title if found is None or not found["name"] else found["name"]
-    inside = None if found is None or not found["name"] else _time_unit(found["unit"])
-    if found is not None and found["name"] and inside is None:
-        raise _no_time(title, found["unit"])
-    words = _words(name)
-    units = {TIME_UNITS[word] for word in words if word in TIME_UNITS}
-    units |= {unit for word in words for unit in _fused(word)}
-    units |= set() if inside is None else {inside}
+    plain = _plain(title)
+    inside = [part.strip() for part in _GROUP.findall(plain) if part.strip()]
+    units = set()
+    for part in inside:
+        unit = _time_unit(part)
+        if unit is None:
+            raise _no_time(title, part)
+        units.add(unit)
+    words = _words(_GROUP.sub(" ", plain))
+    first = next((place for place, word in enumerate(words) if _spoken(word)), None)
+    for place, word in enumerate(words):
+        units |= {TIME_UNITS[word]} if word in TIME_UNITS else _fused(word)
+        if place > (first or 0) and _FACTOR.fullmatch(word) and not (word.isdigit() and len(word) < 3):
+            raise _no_time(title, word)
     if len(units) > 1:
         raise _no_time(title, " and ".join(sorted(units)))
     if units:
         return units.pop()
-    last = max((place for place, word in enumerate(words) if word in TIME_WORDS), default=-1)
     for word in words:
         if word in COUNTS or re.fullmatch(r"\d+[^\W\d]+", word):
             raise _no_time(title, word)
-    for word in words[last + 1 :]:
-        if last >= 0 and _says_unit(word):
+    unknown = [] if path else [word for word in words[(first or 0) + 1 :] if not _silent(word)]
+    stated = first is not None or re.search(r"[/,;|=]|\b(?:in|en|em)\b", plain.strip(" /,;|=")) is not None
+    if unknown and stated:  # what stands where a unit does
+        raise _no_time(title, unknown[0])
+    for word in words[first + 1 :] if first is not None else ():
+        if _says_unit(word) and word not in TIME_WORDS and word not in _BESIDE:
             raise _no_time(title, word)
     return None
 
@@ -164,9 +216,10 @@ def clock_of(titles: Sequence[str], taken: Collection[str] = ()) -> str | None:
         found = exact or [title for title in free if names[title].lower() == wanted]
         if found:
             return _only(found)
-    spoken = [title for title in free if _is_clock(title)]
-    if spoken:
-        return _only(spoken)
+    for compounds in (False, True):
+        spoken = [title for title in free if _is_clock(title, compounds=compounds)]
+        if spoken:
+            return _only(spoken)
     return _only([title for title in free if len(title) > 1 and title.strip().lower() in TIME_UNITS])
 
 
@@ -183,33 +236,52 @@ def _only(titles: Sequence[str]) -> str | None:
     return titles[0] if titles else None
 
 
-def _is_clock(title: str) -> bool:
-    """Return True if a title holds a word for time, and beside it only such words and units of time."""
-    found = _BRACKETS.match(title)
-    words = _words(title if found is None or not found["name"] else found["name"])
-    spoken = [word for word in words if word in TIME_WORDS or _fused(word)]
-    return bool(spoken) and all(word in TIME_UNITS or word in COUNTS or word in spoken for word in words)
+def _is_clock(title: str, *, compounds: bool = False) -> bool:
+    """Return True if a title holds a word for time, and beside it only such words, units of time and idle words."""
+    words = _words(_GROUP.sub(" ", _plain(title)))
+    spoken = [word for word in words if (_spoken(word) if compounds else word in TIME_WORDS or _fused(word))]
+    beside = _BESIDE if compounds else ()
+    return bool(spoken) and all(
+        word in TIME_UNITS or word in COUNTS or word in spoken or word in beside for word in words
+    )
+
+
+def _plain(title: str) -> str:
+    """Return a title with the brackets, signs and letters that ASCII has for them."""
+    return unicodedata.normalize("NFC", _OF_DAY.sub("", title)).translate(_WIDE)
 
 
 def _words(text: str) -> list[str]:
-    """Return the words of a title in small letters."""
-    return [word.lower() for word in _BREAK.split(_OF_DAY.sub("", text)) if word]
+    """Return the words of a title in small letters, without the number of a sensor behind one."""
+    words = [word.lower() for word in _SPLIT.split(text) if word]
+    return [found["word"] if (found := _NUMBERED.fullmatch(word)) else word for word in words]
 
 
-def _fused(word: str) -> list[str]:
-    """Return the unit that a word such as ``timems`` states behind one for time."""
-    if word in TIME_WORDS:
-        return []
+def _spoken(word: str) -> bool:
+    """Return True if a word is one for time, or a compound of it (``Messzeit``), perhaps with a unit behind it."""
+    return word in TIME_WORDS or bool(_fused(word)) or (word.endswith(_ENDINGS) and word not in TIME_UNITS)
+
+
+def _silent(word: str) -> bool:
+    """Return True if a word beside one for time says nothing of a unit."""
+    return word in _BESIDE or _spoken(word) or (word.isdigit() and len(word) < 3)
+
+
+def _fused(word: str) -> set[str]:
+    """Return the unit that a word such as ``timems`` states behind one for time; empty where it states none."""
+    if word in TIME_WORDS or word in TIME_UNITS:
+        return set()
     ends = [word[len(head) :] for head in TIME_WORDS if word.startswith(head)]
-    return list({TIME_UNITS[end] for end in ends if end in TIME_UNITS})
+    return {TIME_UNITS[end] for end in ends if end in TIME_UNITS}
 
 
 def _time_unit(text: str) -> str | None:
     """Return a unit of time that stands in brackets; None for anything else."""
-    text = text.strip()
-    if text.lower() in TIME_UNITS and text != "Ms":  # a megasecond to SI, a millisecond to whoever wrote it
-        return TIME_UNITS[text.lower()]
-    return text if text not in ("Ms", "a") and is_unit(text) and fits(text, "s") else None
+    text = text.strip(" ._")
+    joined = text.lower().replace("-", "")
+    if joined in TIME_UNITS and text != "Ms":  # a megasecond to SI, a millisecond to whoever wrote it
+        return TIME_UNITS[joined]
+    return text if text in _SI_SECONDS else None
 
 
 def _no_time(title: str, what: str) -> InputError:

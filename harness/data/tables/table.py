@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from harness.data.tables.headers import TRUTH, clock_unit, split_header, stated_unit
-from harness.errors import InputError
+from harness.errors import InputError, no_file
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
 
@@ -131,7 +131,7 @@ class Table:
             return
         if not path.is_file():
             raise InputError(
-                "no such file", expected="a file of data", got=_nearby(path), remedy="check the path", file=path
+                "no such file", expected="a file of data", got=no_file(path), remedy="check the path", file=path
             )
         opener = FORMATS.get(suffix_of(path))
         if opener is None:
@@ -247,7 +247,7 @@ class Table:
         own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
         if own is None and declared is None and title is not None:
             try:
-                unit = clock_unit(title)
+                unit = clock_unit(title, path=bool(getattr(self._source, "paths", False)))
             except InputError as error:
                 raise error.located(file=self.path) from error
         unit = own or declared or unit
@@ -362,13 +362,3 @@ def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:
         return -alike - 0.5 * starts - 0.3 * (not other), other
 
     return sorted(titles, key=distance)[:6]
-
-
-def _nearby(path: Path) -> str:
-    """Return what stands where a file was expected: nothing, or files with similar names."""
-    if path.is_dir():
-        return "a folder"
-    if not path.parent.is_dir():
-        return f"no file (nor a folder {path.parent})"
-    near = difflib.get_close_matches(path.name, [neighbour.name for neighbour in path.parent.iterdir()], n=2)
-    return f"no file (near it: {', '.join(near)})" if near else "no file"

@@ -21,6 +21,10 @@ from harness.signals import FloatArray
 __all__ = ["TextFile"]
 
 _DELIMITERS = (",", ";", "\t")
+_HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
+_COMMENTS = ("#", "%")
+_FORTRAN = re.compile(r"([+-]?\d+\.?\d*|[+-]?\.\d+)[dD]([+-]?\d+)")
+_PARTS = re.compile(r"[+-]?\d*(?:[.,](?P<decimals>\d*))?(?:[eEdD][+-]?(?P<power>\d*))?")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
 
@@ -28,10 +32,12 @@ _COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
 class TextFile:
     r"""A CSV, TSV or white-space table, plain or packed by gzip.
 
-    The delimiter is the comma, semicolon or tab that the first line holds most of, else white space. A first line of
-    numbers only means that there is no header; the columns are then called ``0``, ``1``, ... A line of units below the
-    header belongs to it. Lines that start with ``#`` or ``%`` and empty lines are skipped. Empty cells are NaN. Where
-    the comma does not separate, it may be the decimal sign. Dates and times of ISO 8601 become seconds from the first.
+    The delimiter is the comma, semicolon or tab that the first line holds most of (or that a first line ``sep=;`` of
+    Excel names), a bar where there is none of them, else white space. A first line of numbers only means that there is
+    no header, unless a comment right above it names every column; the columns are then called ``0``, ``1``, ... A line
+    of units below the header belongs to it. Lines that start with ``#`` or ``%`` and empty lines are skipped. Empty
+    cells are NaN. Where the comma does not separate, it may be the decimal sign. Dates and times of ISO 8601 become
+    seconds from the first.
 
     Raises
     ------
@@ -48,17 +54,21 @@ class TextFile:
         self._lines = [
             (number, line)
             for number, line in enumerate(lines, start=1)
-            if line.strip() and not line.lstrip().startswith(("#", "%"))
+            if line.strip() and not line.lstrip().startswith(_COMMENTS)
         ]
+        hint = _HINT.fullmatch(self._lines[0][1].strip(" \t")) if self._lines else None
+        self._lines = self._lines if hint is None else self._lines[1:]
         if not self._lines:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
         first = self._lines[0][1]
         counts = {sign: first.count(sign) for sign in _DELIMITERS}
         best = max(_DELIMITERS, key=lambda sign: counts[sign])
-        self._delimiter = best if counts[best] else None
+        self._delimiter = best if counts[best] else "|" if "|" in first else None
+        if hint is not None:
+            self._delimiter = hint[1] or "\t"  # the tab was taken for an end of the line
         titles = self._cells(first)
         if all(is_number(cell) for cell in titles if cell) and any(titles):
-            self.titles = [str(number) for number in range(len(titles))]
+            self.titles = self._named(lines, len(titles)) or [str(number) for number in range(len(titles))]
         else:
             self.titles = titles
             self._lines = self._lines[1:]
@@ -71,6 +81,8 @@ class TextFile:
             )
         self._accept_decimal_commas()
         self._square()
+        if not text.endswith(("\n", "\r")):
+            self._leave_out_cut_end()
         self._body: bytes | None = None
         self._clocks: set[str] = set()
 
@@ -97,6 +109,38 @@ class TextFile:
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as an editor counts it."""
         return f"line {self._lines[row][0]}"
+
+    def _named(self, lines: list[str], width: int) -> list[str] | None:
+        """Return the titles that a comment right above the numbers gives to all columns; None where it does not."""
+        above = lines[self._lines[0][0] - 2].strip() if self._lines[0][0] > 1 else ""
+        if not above.startswith(_COMMENTS):
+            return None
+        titles = self._cells(above.lstrip("#% \t"))
+        if len(titles) != width or not all(titles) or any(map(is_number, titles)):
+            return None
+        self.notes.append(f"line {self._lines[0][0] - 1}, a comment above the numbers, gives their titles")
+        return titles
+
+    def _leave_out_cut_end(self) -> None:
+        """Leave out the last row of a text without an end of its line, where its last cell lacks what all others have.
+
+        A number that is cut is a number still, of another size where its exponent is lost.
+        """
+        if len(self._lines) < 3:
+            return
+        parts = [_PARTS.fullmatch(self._cells(line)[-1]) for _, line in self._lines[-50:]]
+        kinds = [
+            None
+            if part is None
+            else tuple(-1 if part[key] is None else len(part[key]) for key in ("decimals", "power"))
+            for part in parts
+        ]
+        whole = [kind for kind in kinds[:-1] if kind is not None]
+        last, line = kinds[-1], self._lines[-1][1]
+        short = last is not None and bool(whole) and any(last[k] < min(kind[k] for kind in whole) for k in (0, 1))
+        if line.count('"') % 2 or short:
+            self.notes.append(f"line {self._lines[-1][0]}, the last one, ends in a cell that is cut: it is left out")
+            self._lines = self._lines[:-1]
 
     def _accept_decimal_commas(self) -> None:
         """Read decimal commas as points, where the comma separates nothing and no number holds a point."""
@@ -224,7 +268,8 @@ class TextFile:
                 numbers.append(np.nan)
                 continue
             try:
-                numbers.append(float(cell.replace(",", ".") if commas and _COMMA.fullmatch(cell) else cell))
+                plain = _FORTRAN.sub(r"\1e\2", cell)
+                numbers.append(float(plain.replace(",", ".") if commas and _COMMA.fullmatch(plain) else plain))
             except ValueError:
                 comma = "," in cell
                 raise InputError(
@@ -243,7 +288,8 @@ class TextFile:
                 return line.split()
             spaced = csv.reader(io.StringIO(line.strip()), delimiter=" ", skipinitialspace=True)
             return [cell for cell in next(spaced) if cell]
-        return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self._delimiter))]
+        rows = csv.reader(io.StringIO(line), delimiter=self._delimiter, skipinitialspace=self._delimiter != "\t")
+        return [cell.strip() for cell in next(rows)]
 
 
 def _text(path: Path) -> tuple[str, str]:

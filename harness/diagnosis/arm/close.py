@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,14 +34,14 @@ def close_arm(
     folder: Path | None,
     progress: Progress | None = None,
     dictionary: Sequence[Effect] | None = None,
-) -> dict[str, Any]:
-    """Diagnose an arm, write the report into a folder, and return its content.
+) -> tuple[dict[str, Any], Callable[[], dict[str, str]]]:
+    """Diagnose an arm, write the report into a folder, and return its content and what draws its pictures.
 
     Parameters are those of :func:`harness.diagnosis.arm.diagnose.diagnose_arm`. The folder holds ``report.json``,
     ``report.html`` and, where the arm fits its log, ``repaired.urdf``: the URDF with the friction, damping and payload
     that were found, and the bodies where inertial parameters are free (``repaired.xml`` for one read from an MJCF).
     """
-    from harness.diagnosis.arm.page import write_arm_html
+    from harness.diagnosis.arm.page import arm_figures, write_arm_html
     from harness.diagnosis.arm.report import arm_report
     from harness.diagnosis.store import write_atomic
     from harness.export.robot import repaired_mjcf
@@ -50,8 +51,9 @@ def close_arm(
         progress(0.9, "report")
     data = arm_report(diagnosis)
     data["oddities"] = oddities_data(dataset)
+    figures = cache(partial(arm_figures, diagnosis, data))
     if folder is not None:
-        write_arm_html(diagnosis, data, folder / "report.html")
+        write_arm_html(data, figures(), folder / "report.html")
         if arm.path is not None and not diagnosis.misfit:
             write_atomic(folder / URDF, repaired_urdf(diagnosis, data))
         if arm.mjcf is not None and not diagnosis.misfit:
@@ -60,7 +62,7 @@ def close_arm(
         write_atomic(folder / "report.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
         progress(1.0, data["summary"])
-    return data
+    return data, figures
 
 
 def recorded_arm(loaded: LoadedDataset) -> ArmModel:

@@ -17,12 +17,12 @@ from harness.diagnosis.runs.equation import decimated
 from harness.diagnosis.store import write_atomic
 from harness.signals import FloatArray
 
-__all__ = ["render_arm", "write_arm_html"]
+__all__ = ["arm_figures", "render_arm", "write_arm_html"]
 
 
-def write_arm_html(found: ArmDiagnosis, data: dict[str, Any], path: Path) -> None:
+def write_arm_html(data: dict[str, Any], figures: dict[str, str], path: Path) -> None:
     """Write the page of a diagnosis of an arm."""
-    write_atomic(path, render_arm(data, _figures(found, data)))
+    write_atomic(path, render_arm(data, figures))
 
 
 def render_arm(data: dict[str, Any], figures: dict[str, str]) -> str:
@@ -78,8 +78,8 @@ def _cards(data: dict[str, Any], use: str) -> list[dict[str, Any]]:
     return sorted(cards, key=lambda card: -(card["factor"] or 0.0) if fell else card["factor"] or np.inf)[:3]
 
 
-def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
-    """Return the figures by name."""
+def arm_figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
+    """Return the figures by name, as SVG texts."""
     views = []
     for k, channel in enumerate(found.arm.positions):
         run = max(found.runs["validation"], key=lambda run: run.motion.q.shape[0])

@@ -21,15 +21,20 @@ if TYPE_CHECKING:
     from harness.diagnosis.diagnosis import Diagnosis
     from harness.diagnosis.search.fit import Fit
 
-__all__ = ["pictures", "render_evidence", "write_evidence"]
+__all__ = ["drawn", "pictures", "render_evidence", "write_evidence"]
 
 MOST_PORTS = 3
 """Latent forces that the page shows."""
 
 
-def write_evidence(found: Diagnosis, data: dict[str, Any], path: Path, odd: Sequence[str] = ()) -> None:
+def write_evidence(data: dict[str, Any], figures: dict[str, str], path: Path, odd: Sequence[str] = ()) -> None:
     """Write the page of a diagnosis; ``odd`` are drawings of channels with odd rows."""
-    write_atomic(path, render_evidence(data, draw(pictures(found)), odd))
+    write_atomic(path, render_evidence(data, figures, odd))
+
+
+def drawn(found: Diagnosis) -> dict[str, str]:
+    """Return the figures of a diagnosis as SVG texts."""
+    return draw(pictures(found))
 
 
 def render_evidence(data: dict[str, Any], figures: dict[str, str], odd: Sequence[str] = ()) -> str:

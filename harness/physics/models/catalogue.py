@@ -12,7 +12,7 @@ from typing import Any
 
 import sympy as sp
 
-from harness.errors import HarnessError, InputError
+from harness.errors import HarnessError, InputError, no_file, refuse_no_file
 from harness.physics.arms.arm import is_arm
 from harness.physics.arms.mechanism import arm_mechanism
 from harness.physics.compiled.system import System
@@ -298,10 +298,12 @@ def load_model(name: str, **options: Any) -> System:
         maker, where = found, None
     else:
         known = dict.fromkeys((*BUILT_IN, *model_names()))
+        expected = f"one of {', '.join(known)}, or FILE.py:FUNCTION"
+        refuse_no_file(name, expected)
         near = difflib.get_close_matches(name, known, n=2)
         raise InputError(
             "unknown model",
-            expected=f"one of {', '.join(known)}, or FILE.py:FUNCTION",
+            expected=expected,
             got=repr(name),
             remedy=f"did you mean {' or '.join(near)}?" if near else "correct the name, or write the model in a file",
         )
@@ -309,7 +311,9 @@ def load_model(name: str, **options: Any) -> System:
         made = maker(**options) if callable(maker) and not isinstance(maker, System) else maker
         system = made.system() if isinstance(made, Mechanism | Ode) else made
     except HarnessError as error:
-        raise (error.located(file=where, place=name) if isinstance(error, InputError) else error) from error
+        if not isinstance(error, InputError):
+            raise
+        raise error.located(file=where, place=None if str(error.file or where) == name else name) from error
     except Exception as error:
         raise InputError(
             f"model {name} raised {type(error).__name__}: {error}",
@@ -338,7 +342,9 @@ def from_file(path: Path, attribute: str) -> tuple[Any, Path]:
         If there is no such file, it cannot be imported, or has nothing of that name.
     """
     if not path.is_file():
-        raise InputError("no such file", expected="a Python file", got=str(path), remedy="correct the path", file=path)
+        raise InputError(
+            "no such file", expected="a Python file", got=no_file(path), remedy="check the path", file=path
+        )
     module_name = f"sysid_harness_user_model_{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     if spec is None or spec.loader is None:
