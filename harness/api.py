@@ -1885,7 +1885,7 @@ def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, s
             place="hide",
         )
     effects = [(name, port, dict(parameters)) for name, port, parameters in hide]
-    if effects and not is_plant_file(plant) and "effects" in registry.named_options("plants", plant):
+    if effects and not is_plant_file(plant) and registry.takes_option("plants", plant, "effects"):
         return cast(Plant, registry.create("plants", plant, effects=effects, **options))
     made = make_plant(plant, options)
     if effects:

@@ -32,7 +32,9 @@ __all__ = [
     "entry",
     "load",
     "named_options",
+    "returned_class",
     "singular",
+    "takes_option",
 ]
 
 DISTRIBUTION = "sysid-harness"
@@ -244,6 +246,31 @@ def named_options(kind: str, id: str) -> dict[str, inspect.Parameter]:
     signature = inspect.signature(load(kind, id))
     named = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     return {name: p for name, p in signature.parameters.items() if p.kind in named}
+
+
+def takes_option(kind: str, id: str, name: str) -> bool:
+    """Return True if a part takes an option: its own, or one of the class that it hands its options on to.
+
+    Examples
+    --------
+    >>> takes_option("plants", "pendulum-ode", "effects"), takes_option("identifiers", "hold", "effects")
+    (True, False)
+    """
+    if name in named_options(kind, id):
+        return True
+    factory = load(kind, id)
+    made = returned_class(factory)
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in inspect.signature(factory).parameters.values())
+    return open_ended and made is not None and name in inspect.signature(made).parameters
+
+
+def returned_class(factory: Any) -> type | None:
+    """Return the class that a factory says it returns."""
+    try:
+        found = inspect.signature(factory, eval_str=True).return_annotation
+    except (NameError, TypeError, ValueError):
+        return None
+    return found if inspect.isclass(found) and found.__module__.partition(".")[0] != "builtins" else None
 
 
 def create(kind: str, id: str, /, **options: Any) -> Any:

@@ -106,7 +106,7 @@ def _effect(effect: Any, summary: str) -> dict[str, Any]:
 def _factory(kind: str, id: str, made: Any) -> dict[str, Any]:
     """Return what a part is that is made with options; what its own text leaves out, that of its class says."""
     text = inspect.getdoc(made) or ""
-    made_class = made if inspect.isclass(made) else _returned(made)
+    made_class = made if inspect.isclass(made) else registry.returned_class(made)
     classes = [] if made_class is None else [one for one in made_class.__mro__ if one.__doc__ and one is not object]
     kept = getattr(made_class, "Options", None)  # a class may keep its options in one object
     texts = [text, *(inspect.cleandoc(one.__doc__ or "") for one in (*classes, *([kept] if kept is not None else [])))]
@@ -122,15 +122,6 @@ def _factory(kind: str, id: str, made: Any) -> dict[str, Any]:
         for one in registry.named_options(kind, id).values()
     ]
     return {"text": said, "facts": {}, "options": rows}
-
-
-def _returned(factory: Any) -> type | None:
-    """Return the class that a factory says it returns."""
-    try:
-        found = inspect.signature(factory, eval_str=True).return_annotation
-    except (NameError, TypeError, ValueError):
-        return None
-    return found if inspect.isclass(found) and found.__module__.partition(".")[0] != "builtins" else None
 
 
 def _sections(text: str) -> Mapping[str, str]:
