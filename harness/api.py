@@ -342,6 +342,11 @@ def simulate(
     with _make_plant(plant, options, hide) as made:
         from harness.rollout import perform
 
+        if note is not None and (held := getattr(made, "held", ())):
+            note(
+                f"{', '.join(held)}: from outside the plant, held over each sample of {made.spec.sample_time:g} s; "
+                "what is stiff within one is another law then (a smaller sample_time comes nearer)"
+            )
         streams = Streams(stream_key(plant), scenario, seed)
         experiment = made_scenario.prepare(made.spec, streams=streams, role=role)
         experiment = _started(experiment, options.get("start"))

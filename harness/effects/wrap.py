@@ -96,6 +96,12 @@ class WrappedPlant:
         """Tolerance of the plant inside (0: bit for bit)."""
         return float(getattr(self.plant, "snapshot_tolerance", 0.0))
 
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Effects that are forces: they are held over each sample."""
+        outputs = self.spec.outputs
+        return tuple(f"{stage.effect.name}@{outputs[stage.output].name}" for stage in self._forces)
+
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
         """Start anew; the hidden states of the effects start at rest."""
         y = np.array(self.plant.reset(rng=rng, x0=x0), dtype=float)

@@ -40,3 +40,21 @@ def test_a_plant_that_takes_none_gets_them_around_it() -> None:
     pytest.importorskip("pymunk")
     with api._make_plant("cart-pole-pymunk", {}, [("sensor_offset", "x", {"offset": 0.1})]) as made:
         assert isinstance(made, WrappedPlant)
+        assert made.held == ()
+
+
+@pytest.mark.parametrize(
+    ("plant", "effect", "said"),
+    [
+        ("cart-pole-pymunk", ("coulomb_friction", "x", {"Fc": 0.3}), True),
+        ("cart-pole-pymunk", ("input_delay", "u", {"tau": 0.02}), False),
+        ("cart-pole-ode", ("coulomb_friction", "x", {"Fc": 0.3}), False),
+    ],
+)
+def test_a_force_that_is_held_from_outside_is_said(
+    plant: str, effect: tuple[str, str, dict[str, float]], said: bool
+) -> None:
+    pytest.importorskip("pymunk")
+    notes: list[str] = []
+    api.simulate(plant, scenario="multisine", hide=[effect], scenario_options={"duration": 0.5}, note=notes.append)
+    assert any("held over each sample of 0.01 s" in text for text in notes) is said
