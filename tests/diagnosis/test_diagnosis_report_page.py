@@ -26,7 +26,8 @@ from harness.schemas import report_schema
 pytestmark = pytest.mark.slow  # whole loops
 
 EFFECT = {
-    "name": "input_compression", "at": "u", "may_be_part_of": "", "formula": "F", "summary": "A drive that tires.",
+    "name": "input_compression", "at": "u", "may_be_part_of": "", "given": False, "formula": "F",
+    "summary": "A drive that tires.",
     "parameters": {"c": {"value": 0.6, "low": 0.58, "high": 0.62, "unit": "1/N", "state": "determined",
                          "meaning": "share"}},
 }  # fmt: skip
@@ -255,7 +256,7 @@ def test_an_input_that_does_not_move_has_no_panel() -> None:
 
 def test_the_deciding_numbers_are_grouped() -> None:
     groups = numbers(POLICY)
-    assert set(groups) == {"policy", "effort", "data", "run", "plan", "arm"}
+    assert set(groups) == {"policy", "effort", "data", "run", "plan", "arm", "odd"}
     assert groups["policy"]["evidence"]["value"] == 5.0
     assert set(groups["effort"]) == set(EFFORT.__dataclass_fields__)
     assert set(report_schema()["properties"]["policy"]["properties"]) == set(groups)
