@@ -113,7 +113,7 @@ def test_a_simulated_closed_loop_records_what_came_from_outside(tmp_path) -> Non
 
 # ---- ties and the experiments that break them ---------------------------------------------------------------------
 
-STRIBECK = ("stribeck_friction", "theta", {"Fs": 0.08, "Fc": 0.05, "vs": 0.15, "w": 0.01})
+STRIBECK = ("stribeck_friction", "theta", {"Fs": 0.063, "Fc": 0.05, "vs": 0.15, "w": 0.01})
 LAG = ("actuator_lag", "u", {"tau": 0.01})
 
 
@@ -137,7 +137,7 @@ def records(hidden, scenario: str, options: dict, noise: float, seed: int, dt: f
 @pytest.mark.parametrize(
     ("hidden", "rival", "first", "noise", "scenario", "dt"),
     [
-        (STRIBECK, "coulomb_friction", {"amplitude": 1.6, "band": (0.2, 1.2)}, 1e-3, "triangle", 0.02),
+        (STRIBECK, "coulomb_friction", {"amplitude": 1.6, "band": (0.2, 1.2)}, 5e-3, "triangle", 0.02),
         (LAG, "input_delay", {"amplitude": 0.4, "band": (0.1, 0.5)}, 3e-3, "chirp", 0.01),
     ],
 )
