@@ -389,6 +389,12 @@ class ArmPolicy:
         "CAD is right within a tenth; a payload alone is one effect, and is named",
         "URDFs with masses halved or lengths times 0.7: 0.5 and more",
     )
+    reweighed: int = _number(
+        3,
+        "fits of another arm: the first weighs a joint by its torque, the others by what the one before left of it",
+        "the weights are those of the noise from the third on",
+        "an iiwa with lengths times 0.7: 0.16, 0.018 and 0.012 N m are left at its second joint",
+    )
     as_well: float = _number(
         2.0,
         "residual of another arm's torques over that of the effects that were found, up to which no joint is lost",

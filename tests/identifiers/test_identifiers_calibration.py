@@ -31,6 +31,23 @@ def pairs(plant, rng, *, count=100, noise=1e-3, reading_noise=0.0):
     return Trajectory(np.arange(count) * 0.1, q + reading_noise * rng.normal(size=q.shape), p, plant.spec)
 
 
+def places_by_bullet(urdf, q):
+    """Return where Bullet's own kinematics has the marker (N, 3) at postures (N, 7)."""
+    import pybullet as bullet
+
+    client, places = bullet.connect(bullet.DIRECT), []
+    try:
+        body = bullet.loadURDF(urdf, useFixedBase=True, physicsClientId=client)
+        for posture in q:
+            for joint, angle in enumerate(posture):
+                bullet.resetJointState(body, joint, angle, physicsClientId=client)
+            state = bullet.getLinkState(body, 6, computeForwardKinematics=True, physicsClientId=client)
+            places.append(bullet.multiplyTransforms(state[4], state[5], MARKER, (0, 0, 0, 1))[0])
+    finally:
+        bullet.disconnect(client)
+    return np.array(places)
+
+
 def test_exact_pairs_give_the_exact_offsets(plant):
     model = JointCalibration(marker=MARKER).fit([pairs(plant, np.random.default_rng(1), noise=0.0)], rng=RNG)
     for name, true in HIDDEN.items():
@@ -82,23 +99,12 @@ def test_a_marker_on_the_last_axis_says_nothing_of_the_last_offset():
 
 def test_offsets_of_bullet_are_found_through_bullets_own_kinematics():
     # The marker is seen by Bullet; the encoders are off by what is to be found.
-    bullet = pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet")
     import pybullet_data
 
-    client = bullet.connect(bullet.DIRECT)
-    try:
-        body = bullet.loadURDF(
-            f"{pybullet_data.getDataPath()}/kuka_iiwa/model.urdf", useFixedBase=True, physicsClientId=client
-        )
-        rng, offsets = np.random.default_rng(5), np.array([0.02, -0.01, 0.015, -0.03, 0.01, 0.02, -0.02])
-        q, p = rng.uniform(-1.5, 1.5, size=(60, 7)), []
-        for posture in q:
-            for joint, angle in enumerate(posture):
-                bullet.resetJointState(body, joint, angle, physicsClientId=client)
-            state = bullet.getLinkState(body, 6, computeForwardKinematics=True, physicsClientId=client)
-            p.append(bullet.multiplyTransforms(state[4], state[5], MARKER, (0, 0, 0, 1))[0])
-    finally:
-        bullet.disconnect(client)
+    rng, offsets = np.random.default_rng(5), np.array([0.02, -0.01, 0.015, -0.03, 0.01, 0.02, -0.02])
+    q = rng.uniform(-1.5, 1.5, size=(60, 7))
+    p = places_by_bullet(f"{pybullet_data.getDataPath()}/kuka_iiwa/model.urdf", q)
     spec = MarkedArmPlant(marker=MARKER).spec
     noisy = np.array(p) + 2e-4 * rng.normal(size=(60, 3))
     record = Trajectory(np.arange(60) * 0.1, q - offsets, noisy, spec)
@@ -168,7 +174,7 @@ def test_every_axis_of_an_arm_is_told_as_far_as_a_point_can_tell():
 
 def test_axes_that_bullet_turned_are_found_through_bullets_own_kinematics(tmp_path):
     """The arm that is measured is another file: its fourth axis is tilted by 5 mrad and lies 2 mm off."""
-    bullet = pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet")
     import pybullet_data
 
     source = Path(pybullet_data.getDataPath()) / "kuka_iiwa" / "model.urdf"
@@ -181,18 +187,9 @@ def test_axes_that_bullet_turned_are_found_through_bullets_own_kinematics(tmp_pa
     for mesh in [(link, part) for link in tree.iter("link") for part in link if part.tag in ("visual", "collision")]:
         mesh[0].remove(mesh[1])
     tree.write(tmp_path / "bent.urdf")
-    client = bullet.connect(bullet.DIRECT)
-    try:
-        body = bullet.loadURDF(str(tmp_path / "bent.urdf"), useFixedBase=True, physicsClientId=client)
-        rng, p = np.random.default_rng(11), []
-        q = rng.uniform(-1.6, 1.6, size=(160, 7))
-        for posture in q:
-            for joint, angle in enumerate(posture):
-                bullet.resetJointState(body, joint, angle, physicsClientId=client)
-            state = bullet.getLinkState(body, 6, computeForwardKinematics=True, physicsClientId=client)
-            p.append(bullet.multiplyTransforms(state[4], state[5], MARKER, (0, 0, 0, 1))[0])
-    finally:
-        bullet.disconnect(client)
+    rng = np.random.default_rng(11)
+    q = rng.uniform(-1.6, 1.6, size=(160, 7))
+    p = places_by_bullet(str(tmp_path / "bent.urdf"), q)
     spec = MarkedArmPlant(marker=MARKER).spec
     record = Trajectory(np.arange(100) * 0.1, q[:100], np.array(p[:100]) + 1e-4 * rng.normal(size=(100, 3)), spec)
     model = JointCalibration(marker=MARKER, axes=True).fit([record], rng=rng)

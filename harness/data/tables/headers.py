@@ -172,19 +172,23 @@ def clock_unit(title: str, *, path: bool = False) -> str | None:
             raise _no_time(title, word)
     if len(units) > 1:
         raise _no_time(title, " and ".join(sorted(units)))
-    if units:
-        return units.pop()
+    if not units:
+        _refuse_no_unit(title, plain, words, first, path=path)
+    return units.pop() if units else None
+
+
+def _refuse_no_unit(title: str, plain: str, words: Sequence[str], first: int | None, *, path: bool) -> None:
+    """Refuse a title without a unit of time that states something in its place: a count, a word, another unit."""
     for word in words:
         if word in COUNTS or re.fullmatch(r"\d+[^\W\d]+", word):
             raise _no_time(title, word)
     unknown = [] if path else [word for word in words[(first or 0) + 1 :] if not _silent(word)]
     stated = first is not None or re.search(r"[/,;|=]|\b(?:in|en|em)\b", plain.strip(" /,;|=")) is not None
-    if unknown and stated:  # what stands where a unit does
+    if unknown and stated:
         raise _no_time(title, unknown[0])
     for word in words[first + 1 :] if first is not None else ():
         if _says_unit(word) and word not in TIME_WORDS and word not in _BESIDE:
             raise _no_time(title, word)
-    return None
 
 
 def clock_of(titles: Sequence[str], taken: Collection[str] = ()) -> str | None:

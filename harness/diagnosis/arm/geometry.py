@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.records.motion import Motion
 from harness.models.damped import Damping, damped_descent
 from harness.physics.arms.arm import GRAVITY, ArmModel
@@ -21,8 +22,6 @@ __all__ = ["runs_of_another_arm"]
 
 DESCENT = Damping(start=1e-2, enough=1e-4, rounds=30)
 """Of the fit: what a cost falls by less than 0.01 % tells nothing more."""
-REWEIGHED = 3
-"""Fits: the first weighs a joint by its torque, the others by what the one before left of it."""
 
 
 def runs_of_another_arm(
@@ -96,7 +95,7 @@ def runs_of_another_arm(
 
     begin = np.concatenate([np.zeros(k), start])
     point, size = begin, np.sqrt(np.mean(np.concatenate(targets) ** 2, axis=0))
-    for _ in range(REWEIGHED):
+    for _ in range(ARM_POLICY.reweighed):
         point = fitted(point, np.maximum(size, 1e-300))
         size = np.sqrt(np.mean(residual(point) ** 2, axis=0))
 

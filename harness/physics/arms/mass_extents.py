@@ -11,7 +11,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.models.analysis import Findings, Takes
 from harness.physics.arms.inertial_fit import Bodies, Problem, extent_of
-from harness.physics.arms.mechanism import ArmMechanism
+from harness.physics.arms.mechanism import arm_of
 
 __all__ = ["MassExtents"]
 
@@ -45,15 +45,7 @@ class MassExtents:
         """Return the extents of the masses, by consistency alone and within the shapes."""
         from harness.physics.arms.inertia import is_consistent
 
-        mechanism = getattr(subject, "mechanism", None)
-        if not isinstance(mechanism, ArmMechanism):
-            raise InputError(
-                f"mass extents of {getattr(subject, 'name', type(subject).__name__)}",
-                expected="an arm read from a URDF, such as iiwa",
-                got="another model",
-                remedy="give a URDF",
-            )
-        arm = mechanism.arm
+        arm = arm_of(subject, "mass extents")
         joints = arm.arm.joints
         names = [joint.name for joint in joints]
         asked = list(self.bodies) if self.bodies is not None else [j.name for j in joints if j in arm.arm.moving]
@@ -99,4 +91,4 @@ class MassExtents:
         words = ["from exact torques of random motions"]
         if boxed is None:
             words.append("no shapes: only consistency bounds")
-        return Findings(f"mass extents of {mechanism.name}", table, words)
+        return Findings(f"mass extents of {arm.name}", table, words)

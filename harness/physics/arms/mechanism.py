@@ -18,7 +18,7 @@ from harness.physics.definition.parameters import Parameter
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import Channel
 
-__all__ = ["ArmMechanism", "arm_mechanism"]
+__all__ = ["ArmMechanism", "arm_mechanism", "arm_of"]
 
 SMALL = 3
 """So many moving joints are written out in symbols: a Lagrangian of four spatial joints has thousands of terms."""
@@ -255,3 +255,22 @@ def _energies(joints: Sequence[Joint], q: Any, v: Any, p: Any, g: Any) -> tuple[
         kinetic += m * speed.dot(speed) / 2 + speed.dot(spin.cross(first)) + spin.dot(inertia * spin) / 2
         potential += g * (m * place[2] + (turn * first)[2])
     return kinetic, potential
+
+
+def arm_of(subject: Any, what: str) -> ArmModel:
+    """Return the arm that a model was read from, or refuse the model.
+
+    Raises
+    ------
+    InputError
+        If it is no arm; ``what`` was asked of it.
+    """
+    mechanism = getattr(subject, "mechanism", None)
+    if not isinstance(mechanism, ArmMechanism):
+        raise InputError(
+            f"{what} of {getattr(subject, 'name', type(subject).__name__)}",
+            expected="an arm read from a URDF or MJCF, such as iiwa",
+            got="another model",
+            remedy="give a URDF",
+        )
+    return mechanism.arm

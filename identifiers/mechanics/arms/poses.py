@@ -80,16 +80,9 @@ class CalibrationPoses:
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return the postures, and the deviations that they leave."""
         from harness.physics.arms.marked_arm import MarkedArm
-        from harness.physics.arms.mechanism import ArmMechanism
+        from harness.physics.arms.mechanism import arm_of
 
-        mechanism = getattr(subject, "mechanism", None)
-        if not isinstance(mechanism, ArmMechanism):
-            raise InputError(
-                f"postures of {getattr(subject, 'name', type(subject).__name__)}",
-                expected="an arm read from a URDF or MJCF, such as iiwa",
-                got="another model",
-                remedy="give a URDF",
-            )
+        own = arm_of(subject, "postures")
         if self.criterion not in ("D", "A", "E") or not 2 <= self.postures <= self.among or not self.noise > 0:
             raise InputError(
                 "options of calibration-poses",
@@ -97,7 +90,7 @@ class CalibrationPoses:
                 got=f"{self.criterion}, {self.postures}, {self.among}, {self.noise}",
                 remedy="correct them",
             )
-        arm = MarkedArm(mechanism.arm, self.marker)
+        arm = MarkedArm(own, self.marker)
         names = free_parameters(arm, self.fixed, lengths=self.lengths, axes=self.axes, free_marker=self.free_marker,
                                 camera=self.camera)  # fmt: skip
         q, places = self._reachable(arm, rng)
@@ -135,7 +128,7 @@ class CalibrationPoses:
         ]  # fmt: skip
         details = {"names": names, "postures": q[chosen], "deviations": deviations[0], "random": usual,
                    "told": [bool(sure) for sure in known], "index": index[0]}  # fmt: skip
-        title = f"postures that calibrate {mechanism.arm.name}"
+        title = f"postures that calibrate {own.name}"
         return Findings(title, table, words, details, lambda: _drawn(title, names, known, deviations[0], usual))
 
     def _reachable(self, arm: MarkedArm, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
