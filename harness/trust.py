@@ -213,7 +213,7 @@ def _is_code(path: Path) -> bool:
             return False
         with zipfile.ZipFile(path) as archive:
             return any(name in DESCRIPTIONS for name in archive.namelist())
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # what cannot be read is no library; its reader says why
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # no library; who reads it says why
         return False
 
 
