@@ -19,7 +19,7 @@ from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.physics.compiled import ccode
+from harness.physics.compiled import compilation
 from harness.physics.compiled.simulator import Simulator
 
 SAMPLES, DT, TURNS, BUILDS = 5000, 0.004, 40, 5
@@ -35,7 +35,7 @@ def simulator(name: str, left_out: tuple[str, ...]) -> tuple[Simulator, float]:
     seconds = np.inf
     for _ in range(BUILDS):
         with tempfile.TemporaryDirectory() as folder, patch.dict(os.environ, SYSID_HARNESS_CACHE=folder):
-            with patch.object(ccode, "_shortened", lambda level: left_out):
+            with patch.object(compilation, "_shortened", lambda level: left_out):
                 made = Simulator(system, DT, backend="c")
                 before = resource.getrusage(resource.RUSAGE_CHILDREN)
                 made.library(sensitivities=True)
@@ -58,7 +58,7 @@ def main() -> int:
     worst = [0.0, 0.0]
     same = True
     for name in PLACED:
-        short, compiled = simulator(name, ccode.LEFT_OUT)
+        short, compiled = simulator(name, compilation.LEFT_OUT)
         plain, before = simulator(name, ())
         same &= all(np.array_equal(a, b, equal_nan=True) for a, b in zip(run(short), run(plain), strict=True))
         best = [np.inf, np.inf]

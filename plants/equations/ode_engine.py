@@ -22,11 +22,11 @@ class Engine:
     """One sample at a time through the compiled rollout, buffers allocated once; CasADi where there is no compiler."""
 
     def __init__(self, simulator: Any, p: FloatArray) -> None:
-        from harness.fmi.build import compiler
+        from harness.physics.compiled.compilation import compiles
 
         self.simulator, self.p = simulator, np.ascontiguousarray(p)
         self.nu, self.nx, self.ny = simulator.spec.nu, simulator.nx, simulator.spec.ny
-        self._library = None if compiler() is None else simulator.library()
+        self._library = simulator.library() if compiles() else None
         if self._library is not None:
             self._x0, self._u, self._t = np.zeros((1, self.nx)), np.zeros((1, 2, self.nu)), np.zeros(1)
             self._xs, self._ys = np.zeros((1, 2, self.nx)), np.zeros((1, 2, self.ny))

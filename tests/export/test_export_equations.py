@@ -20,7 +20,7 @@ from harness.effects.effect import Placed
 from harness.errors import InputError
 from harness.export.equations import WrittenModel, written_model
 from harness.fmi.build import compiler
-from harness.physics.compiled.ccode import Compilation
+from harness.physics.compiled.compilation import Compilation
 from harness.physics.lumps.lumped_model import lumped
 from harness.physics.models import load_model
 

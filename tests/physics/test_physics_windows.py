@@ -9,7 +9,7 @@ import pytest
 from harness.effects import compose, place_all
 from harness.fmi.build import compiler
 from harness.physics import Parameter, SampledBlock, models
-from harness.physics.compiled import ccode
+from harness.physics.compiled import compilation
 from harness.physics.compiled.windows import Windows
 from harness.physics.fitting.levenberg import minimise, minimise_states
 from harness.signals import PlantSpec, Trajectory
@@ -183,6 +183,6 @@ def test_fits_end_where_those_of_the_virtual_machine_end(make):
 def test_code_for_another_processor_is_another_file(monkeypatch):
     known = {}
     for flags in ((), ("-mavx2",)):
-        monkeypatch.setattr(ccode, "_machine_flags", lambda flags=flags: flags)
-        known[flags] = ccode.Compilation("int one(void) { return 1; }").path
+        monkeypatch.setattr(compilation, "_machine_flags", lambda flags=flags: flags)
+        known[flags] = compilation.Compilation("int one(void) { return 1; }").path
     assert known[()] != known["-mavx2",]

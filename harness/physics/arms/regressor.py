@@ -11,7 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.physics.arms.joints import MOVING, Joint
-from harness.physics.compiled.ccode import Compilation, c_function, dense
+from harness.physics.compiled.ccode import c_function, dense
+from harness.physics.compiled.compilation import Compilation
 from harness.signals import FloatArray
 
 __all__ = ["ArmRegressor", "Form", "symbolic_regressor"]

@@ -7,19 +7,26 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-from harness.physics.compiled.ccode import Compilation
-from harness.physics.compiled.rollout_source import SAMPLE
+from harness.physics.compiled.compilation import Compilation
+from harness.physics.compiled.rollout_source import BLOCK, SAMPLE
 from harness.signals import FloatArray
 
 __all__ = ["JOB", "filter_kernels", "kernel_source", "smoother_kernels", "smoother_source"]
 
 _LAYOUT = """\
 /* Matrices of states as rows of blocks: NB blocks hold a row. */
-#define NB ((NX + 3)/4)
+#define NB ((NX + W - 1)/W)
 #define AT(m, i, k) (((double *)(m[i]))[k])
-/* Derivatives by logarithms of the noise: s, tau, w of every latent force, r of every output, four to a block. */
+/* Derivatives by logarithms of the noise: s, tau, w of every latent force, r of every output. */
 #define NN (3*NL + NY)
-#define MB ((NN + 3)/4)"""
+#define MB ((NN + W - 1)/W)
+#if W > 1
+#define OVER_NB(...) for (k = 0; k < NB; k++) { __VA_ARGS__ }
+#define OVER_MB(...) for (m = 0; m < MB; m++) { __VA_ARGS__ }
+#else /* a compiler that unrolls nothing */
+#define OVER_NB(...) { EACH_K }
+#define OVER_MB(...) { EACH_M }
+#endif"""
 
 JOB = """\
 /* What a system does: over a row of the inputs in many steps of h, and at a row. */
@@ -56,7 +63,13 @@ def kernel_source(nx: int, ny: int, nl: int) -> str:
     >>> kernel_source(3, 1, 1).splitlines()[0]
     '#define NX 3'
     """
-    return f"#define NX {nx}\n#define NY {ny}\n#define NL {nl}\n{_HEAD}\n{SAMPLE}\n{_LAYOUT}\n{JOB}\n{_STEPS}\n{_RUN}\n"
+    layout = _LAYOUT.replace("EACH_K", _each("k", nx)).replace("EACH_M", _each("m", 3 * nl + ny))
+    return f"#define NX {nx}\n#define NY {ny}\n#define NL {nl}\n{_HEAD}\n{SAMPLE}\n{layout}\n{JOB}\n{_STEPS}\n{_RUN}\n"
+
+
+def _each(name: str, count: int) -> str:
+    """Return the C text of a statement for every value of a name."""
+    return " ".join(f"{{ enum {{ {name} = {value} }}; __VA_ARGS__ }}" for value in range(count))
 
 
 def smoother_source(nx: int, ny: int) -> str:
@@ -125,11 +138,13 @@ def smoother_kernels(nx: int, ny: int) -> SmootherKernels | None:
     return None if library is None else SmootherKernels(library)
 
 
-_HEAD = """\
+_HEAD = (
+    """\
 #include <math.h>
 #include <stddef.h>
-typedef double block __attribute__((vector_size(32), may_alias));
-#define LANE(b, l) (((double *)(b))[l])"""
+"""
+    + BLOCK
+)
 
 _STEPS = """\
 /* The reading of an output with row co, variance r of its noise and innovation e (NaN: not measured), the o-th: its
@@ -141,30 +156,51 @@ static double sysid_read(block (*P)[NB], const double *co, double r, double e, d
   const double *Pc = (const double *)pc;
   double s = r;
   int i, k, m;
-  for (k = 0; k < NB; k++) pc[k] = none;
-  for (i = 0; i < NX; i++)
-    if (co[i] != 0.0) for (k = 0; k < NB; k++) pc[k] += co[i]*P[i][k];
+  OVER_NB(pc[k] = none;)
+  for (i = 0; i < NX; i++) {
+    const double f = co[i];
+    const block *row = P[i];
+    if (f != 0.0) OVER_NB(pc[k] += f*row[k];)
+  }
   for (i = 0; i < NX; i++) s += co[i]*Pc[i];
   if (isnan(e) || !(s > 0.0) || !isfinite(s)) {
     if (dP) for (i = 0; i < NN; i++) by_e[i] = by_s[i] = 0.0;
     return s;
   }
   for (i = 0; i < NX; i++) K[i] = Pc[i]/s;
-  for (i = 0; i < NX; i++) for (k = 0; k < NB; k++) P[i][k] -= K[i]*pc[k];
-  if (!dP) return s;
-  for (m = 0; m < MB; m++) ds[m] = de[m] = none;
   for (i = 0; i < NX; i++) {
-    for (m = 0; m < MB; m++) dpc[i][m] = none;
-    for (k = 0; k < NX; k++)
-      if (co[k] != 0.0) for (m = 0; m < MB; m++) dpc[i][m] += co[k]*dP[i][k][m];
-    if (co[i] != 0.0) for (m = 0; m < MB; m++) { ds[m] += co[i]*dpc[i][m]; de[m] -= co[i]*dx[i][m]; }
+    const double f = K[i];
+    block *row = P[i];
+    OVER_NB(row[k] -= f*pc[k];)
+  }
+  if (!dP) return s;
+  OVER_MB(ds[m] = de[m] = none;)
+  for (i = 0; i < NX; i++) {
+    block *to = dpc[i];
+    OVER_MB(to[m] = none;)
+    for (k = 0; k < NX; k++) {
+      const double f = co[k];
+      const block *from = dP[i][k];
+      if (f != 0.0) OVER_MB(to[m] += f*from[m];)
+    }
+    if (co[i] != 0.0) {
+      const double f = co[i];
+      const block *from = dx[i];
+      OVER_MB(ds[m] += f*to[m]; de[m] -= f*from[m];)
+    }
   }
   LANE(ds, 3*NL + o) += 2.0*r;
   for (i = 0; i < NX; i++) {
-    for (m = 0; m < MB; m++) dx[i][m] += (dpc[i][m] - K[i]*ds[m])*(e/s) + K[i]*de[m];
-    for (k = 0; k <= i; k++)
-      for (m = 0; m < MB; m++)
-        dP[i][k][m] = dP[k][i][m] = dP[i][k][m] - K[k]*dpc[i][m] - K[i]*dpc[k][m] + (K[i]*K[k])*ds[m];
+    const double f = K[i], by = e/s;
+    const block *row = dpc[i];
+    block *moved = dx[i];
+    OVER_MB(moved[m] += (row[m] - f*ds[m])*by + f*de[m];)
+    for (k = 0; k <= i; k++) {
+      const double g = K[k], both = f*g;
+      const block *other = dpc[k];
+      block *here = dP[i][k], *there = dP[k][i];
+      OVER_MB(here[m] = there[m] = here[m] - g*row[m] - f*other[m] + both*ds[m];)
+    }
   }
   for (i = 0; i < NN; i++) { by_e[i] = LANE(de, i); by_s[i] = LANE(ds, i)/s; }
   return s;
@@ -177,44 +213,57 @@ static void sysid_step(block (*P)[NB], block (*F)[NB], const double *x, const do
   const block none = {0};
   block FP[NX][NB], Ft[NX][NB];
   int i, k, m, o;
-  for (i = 0; i < NX; i++) for (k = 0; k < NB; k++) Ft[i][k] = none;
+  for (i = 0; i < NX; i++) OVER_NB(Ft[i][k] = none;)
   for (i = 0; i < NX; i++) for (k = 0; k < NX; k++) AT(Ft, k, i) = AT(F, i, k);
   for (i = 0; i < NX; i++) {
-    for (k = 0; k < NB; k++) FP[i][k] = AT(F, i, 0)*P[0][k];
+    const double first = AT(F, i, 0);
+    block *to = FP[i];
+    OVER_NB(to[k] = first*P[0][k];)
     for (o = 1; o < NX; o++) {
       const double f = AT(F, i, o);
-      if (f != 0.0) for (k = 0; k < NB; k++) FP[i][k] += f*P[o][k];
+      const block *from = P[o];
+      if (f != 0.0) OVER_NB(to[k] += f*from[k];)
     }
   }
   for (i = 0; i < NX; i++) {
-    for (k = 0; k < NB; k++) P[i][k] = AT(FP, i, 0)*Ft[0][k];
+    const double first = AT(FP, i, 0);
+    block *to = P[i];
+    OVER_NB(to[k] = first*Ft[0][k];)
     for (o = 1; o < NX; o++) {
       const double f = AT(FP, i, o);
-      for (k = 0; k < NB; k++) P[i][k] += f*Ft[o][k];
+      const block *from = Ft[o];
+      OVER_NB(to[k] += f*from[k];)
     }
   }
   if (dP) {
     block FdP[NX][NX][MB], moved[NX][MB];
     for (i = 0; i < NX; i++) {
-      for (m = 0; m < MB; m++) moved[i][m] = none;
-      for (k = 0; k < NX; k++) for (m = 0; m < MB; m++) FdP[i][k][m] = none;
+      block *to = moved[i];
+      OVER_MB(to[m] = none;)
+      for (k = 0; k < NX; k++) OVER_MB(FdP[i][k][m] = none;)
       for (o = 0; o < NX; o++) {
         const double f = AT(F, i, o);
+        const block *from = dx[o];
         if (f == 0.0) continue;
-        for (m = 0; m < MB; m++) moved[i][m] += f*dx[o][m];
-        for (k = 0; k < NX; k++) for (m = 0; m < MB; m++) FdP[i][k][m] += f*dP[o][k][m];
+        OVER_MB(to[m] += f*from[m];)
+        for (k = 0; k < NX; k++) {
+          const block *row = dP[o][k];
+          block *into = FdP[i][k];
+          OVER_MB(into[m] += f*row[m];)
+        }
       }
     }
     for (i = 0; i < NX; i++) {
-      for (m = 0; m < MB; m++) dx[i][m] = moved[i][m];
+      OVER_MB(dx[i][m] = moved[i][m];)
       for (k = 0; k <= i; k++) {
-        block sum[MB];
-        for (m = 0; m < MB; m++) sum[m] = none;
+        block sum[MB], *here = dP[i][k], *there = dP[k][i];
+        OVER_MB(sum[m] = none;)
         for (o = 0; o < NX; o++) {
           const double f = AT(F, k, o);
-          if (f != 0.0) for (m = 0; m < MB; m++) sum[m] += f*FdP[i][o][m];
+          const block *from = FdP[i][o];
+          if (f != 0.0) OVER_MB(sum[m] += f*from[m];)
         }
-        for (m = 0; m < MB; m++) dP[i][k][m] = dP[k][i][m] = sum[m];
+        OVER_MB(here[m] = there[m] = sum[m];)
       }
     }
     for (o = 0; o < NL; o++) {
@@ -261,7 +310,7 @@ static void copy(double *to, const double *from, int n) {
 int sysid_run(filter_job *in, sample here, long nu, long nw, advancing *advance, reading *outputs, block *z, block *b,
               void *room) {
   const double h = in->dt/(double)in->substeps;
-  const int chosen = (int)in->chosen, blocks = (chosen + 3)/4, all = blocks + NB;
+  const int chosen = (int)in->chosen, blocks = (chosen + W - 1)/W, all = blocks + NB;
   const block none = {0};
   block P[NX][NB], F[NX][NB], dP[NX][NX][MB], dx[NX][MB], *unit = z + blocks*NX;
   double x[NX], prior[NX], y[NY], c[NY*NX], K[NX];
@@ -311,7 +360,7 @@ int sysid_run(filter_job *in, sample here, long nu, long nw, advancing *advance,
           for (i = 0; i < NX; i++) v -= co[i]*z[k4*NX + i];
           for (i = 0; i < NX; i++) z[k4*NX + i] += K[i]*v;
           if (in->j)
-            for (i = 0; i < 4 && 4*k4 + i < chosen; i++) in->j[at_row*chosen + 4*k4 + i] = v[i];
+            for (i = 0; i < W && W*k4 + i < chosen; i++) in->j[at_row*chosen + W*k4 + i] = LANE(&v, i);
         }
         if (in->gain) copy(in->gain + at_row*NX, K, NX);
         if (in->row) copy(in->row + at_row*NX, co, NX);
@@ -322,7 +371,7 @@ int sysid_run(filter_job *in, sample here, long nu, long nw, advancing *advance,
     }
     if (last) break;
     for (i = 0; i < NX*NB; i++) unit[i] = none;
-    for (i = 0; i < NX; i++) LANE(&unit[(i/4)*NX + i], i%4) = 1.0;
+    for (i = 0; i < NX; i++) LANE(&unit[(i/W)*NX + i], i%W) = 1.0;
     advance(&here, time, h, in->substeps, x, z, all, room);
     for (m = 0; m < NL; m++) { /* the latent forces fade, the white ones act during this sample only */
       const int l = NX - NL + m;

@@ -95,16 +95,16 @@ int sysid_filter(filter_job *in) {
   tangent at[4];
   int place[ROOM(2*NS)], i, k;
   long sources = 0;
-  for (i = 0; i < NS; i++) { place[i] = BLOCKS*NX*4; place[NS + i] = BLOCKS*NY*4; }
+  for (i = 0; i < NS; i++) { place[i] = BLOCKS*NX*W; place[NS + i] = BLOCKS*NY*W; }
   for (i = 0; i < chosen; i++) {
-    place[in->columns[i]] = (i/4)*NX*4 + i%4;
-    place[NS + in->columns[i]] = (i/4)*NY*4 + i%4;
+    place[in->columns[i]] = (i/W)*NX*W + i%W;
+    place[NS + in->columns[i]] = (i/W)*NY*W + i%W;
     sources = sources || in->columns[i] < NP;
   }
   for (k = 0; k < 4; k++) for (i = 0; i < (BLOCKS + 1)*NX; i++) at[k].b[i] = none;
   for (i = 0; i < (BLOCKS + 1)*NY; i++) b[i] = none;
   for (i = 0; i < (BLOCKS + 1)*NX; i++) z[i] = none;
-  for (i = 0; i < NX; i++) ((double *)z)[place[NP + i] + 4*i] = 1.0;
+  for (i = 0; i < NX; i++) ((double *)z)[place[NP + i] + W*i] = 1.0;
   for (i = 0; i < NX; i++) z[BLOCKS*NX + i] = none;
   {
     const sample first = {in->u, in->u, in->d, in->d, in->p, place, in->foh, sources};

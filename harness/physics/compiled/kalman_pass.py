@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from harness.physics.compiled.ccode import Compilation
+from harness.physics.compiled.compilation import Compilation
 from harness.physics.compiled.filter_kernels import filter_kernels
 from harness.physics.compiled.filter_machine import FilterMachine, Wanted
 from harness.physics.compiled.filter_source import filter_source

@@ -9,7 +9,7 @@ from harness.physics.compiled.ccode import FINE, c_function, near_zero
 if TYPE_CHECKING:
     from harness.physics.compiled.rollout_code import Functions, Linear
 
-__all__ = ["RUNGE_KUTTA", "SAMPLE", "STAGE", "rollout_source", "shared_source"]
+__all__ = ["BLOCK", "RUNGE_KUTTA", "SAMPLE", "STAGE", "rollout_source", "shared_source"]
 
 
 def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tuple[int, ...]) -> str:
@@ -125,7 +125,7 @@ def _look(parts: Linear) -> str:
     rows = range(parts.value.shape[0])
     lines = [f"  y[{i}] = {_terms(parts, i, 's', 'a', 'b')};" for i in rows]
     reads = [f"  block s{i} = s[{i}];" for i in sorted({column for _, column, _ in parts.entries("by_x")})]
-    product = " + ".join(f"column[{i}][k]*y[{i}]" for i in rows)
+    product = " + ".join(f"LANE(&column[{i}], k)*y[{i}]" for i in rows)
     return "\n".join(
         [
             "static void look_block(const double *a, const block *b, const block *s, block *y) {",
@@ -146,7 +146,7 @@ def _source(name: str, parts: Linear, delay_columns: tuple[int, ...]) -> str:
     lines = []
     own = parts.entries("by_p")
     for place, (row, column, _) in enumerate(own):
-        lines.append(f"  to[place[{column}] + {4 * row}] = b[{place}];")
+        lines.append(f"  to[place[{column}] + W*{row}] = b[{place}];")
     taken = {(row, column) for row, column, _ in own}
     by_row: dict[int, list[str]] = {}
     for place, (row, column, _) in enumerate(parts.entries("by_u")):
@@ -155,7 +155,7 @@ def _source(name: str, parts: Linear, delay_columns: tuple[int, ...]) -> str:
         for row, terms in by_row.items():
             how = "+=" if (row, column) in taken else "="
             total = " + ".join(terms).replace("DELAY", str(delay))
-            lines.append(f"  to[place[{column}] + {4 * row}] {how} {total};")
+            lines.append(f"  to[place[{column}] + W*{row}] {how} {total};")
     head = f"static inline void {name}_source(const double *b, const double *f, const double *d, const int *place,"
     return "\n".join([head, "    double *to) {", "  (void)b; (void)f; (void)d; (void)place; (void)to;", *lines, "}"])
 
@@ -164,12 +164,23 @@ SAMPLE = """\
 /* What a step sees of the inputs, here and at the next row, of their derivatives d, and of the parameters. */
 typedef struct { const double *u, *u_next, *d, *d_next, *p; const int *place; long foh, sources; } sample;"""
 
+BLOCK = """\
+/* Numbers side by side in a register; one where the compiler knows no vectors. */
+#ifdef __TINYC__
+#define W 1
+typedef double block;
+#else
+#define W 4
+typedef double block __attribute__((vector_size(32), may_alias));
+#endif
+#define LANE(b, l) (((double *)(b))[l])"""
+
 _TYPES = """\
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 #define NW (NU*ND)
-#define BLOCKS ((NS + EXTRA + 3)/4)
+#define BLOCKS ((NS + EXTRA + W - 1)/W)
 
-typedef double block __attribute__((vector_size(32), may_alias));
+BLOCK
 
 /* What the roll-outs of some windows of equal length take and give; see Simulator. */
 typedef struct {
@@ -188,7 +199,7 @@ SAMPLE
 static void blend(const double *a, const double *b, double share, int n, double *out) {
   int i;
   for (i = 0; i < n; i++) out[i] = share == 1.0 ? b[i] : a[i] + (b[i] - a[i])*share;
-}""".replace("SAMPLE", SAMPLE)
+}""".replace("SAMPLE", SAMPLE).replace("BLOCK\n", BLOCK + "\n")
 
 _TANGENT = """\
 /* A and B of a stage. */
@@ -243,11 +254,11 @@ static void clear(tangent *at, columns *s, const job *in, int *place) {
   const block none = {0};
   int i, k;
   s->chosen = (int)in->chosen;
-  s->blocks = (s->chosen + 3)/4;
-  for (i = 0; i < NS; i++) { place[i] = BLOCKS*NX*4; place[NS + i] = BLOCKS*NY*4; }
+  s->blocks = (s->chosen + W - 1)/W;
+  for (i = 0; i < NS; i++) { place[i] = BLOCKS*NX*W; place[NS + i] = BLOCKS*NY*W; }
   for (i = 0; i < s->chosen; i++) {
-    place[in->columns[i]] = (i/4)*NX*4 + i%4;
-    place[NS + in->columns[i]] = (i/4)*NY*4 + i%4;
+    place[in->columns[i]] = (i/W)*NX*W + i%W;
+    place[NS + in->columns[i]] = (i/W)*NY*W + i%W;
   }
   for (k = 0; k < 4; k++) for (i = 0; i < (BLOCKS + 1)*NX; i++) at[k].b[i] = none;
   for (i = 0; i < (BLOCKS + 1)*NY; i++) s->b[i] = none;
@@ -258,7 +269,7 @@ static void begin(columns *s, const int *place) {
   const block none = {0};
   int i, k;
   for (i = 0; i < (BLOCKS + 1)*NX; i++) s->s[i] = none;
-  for (i = 0; i < NX; i++) ((double *)s->s)[place[NP + i] + 4*i] = 1.0;
+  for (i = 0; i < NX; i++) ((double *)s->s)[place[NP + i] + W*i] = 1.0;
   for (k = 0; k < BLOCKS; k++) s->gradient[k] = none;
   for (i = 0; i < NS; i++) for (k = 0; k < BLOCKS; k++) s->gram[i][k] = none;
   for (i = 0; i < NY; i++) s->squares[i] = 0.0;
@@ -281,7 +292,7 @@ static void reading(const double *x, const sample *in, double t, columns *s, dou
 static void give(const columns *s, double *out) {
   int i, c;
   for (i = 0; i < NY; i++)
-    for (c = 0; c < s->chosen; c++) *out++ = s->y[c/4][i][c & 3];
+    for (c = 0; c < s->chosen; c++) *out++ = LANE(&s->y[c/W][i], c%W);
 }
 
 /* Add a sample to the sums: r'r, J'r and the upper triangle of J'J. */
@@ -302,7 +313,7 @@ static void add(columns *s, const job *in, const double *y, const double *measur
     for (c = 0; c < s->blocks; c++) { s->y[c][i] *= weight; s->gradient[c] += r*s->y[c][i]; }
   }
   for (k = 0; k < s->chosen; k++) {
-    for (c = k/4; c < s->blocks; c++) s->gram[k][c] += product(s->y[k/4], k & 3, s->y[c]);
+    for (c = k/W; c < s->blocks; c++) s->gram[k][c] += product(s->y[k/W], k%W, s->y[c]);
   }
 }
 
@@ -312,11 +323,11 @@ static void total(columns *s, const job *in, long window, int whole, double cost
   int i, k;
   whole = whole && isfinite(cost);
   for (k = 0; k < s->chosen; k++)
-    for (i = k; i < s->chosen; i++) whole = whole && isfinite(s->gram[k][i/4][i & 3]);
+    for (i = k; i < s->chosen; i++) whole = whole && isfinite(LANE(&s->gram[k][i/W], i%W));
   for (k = 0; k < s->chosen; k++) {
-    gradient[in->columns[k]] = whole ? s->gradient[k/4][k & 3] : NAN;
+    gradient[in->columns[k]] = whole ? LANE(&s->gradient[k/W], k%W) : NAN;
     for (i = k; i < s->chosen; i++) {
-      const double value = whole ? s->gram[k][i/4][i & 3] : NAN;
+      const double value = whole ? LANE(&s->gram[k][i/W], i%W) : NAN;
       gram[in->columns[k]*NS + in->columns[i]] = gram[in->columns[i]*NS + in->columns[k]] = value;
     }
   }

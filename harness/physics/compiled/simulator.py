@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from harness.errors import InputError
-from harness.fmi.build import compiler
-from harness.physics.compiled.ccode import FINE, Compilation, without_signs
+from harness.physics.compiled.ccode import FINE, without_signs
+from harness.physics.compiled.compilation import Compilation, compiles
 from harness.physics.compiled.rollout_call import Sums, all_columns, call_rollout
 from harness.physics.compiled.rollout_code import Functions
 from harness.physics.compiled.rollout_source import rollout_source
@@ -144,7 +144,7 @@ class Simulator:
         self.functions, self.sampled = Functions(system), SampledBlocks(system, self.dt, held=intersample == "zoh")
         self._compilation: dict[bool, Compilation] = {}
         self._work = 0
-        self._compiles = compiler() is not None
+        self._compiles = compiles()
         if backend == "c" and not self._compiles:
             remedy = 'install one, or use backend "casadi"'
             raise InputError("no C compiler", expected="gcc or cc", got="none", remedy=remedy)
