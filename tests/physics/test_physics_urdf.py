@@ -40,6 +40,24 @@ def test_limits_are_those_of_the_file() -> None:
     assert arm.moving[1].upper == pytest.approx(2.0944, abs=1e-4)
 
 
+def test_the_world_needs_no_declaration(tmp_path: Path) -> None:
+    text = """<robot name="r"><link name="base"/>
+    <link name="arm"><inertial><origin xyz="0 0 -1"/><mass value="2"/>
+      <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+    <joint name="weld" type="fixed"><parent link="PARENT"/><child link="base"/></joint>
+    <joint name="j" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="1 0 0"/></joint></robot>"""
+    for parent, declared in (("world", False), ("world", True), ("ground", True)):
+        file = tmp_path / f"{parent}-{declared}.urdf"
+        link = f'<link name="{parent}"/>' if declared else ""
+        file.write_text(text.replace("PARENT", parent).replace("<link", f"{link}<link", 1), encoding="utf-8")
+        arm = load_urdf(file)
+        assert arm.n == 1
+        assert arm.inverse_dynamics([0.3], [0.0], [0.0])[0] == pytest.approx(2 * 9.81 * np.sin(0.3))
+    file.write_text(text.replace("PARENT", "ground"), encoding="utf-8")
+    with pytest.raises(InputError, match="joint weld"):
+        load_urdf(file)
+
+
 def test_mass_matrix_is_symmetric_and_positive() -> None:
     arm = load_urdf(Path(pybullet_data.getDataPath()) / "kuka_iiwa/model.urdf")
     matrix = arm.mass_matrix(np.linspace(-1, 1, 7))

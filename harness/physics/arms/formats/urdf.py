@@ -27,6 +27,10 @@ __all__ = [
 ]
 
 
+WORLD = "world"
+"""The link that needs no declaration: what a robot is fastened to, as Drake and ROS read it."""
+
+
 def load_urdf(path: str | Path) -> Arm:
     """Read a robot with a fixed base.
 
@@ -58,7 +62,9 @@ def load_urdf(path: str | Path) -> Arm:
             "not a URDF", expected="a <robot> with links", got=f"<{root.tag}>", remedy="check the file", file=file
         )
     elements = root.findall("joint")
-    children = {_end(element, "child", bodies, file) for element in elements}
+    if WORLD not in bodies and WORLD in {parent.get("link") for parent in root.iterfind("joint/parent")}:
+        bodies[WORLD] = 0.0, np.zeros(3), np.zeros((3, 3))
+    children, _ = ({_end(element, end, bodies, file) for element in elements} for end in ("child", "parent"))
     roots = [name for name in bodies if name not in children]
     if len(roots) != 1 or len(children) != len(elements):
         raise InputError(
