@@ -9,6 +9,8 @@ from __future__ import annotations
 import difflib
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from unicodedata import category
 
@@ -18,6 +20,7 @@ __all__ = [
     "InputError",
     "PlantError",
     "PluginError",
+    "as_written",
     "no_file",
     "printable",
     "refuse_no_file",
@@ -108,6 +111,42 @@ class InputError(HarnessError):
             file=self.file if self.file is not None else file,
             place=self.place if self.place is not None else place,
         )
+
+
+@contextmanager
+def as_written(file: str | Path, wanted: str) -> Iterator[None]:
+    """Refuse, in one line, a file whose content is not what sysid wrote, where reading it meets something else.
+
+    Parameters
+    ----------
+    file : path
+    wanted : str
+        What it should be.
+
+    Raises
+    ------
+    InputError
+        In place of what reading content of another shape raises.
+
+    Examples
+    --------
+    >>> try:
+    ...     with as_written("report.json", "report.json of sysid close-loop"):
+    ...         {}["verdict"]
+    ... except InputError as error:
+    ...     print(error.what, error.expected)
+    damaged content report.json of sysid close-loop, as it was written
+    """
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise InputError(
+            "damaged content",
+            expected=f"{wanted}, as it was written",
+            got=f"{type(error).__name__}: {' '.join(str(error).split())[:160]}",
+            remedy="restore the file, or have it written anew",
+            file=file,
+        ) from error
 
 
 def no_file(path: str | Path) -> str:

@@ -171,8 +171,9 @@ def traced(room: str, folder: Path) -> tuple[dict[str, set[tuple[str, int]]], di
     text = TRACER.format(root=str(folder), files=str(folder / place), out=str(out))
     (folder / "reached.py").write_text(text, encoding="utf-8")
     code, line = run_tests(folder, [place, *tests, "-p", "reached"])
-    if not out.is_file():
-        raise SystemExit(f"{room}: its tests did not run: {code} {line}")
+    failed = line.startswith(("FAILED", "ERROR"))  # what stands behind it is not run: its lines would seem unreached
+    if failed or not out.is_file():
+        raise SystemExit(f"{room}: its tests do not pass unharmed: {code} {line}")
     told = json.loads(out.read_text(encoding="utf-8"))
     out.unlink()
     return {name: set(map(tuple, lines)) for name, lines in told["reached"].items()}, told["lasted"]

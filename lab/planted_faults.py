@@ -26,7 +26,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 LIST = Path(__file__).with_suffix(".toml")
-TREE = ("harness", "plants", "identifiers", "scenarios", "tests", "pyproject.toml")
+TREE = ("harness", "plants", "identifiers", "scenarios", "tests", "examples", "docs", "pyproject.toml")
 AIM = 0.9
 LIMIT = 900.0
 """Seconds for the tests of one fault."""

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from harness.data.tables.headers import clock_of
 from harness.data.tables.table import Table
 from harness.errors import InputError
 from harness.protocols import Experiment
@@ -20,8 +21,6 @@ __all__ = ["ReplayedInput"]
 
 ON_GRID = 1e-6
 """Part of a sample by which a stamp may miss an instant: what is lost by writing a time with nine digits."""
-CLOCKS = ("time", "t")
-"""Names of a time column that need not be said."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +28,9 @@ class ReplayedInput(Conditions):
     """An input that was recorded before: columns of a file named after the inputs, at the times of its time column.
 
     The run begins at the first stamp and ends at the last; ``samples`` or ``duration`` cut it. Stamps may lie at any
-    distance, twice the same stamp is a jump, and titles may carry a unit (``time [ms]``, ``u [kN]``). A file that holds
-    nothing but the inputs has no times: its rows are samples of the plant.
+    distance, twice the same stamp is a jump, and titles may carry a unit (``time [ms]``, ``Zeit (ms)``, ``u [kN]``,
+    ``u_kN``); times without a unit are seconds. A file that holds nothing but the inputs has no times: its rows are
+    samples of the plant.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class ReplayedInput(Conditions):
     off_grid : {"refuse", "next"}
         What to do where a held input changes between two sample instants: refuse it, or let it change at the next one.
     time : str, optional
-        Title of the time column; default ``time`` or ``t``.
+        Title of the time column; default the one whose title says so.
     """
 
     file: str | Path
@@ -90,16 +90,18 @@ class ReplayedInput(Conditions):
             if found is None:
                 raise table.missing(self.time)
             return found
-        inputs = {table.find(channel.name) for channel in spec.inputs}
-        for name in CLOCKS:
-            found = table.find(name)
-            if found is not None and found not in inputs:
-                return found
+        inputs = {table.find(channel.name, channel.unit) for channel in spec.inputs}
+        try:
+            clock = clock_of(table.titles, [title for title in inputs if title is not None])
+        except InputError as error:
+            raise error.located(file=self.file) from error
+        if clock is not None:
+            return clock
         others = [title for title in table.titles if title not in inputs]
         if others:
             raise InputError(
                 "no time column",
-                expected=f"one named {' or '.join(CLOCKS)}, with its unit as in 'time [ms]'",
+                expected="one whose title says time, with its unit as in 'time [ms]'",
                 got=", ".join(others[:8]),
                 remedy="name it with time = TITLE, or keep the inputs only: then a row is a sample",
                 file=self.file,
@@ -164,13 +166,12 @@ class ReplayedInput(Conditions):
 
 def _seconds(table: Table, title: str) -> FloatArray:
     """Return the stamps in seconds."""
-    stamps, unit = table.read(title)
-    return convert(stamps, unit or "s", "s")
+    return table.read_time(title)[0]
 
 
 def _column(table: Table, channel: Channel) -> FloatArray:
     """Return the column of an input in its unit (SI)."""
-    if table.find(channel.name) is None:
+    if table.find(channel.name, channel.unit) is None:
         raise InputError(
             f"column of input {channel.name!r}",
             expected=f"a column {channel}",
@@ -178,7 +179,7 @@ def _column(table: Table, channel: Channel) -> FloatArray:
             remedy="rename the column",
             file=table.path,
         )
-    values, unit = table.read(channel.name)
+    values, unit = table.read(channel.name, channel.unit)
     try:
         converted = values if unit is None else convert(values, unit, channel.unit)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Reading an FMU for the loop: its tunable parameters, settable states, and the positions that force inputs move."""
+"""Reading an FMU for the loop: its parameters, settable states, and the positions that force inputs move."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
     """Return an FMU as a nominal model for data of these channels.
 
     Its tunable parameters are calibrated: all whose start value is not 0 (a 0 switches something off), or, where
-    ``parameters`` names any, those. Bounds are the FMU's; a positive start value without bounds stays positive.
+    ``parameters`` names any, those, be they tunable or fixed from the initialisation on. Bounds are the FMU's; a
+    positive start value without bounds stays positive.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
     Raises
     ------
     InputError
-        If the file is no FMU, a name is no tunable parameter, or outputs depend directly on inputs.
+        If the file is no FMU, a name is no real parameter, or outputs depend directly on inputs.
 
     Examples
     --------
@@ -99,12 +100,15 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
 
 
 def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) -> tuple[Parameter, ...]:
-    """Return the tunable real parameters: fixed, unless they are named or nothing is named and they are not 0."""
+    """Return the tunable real parameters: fixed, unless they are named or nothing is named and they are not 0.
+
+    What the FMU calls fixed holds from the initialisation on, which every run begins with: it counts where it is named.
+    """
     rows = {
         variable["name"]: variable
         for variable in described["variables"]
         if variable["causality"] == "parameter"
-        and variable["variability"] == "tunable"
+        and (variable["variability"] == "tunable" or (variable["variability"] == "fixed" and variable["name"] in given))
         and variable["start"] is not None
         and not variable["shape"]
         and variable["type"] in ("Real", "Float64", "Float32")
@@ -113,7 +117,7 @@ def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) ->
         if name not in rows:
             raise InputError(
                 "parameter to calibrate",
-                expected=f"a tunable one ({', '.join(rows) or 'none'})",
+                expected=f"a real parameter of the FMU (tunable are {', '.join(rows) or 'none'})",
                 got=repr(name),
                 remedy="correct the name",
                 file=path,

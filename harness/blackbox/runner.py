@@ -59,9 +59,9 @@ class Runner:
     def start(self, values: dict[str, float], x0: dict[str, float]) -> FloatArray:
         """Set parameters, reset; returns the first row of the variables."""
         plant = self.plant
-        for name, value in values.items():
-            if self._set.get(name) != value:
-                plant.set_parameter(name, value)
-                self._set[name] = value
+        others = {name: value for name, value in values.items() if self._set.get(name) != value}
+        if others:
+            plant.preset(others)
+            self._set.update(others)
         alive()
         return np.asarray(plant.reset(rng=self._rng, x0=x0))

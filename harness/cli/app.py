@@ -54,6 +54,11 @@ app.command(name="learn-residual")(learn_residual)
 app.command(name="open")(open_page)
 
 
+def _holds_data(path: Path) -> bool:
+    """Return True for a file, and for the folder of a bag of ROS 2."""
+    return (bool(path.suffix) and path.is_file()) or (path / "metadata.yaml").is_file()
+
+
 @app.command(name="list")
 def list_command(
     what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE")] = None,
@@ -74,7 +79,7 @@ def list_command(
         else:
             print_system(system)
         return
-    if what is not None and what not in api.LISTED and Path(what).suffix and Path(what).is_file():
+    if what is not None and what not in api.LISTED and _holds_data(Path(what)):
         found = api.describe_file(what)
         if as_json:
             print_json(found["content"])

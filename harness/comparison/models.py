@@ -18,6 +18,7 @@ from harness.comparison.uncertain import bode_lines, is_linear, pole_figure, pol
 from harness.display import STYLE, page, table
 from harness.errors import HarnessError, InputError, no_file, unread
 from harness.models.determined import bands_of, bands_words
+from harness.models.sound import refuse_unsound
 from harness.plots import inlined
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
@@ -210,6 +211,7 @@ def read_model(path: str | Path) -> Model:
         )
     try:
         model: Model = registry.load("model_readers", kind).from_dict(content)
+        refuse_unsound(model)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
         raise InputError(
             "not a model",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.errors import InputError
+from harness.errors import InputError, as_written
 
 __all__ = ["Difference", "ReportComparison", "compare_reports", "is_report"]
 
@@ -101,7 +101,13 @@ def compare_reports(first: str | Path, second: str | Path) -> ReportComparison:
         If one is no report.
     """
     one, two = _read(first), _read(second)
-    found = [*_inputs(one, two), *_answers(one, two)]
+    wanted = "report.json of sysid close-loop"
+    for path, content in ((first, one), (second, two)):  # beside itself: the one that is damaged is named
+        with as_written(path, wanted):
+            _inputs(content, content)
+            _answers(content, content)
+    with as_written(second, wanted):
+        found = [*_inputs(one, two), *_answers(one, two)]
     return ReportComparison((str(first), str(second)), tuple(found))
 
 

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 from harness.extras import on_demand
 
 if TYPE_CHECKING:
-    from harness.cosim.description import Make, couple, read_coupling
+    from harness.cosim.description import Make, couple, own_steps, read_coupling
     from harness.cosim.master import Coupled, Order
     from harness.cosim.ssp import couple_ssp
     from harness.cosim.wiring import Connection
 
-__all__ = ["Connection", "Coupled", "Make", "Order", "couple", "couple_ssp", "read_coupling"]
+__all__ = ["Connection", "Coupled", "Make", "Order", "couple", "couple_ssp", "own_steps", "read_coupling"]
 
 _WHERE = {
     "Connection": "wiring",
@@ -27,6 +27,7 @@ _WHERE = {
     "Order": "master",
     "couple": "description",
     "couple_ssp": "ssp",
+    "own_steps": "description",
     "read_coupling": "description",
 }
 

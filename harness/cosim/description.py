@@ -16,7 +16,7 @@ from harness.errors import HarnessError, InputError
 from harness.protocols import Plant
 from harness.trust import registered_only
 
-__all__ = ["CouplingDescription", "Make", "PartDescription", "Wiring", "couple", "read_coupling"]
+__all__ = ["CouplingDescription", "Make", "PartDescription", "Wiring", "couple", "own_steps", "read_coupling"]
 
 Make = Callable[[str, dict[str, Any]], Plant]
 """Makes a part from a plant's id and its options; ``"fmu"`` takes a path, ``"mockup"`` a name."""
@@ -116,6 +116,35 @@ def read_coupling(path: str | Path) -> CouplingDescription:
                 place=f"parts.{name}",
             )
     return read
+
+
+def own_steps(path: str | Path, *, within: str | Path | None = None) -> list[str]:
+    r"""Return the parts of a coupling or a system whose steps are their own, whatever the step of the exchange.
+
+    Parameters
+    ----------
+    path : path
+        A coupling in TOML, or a system of another tool.
+    within : path, optional
+        Folder that the files of an unpacked system may lie in.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "pair.toml"
+    ...     _ = file.write_text('outputs = ["arm.theta"]\n[parts.arm]\nplant = "pendulum-ode"\n')
+    ...     own_steps(file)
+    ['arm']
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".toml":
+        parts = read_coupling(path).parts
+        return [name for name, part in parts.items() if part.plant is not None or "sample_time" in part.options]
+    from harness.cosim.structure import opened
+
+    with opened(path, within=within) as found:
+        return [name for name, component in found.components() if component.step is not None]
 
 
 def couple(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = None) -> Coupled:

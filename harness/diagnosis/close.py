@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
 
@@ -84,6 +84,30 @@ class Report:
 
         where = "" if self.html is None or not self.html.is_file() else str(self.html)
         return notebook(self.data, {} if self.figures is None else self.figures(), where)
+
+
+class Figures:
+    """The pictures of a diagnosis, drawn when they are first asked for; what leaves the process are the pictures.
+
+    A loop around an FMU runs in a process of its own, and its report comes back from there.
+    """
+
+    def __init__(self, draw: Callable[[], dict[str, str]]) -> None:
+        self._draw, self._drawn = draw, cast("dict[str, str] | None", None)
+
+    def __call__(self) -> dict[str, str]:
+        """Return the pictures as SVG texts by name."""
+        if self._drawn is None:
+            self._drawn = self._draw()
+        return self._drawn
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _as_drawn, (self(),)
+
+
+def _as_drawn(pictures: dict[str, str]) -> Figures:
+    """Return pictures that are drawn already."""
+    return Figures(pictures.copy)
 
 
 def close_loop(
@@ -189,7 +213,7 @@ def close_loop(
         with one_thread():
             data = evidence_data(diagnosis, cut_alike(references, whole_runs, diagnosis.dataset))
             data["oddities"] = oddities_data(whole_runs)
-            figures = cache(partial(drawn, diagnosis))
+            figures = Figures(partial(drawn, diagnosis))
             if folder is not None:
                 write_evidence(data, figures(), folder / HTML, odd_pictures(whole_runs))
         if folder is not None:

@@ -12,6 +12,7 @@ from harness.errors import InputError
 from harness.export.c_model import description, model_source
 from harness.export.linear import Linear, linear_description, linear_source
 from harness.export.packed import packed
+from harness.models.sound import refuse_unsound
 from harness.trust import names_fmu, registered_only
 
 if TYPE_CHECKING:
@@ -208,7 +209,8 @@ def _stored(path: Path) -> Callable[..., Path]:
         )
     try:
         model = registry.load("model_readers", kind).from_dict(content)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        refuse_unsound(model)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(
             "not a model",
             expected=f"the description of a {kind} model, as sysid identify writes it",

@@ -94,6 +94,8 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
         if apart:
             return cast(Plant, registry.create("plants", "isolated", plant="fmu", path=id, **limit, **inside))
         return cast(Plant, registry.create("plants", "fmu", path=id, **limit, **inside))
+    if "within" in inside:  # a process of its own has a folder of its own
+        inside["within"] = str(Path(inside["within"]).absolute())
     if apart and _holds_fmus(id):
         given = {"path": id, "changes": inside, "trust": trusted()}
         return cast(Plant, registry.load("tools", "isolate")("harness.parts.files:make_coupled", given, **limit))
@@ -105,7 +107,7 @@ def make_coupled(path: str, changes: dict[str, Any], trust: Sequence[str] = ()) 
     from harness import cosim
 
     with trusting(*trust):
-        if path.endswith(".toml"):
+        if path.lower().endswith(".toml"):
             return cosim.couple(path, make_part, changes=changes)
         return cosim.couple_ssp(path, make_part, describe_fmu, changes=changes)
 
@@ -124,7 +126,7 @@ def describe_fmu(path: str | Path) -> dict[str, Any]:
 
 def _holds_fmus(path: str) -> bool:
     """Return True for a system of another tool, and for a coupling that names files of FMUs."""
-    if not path.endswith(".toml"):
+    if not path.lower().endswith(".toml"):
         return True
     from harness.cosim.description import read_coupling
 
@@ -159,12 +161,12 @@ def fingerprint(path: str | Path) -> str:
         If the file cannot be read.
     """
     files = [Path(path)]
-    if is_system(str(path)) and files[0].suffix != ".ssp":
+    if is_system(str(path)) and files[0].suffix.lower() != ".ssp":
         from harness.cosim.structure import opened
 
         with opened(path) as found:
             files = [*found.sources(), *found.files()]
-    elif files[0].suffix == ".toml":
+    elif files[0].suffix.lower() == ".toml":
         from harness.cosim.description import read_coupling
 
         parts = read_coupling(files[0]).parts.values()

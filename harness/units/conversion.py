@@ -109,9 +109,11 @@ def _parsed(text: str) -> Any:
         return _registry().dimensionless
     import pint
 
-    for sign in "·⋅•\u00d7∙":
+    for sign in "·⋅•\u00d7∙･・":
         text = text.replace(sign, "*")
-    plain = _INERTIA.sub(r"\1*\2^2", text.replace("º", "°").replace("\u2212", "-"))
+    for sign in "º˚∘":  # rings that keyboards and fonts give for a degree
+        text = text.replace(sign, "°")
+    plain = _INERTIA.sub(r"\1*\2^2", text.replace("\u2212", "-"))
     plain = _HYPHEN.sub("*", _EXPONENT.sub(r"^\1", plain))
     # a word of three letters or more is the same with capitals (RPM, Sec, Volt); a short sign never is
     words = plain.lower() if all(len(word) > 2 for word in re.findall("[A-Za-z]+", plain)) else plain

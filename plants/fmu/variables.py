@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -138,8 +139,10 @@ def choose(file: FmuFile, names: Sequence[str] | None, causality: Literal["input
         able = REALS | INTEGERS | {"Boolean"}
         chosen = [v for v in variables.values() if v.causality == causality and v.type in able]
         return tuple(port(file, v) for v in _without_aliases(chosen))
+    if not isinstance(names, str) and len(names) == 1:
+        names = str(names[0])
     if isinstance(names, str):
-        names = [names]
+        names = _listed(names, variables)
     found = []
     for name in names:
         variable = variables.get(name)
@@ -152,6 +155,21 @@ def choose(file: FmuFile, names: Sequence[str] | None, causality: Literal["input
             f"{causality} chosen twice", expected="each once", got=", ".join(names), remedy="remove one", file=file.path
         )
     return tuple(found)
+
+
+def _listed(text: str, known: Collection[str]) -> list[str]:
+    """Return the names that one text gives: that of a variable, or several with commas, perhaps in brackets.
+
+    Examples
+    --------
+    >>> _listed("x[1,2]", {"x[1,2]"}), _listed("[x[1,2], v]", {"v"})
+    (['x[1,2]'], ['x[1,2]', 'v'])
+    """
+    if text in known:
+        return [text]
+    inside = text[1:-1] if text.startswith("[") and text.endswith("]") else text
+    names = [name.strip(" \"'") for name in re.split(r",(?![^\[]*\])", inside)]
+    return names if all(names) else [text]
 
 
 def starts(ports: Iterable[Port]) -> list[float]:

@@ -423,3 +423,32 @@ def test_a_slow_static_part_answers_at_its_own_samples_only() -> None:
     both.step(np.array([5.0]))
     got.append(float(both.output(np.array([3.0]))[0]))
     assert got == [2.0, 2.0, 6.0]
+
+
+def test_delayed_wires_beside_several_inputs_each_carry_their_own_signal() -> None:
+    """Each delayed wire has a place behind the parts' outputs and all inputs."""
+    lags = {"a": 1, "b": 2, "c": 3}
+    coupled = Coupled(
+        {name: gain(1.0) for name in lags},
+        [Connection(f"p{name}", f"{name}.u0", delay=lag) for name, lag in lags.items()],
+        inputs={f"p{name}": f"{name}.u0" for name in lags},
+        outputs=[f"{name}.y0" for name in lags],
+        loops="refuse",
+    )
+    u = RNG.normal(size=(8, 3))
+    coupled.reset(rng=np.random.default_rng(0))
+    seen = []
+    for row in u:
+        seen.append(coupled.output(row))
+        coupled.step(row)
+    for place, lag in enumerate(lags.values()):
+        assert np.array(seen)[lag:, place] == pytest.approx(u[:-lag, place]), f"delay of {lag}"
+
+
+@pytest.mark.parametrize(("unit", "expected"), [("K", 302.5), ("degC", 575.65)])
+def test_an_offset_of_a_wire_is_added_in_si(unit: str, expected: float) -> None:
+    wire = Connection("push", "law.u0", gain=1.0, offset=2.5)
+    law = gain(1.0, units=("K", "K"))
+    coupled = Coupled({"law": law}, [wire], inputs={"push": Channel("push", unit)}, outputs=["law.y0"], loops="refuse")
+    coupled.reset(rng=np.random.default_rng(0))
+    assert coupled.output(np.array([300.0])) == pytest.approx(expected)

@@ -50,7 +50,7 @@ def test_what_is_played(tmp_path: Path, text: str, options: dict[str, Any], expe
     [
         ("time,u\n0,0\n0.13,1\n", {}, r"changes between samples.*0\.13 s.*off_grid=next"),
         ("time,u\n0,0\n0.2,1\n0.1,1\n", {}, "never go back"),
-        ("clock,u\n0,0\n1,1\n", {}, r"no time column.*clock"),
+        ("beat,u\n0,0\n1,1\n", {}, r"no time column.*beat"),
         ("time,u [V]\n0,0\n1,1\n", {}, r"column of input 'u'.*converts to 'N m'.*'V'"),
         ("time,u\n0,0\n1,1\n", {"interpolation": "cubic"}, "linear"),
         ("time,u\n0,0\n1,1\n", {"time": "zeit"}, "zeit"),

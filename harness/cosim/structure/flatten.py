@@ -661,11 +661,14 @@ class _Flattening:
 
 def named(error: InputError, component: str, fmu: Path, path: Path) -> InputError:
     """Return an error that says in which component of a system it arose: the unpacked FMU is gone when it is read."""
+    remedy = error.remedy
+    if str(fmu) in remedy and path.is_file() and path.suffix.lower() == ".ssp":
+        remedy = f"unzip {path.name}, mend {fmu.name} there ({remedy.replace(str(fmu), fmu.name)}), run the folder"
     return InputError(
         f"component {component!r} ({fmu.name}): {error.what}",
         expected=error.expected,
         got=error.got,
-        remedy=error.remedy,
+        remedy=remedy,
         file=path,
         place=error.place,
     )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from harness.cosim.structure.model import Description
+from harness.cosim.structure.model import Component, Description, System
 from harness.cosim.structure.osp import OSP, read_osp
 from harness.cosim.structure.package import FolderPackage, Package, ZipPackage
 from harness.cosim.structure.ssd import SSD, SsdReader
@@ -37,17 +37,22 @@ class Opened:
         """Return the descriptions and values that were read from a folder."""
         return [file for package in self._packages for file in sorted(package.read_files)]
 
+    def components(self) -> Iterator[tuple[str, Component]]:
+        """Yield the components with their hierarchical names."""
+        waiting = [("", self.description.system)]
+        while waiting:
+            before, system = waiting.pop()
+            for element in system.elements:
+                if isinstance(element, System):
+                    waiting.append((f"{before}{element.name}.", element))
+                elif isinstance(element, Component):
+                    yield f"{before}{element.name}", element
+
     def files(self) -> Iterator[Path]:
         """Yield the FMUs."""
-        from harness.cosim.structure.model import Component, System
-
-        waiting = [self.description.system]
-        while waiting:
-            for element in waiting.pop().elements:
-                if isinstance(element, System):
-                    waiting.append(element)
-                elif isinstance(element, Component) and element.fmu is not None:
-                    yield element.fmu
+        for _, component in self.components():
+            if component.fmu is not None:
+                yield component.fmu
 
 
 def open_structure(path: str | Path, *, within: str | Path | None = None) -> Opened:
@@ -74,7 +79,7 @@ def open_structure(path: str | Path, *, within: str | Path | None = None) -> Ope
     reach = None if within is None else Path(within)
     packages: list[Package] = []
     try:
-        if path.suffix == ".ssp" and path.is_file():
+        if path.suffix.lower() == ".ssp" and path.is_file():
             package: Package = ZipPackage(path)
             packages.append(package)
             if not package.has(SSD):
@@ -82,7 +87,7 @@ def open_structure(path: str | Path, *, within: str | Path | None = None) -> Ope
             return Opened(SsdReader(package, SSD, opened=packages).read(), packages)
         folder = FolderPackage(path, path if path.is_dir() else path.parent, reach)
         packages.append(folder)
-        if name.endswith(".xml"):
+        if name.lower().endswith(".xml"):
             return Opened(read_osp(folder, name), packages)
         return Opened(SsdReader(folder, name, opened=packages).read(), packages)
     except BaseException:

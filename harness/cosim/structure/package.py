@@ -10,15 +10,46 @@ import zlib
 from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlparse
+from urllib.parse import parse_qs, unquote, urlparse
 
 from harness.errors import InputError
 from harness.fmi.archive import check_entries, has_document_type
 
-__all__ = ["LARGEST_TEXT", "FolderPackage", "Package", "Readable", "ZipPackage", "parsed"]
+__all__ = [
+    "LARGEST_TEXT",
+    "PROXIED",
+    "FolderPackage",
+    "InFmu",
+    "Package",
+    "Readable",
+    "ZipPackage",
+    "on_this_machine",
+    "parsed",
+]
 
 LARGEST_TEXT = 64 << 20  # bytes of an XML file
 DESCRIPTIONS = (".ssd", ".ssv", ".ssm", ".ssb")
+
+
+PROXIES = ("proxyfmu", "fmu-proxy", "proxy-fmu")
+"""Schemes by which OSP names FMUs that another process runs."""
+HERE = ("localhost", "127.0.0.1", "::1")
+"""How such a URI calls this machine."""
+PROXIED = "FMUs that the file runs by a proxy on this machine are run without it"
+"""What is said of them."""
+
+
+def on_this_machine(source: str) -> str:
+    """Return the file that a URI of OSP's proxies means where its host is this machine; any other URI as it is.
+
+    Examples
+    --------
+    >>> on_this_machine("proxyfmu://localhost?file=../tank.fmu"), on_this_machine("proxyfmu://10.0.0.2:9?file=a.fmu")
+    ('../tank.fmu', 'proxyfmu://10.0.0.2:9?file=a.fmu')
+    """
+    uri = urlparse(source)
+    files = parse_qs(uri.query).get("file", [])
+    return files[0] if uri.scheme in PROXIES and uri.hostname in HERE and len(files) == 1 else source
 
 
 class Readable(ABC):
@@ -178,6 +209,36 @@ class FolderPackage(Package):
             else "put it there, or correct the source",
             file=self.path,
         )
+
+
+class InFmu(Readable):
+    """The files of an FMU, for what lies in it: a URI counts from the top of the archive."""
+
+    def __init__(self, fmu: Path, path: Path) -> None:
+        self.path, self._fmu = path, fmu
+
+    def read(self, name: str, largest: int = LARGEST_TEXT) -> bytes:
+        """Return the content of the entry that a URI means."""
+        uri = urlparse(name)
+        texts = [] if uri.scheme or uri.netloc else [uri.path, unquote(uri.path)]
+        try:
+            with zipfile.ZipFile(self._fmu) as archive:
+                entries = {entry.filename: entry for entry in archive.infolist() if not entry.is_dir()}
+                found = next((entries[place] for text in texts if (place := posixpath.normpath(text)) in entries), None)
+                if found is None:
+                    raise KeyError(name)
+                if found.file_size > largest:
+                    raise ValueError(f"{found.file_size >> 20} MiB")
+                return archive.read(found)
+        # RuntimeError: an entry that is encrypted, or packed by a method that zipfile does not know
+        except (KeyError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError) as error:
+            raise InputError(
+                "a file inside an FMU",
+                expected=f"a file of at most {largest >> 20} MiB inside {self._fmu.name}",
+                got=repr(name) if isinstance(error, KeyError) else f"{name!r} ({error})",
+                remedy="correct the source",
+                file=self.path,
+            ) from error
 
 
 def _refuse_large(path: Path, name: str, size: int, largest: int) -> None:

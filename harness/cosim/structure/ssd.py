@@ -15,7 +15,7 @@ from urllib.parse import urlparse
 from harness.cosim.structure.conversion import BARE, Linear, Unit, undefined_unit, unit_of
 from harness.cosim.structure.elements import children, first, local, truth
 from harness.cosim.structure.model import Component, Connector, Description, Element, Mapped, Reference, System, Wire
-from harness.cosim.structure.package import Package, ZipPackage, parsed
+from harness.cosim.structure.package import PROXIED, Package, ZipPackage, on_this_machine, parsed
 from harness.cosim.structure.values import read_bindings
 from harness.errors import InputError
 from harness.trust import names_fmu
@@ -101,11 +101,14 @@ class SsdReader:
         if source is None:
             self.notes.append(f"component {name!r} has no implementation: what it drives rests at its start value")
             return System(name, connectors, read_bindings(self, element, None))
+        given, source = source, on_this_machine(source)
+        if source != given and PROXIED not in self.notes:
+            self.notes.append(PROXIED)
         uri = urlparse(source)
         if not uri.path and uri.fragment:
             return self._joined(element, name, connectors, self._same_file(uri.fragment, name))
-        package = uri.path.endswith(".ssp") and kind in (*PACKAGE, FMU)
-        definition = uri.path.endswith(".ssd") and kind in (DEFINITION, FMU)
+        package = uri.path.lower().endswith(".ssp") and kind in (*PACKAGE, FMU)
+        definition = uri.path.lower().endswith(".ssd") and kind in (DEFINITION, FMU)
         if not (package or definition or (names_fmu(uri.path) and kind == FMU)):
             raise self.refused(
                 f"component {name!r}", "an FMU (.fmu), a package (.ssp) or a system (.ssd)", f"{source!r}, {kind}"

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import posixpath
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any, Protocol
-from urllib.parse import unquote, urlparse
 
 from harness.cosim.structure.conversion import Linear, Unit
 from harness.cosim.structure.elements import children, first, local, truth
 from harness.cosim.structure.model import Binding, Mapped, Value
-from harness.cosim.structure.package import LARGEST_TEXT, Package, Readable, parsed
+from harness.cosim.structure.package import InFmu, Package, parsed
 from harness.errors import InputError
 
 __all__ = ["read_bindings"]
@@ -98,43 +94,13 @@ def _content(reader: Reader, element: Any, fmu: Path | None, expected: str, inli
     if element.get("sourceBase") == "component":
         if fmu is None:
             raise reader.refused("sourceBase", "SSD, as the element is no FMU", "component")
-        root = parsed(_InFmu(fmu, reader.package.path), source)
+        root = parsed(InFmu(fmu, reader.package.path), source)
     else:
         file = reader.package.named(source, reader.name, "a parameter binding")
         root = parsed(reader.package, file)
     if local(root) != expected:
         raise reader.refused(source, f"a {expected}", local(root))
     return root
-
-
-class _InFmu(Readable):
-    """The files of an FMU, for values that lie in it: a URI counts from the top of the archive."""
-
-    def __init__(self, fmu: Path, path: Path) -> None:
-        self.path, self._fmu = path, fmu
-
-    def read(self, name: str, largest: int = LARGEST_TEXT) -> bytes:
-        """Return the content of the entry that a URI means."""
-        uri = urlparse(name)
-        texts = [] if uri.scheme or uri.netloc else [uri.path, unquote(uri.path)]
-        try:
-            with zipfile.ZipFile(self._fmu) as archive:
-                entries = {entry.filename: entry for entry in archive.infolist() if not entry.is_dir()}
-                found = next((entries[place] for text in texts if (place := posixpath.normpath(text)) in entries), None)
-                if found is None:
-                    raise KeyError(name)
-                if found.file_size > largest:
-                    raise ValueError(f"{found.file_size >> 20} MiB")
-                return archive.read(found)
-        # RuntimeError: an entry that is encrypted, or packed by a method that zipfile does not know
-        except (KeyError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError) as error:
-            raise InputError(
-                "source of a parameter binding",
-                expected=f"a file of at most {largest >> 20} MiB inside {self._fmu.name}",
-                got=repr(name) if isinstance(error, KeyError) else f"{name!r} ({error})",
-                remedy="correct the source",
-                file=self.path,
-            ) from error
 
 
 def _given(reader: Reader, content: Any, prefix: str) -> dict[str, Value]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from harness.data.tables.cells import seconds_of
+from harness.data.tables.headers import TIME_UNITS, split_header
 from harness.data.tables.packing import NUMBER, refuse_large
 from harness.data.tables.selectors import parse_selector, vector
 from harness.errors import InputError
@@ -57,6 +59,9 @@ class ParquetFile:
         import pyarrow.types as kinds
 
         column = self._table.column(title)
+        if kinds.is_time(column.type):
+            whole = column.cast(_whole(column.type)).to_numpy(zero_copy_only=False)
+            return np.asarray(whole, dtype=np.float64) * _TICKS[column.type.unit]
         if kinds.is_timestamp(column.type) or kinds.is_duration(column.type):
             return seconds_of(column.to_numpy(zero_copy_only=False))
         try:
@@ -75,11 +80,26 @@ class ParquetFile:
         return None
 
     def unit(self, title: str) -> str | None:
-        """Return s for time stamps and spans; other units stand in the titles."""
+        """Return s for time stamps and spans; else what the column's own metadata state, or None."""
         import pyarrow.types as kinds
 
         kind = self._table.column(title).type
-        return "s" if kinds.is_timestamp(kind) or kinds.is_duration(kind) else None
+        if kinds.is_timestamp(kind) or kinds.is_duration(kind) or kinds.is_time(kind):
+            return "s"
+        stated: dict[bytes, bytes] = dict(self._table.schema.field(title).metadata or {})
+        text = stated.get(b"unit", stated.get(b"units"))
+        return None if text is None or split_header(title)[1] is not None else text.decode("utf-8", "replace").strip()
+
+
+_TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Seconds of the units of Arrow's times of day."""
+
+
+def _whole(kind: Any) -> Any:
+    """Return the integers that a time of day of Arrow is made of."""
+    import pyarrow as pa
+
+    return pa.int32() if kind.bit_width == 32 else pa.int64()
 
 
 class FeatherFile(ParquetFile):
@@ -99,6 +119,9 @@ class _Variables:
     def __init__(self, variables: dict[str, Any]) -> None:
         self._variables = variables
         self.titles = list(variables)
+        self.times = {
+            name for name, value in variables.items() if getattr(value, "dtype", np.dtype(float)).kind in "mM"
+        }
 
     def resolve(self, value: Any) -> Any:
         """Return the content of a cell, references followed."""
@@ -106,6 +129,8 @@ class _Variables:
 
     def values(self, title: str) -> FloatArray:
         """Return a variable that is one column of numbers (N,)."""
+        if title in self.times:
+            return seconds_of(np.asarray(self._variables[title]).reshape(-1))
         selector = parse_selector(title) if not set("{[.") & set(title) else None
         if selector is None:
             return np.asarray(self._variables[title], dtype=np.float64).reshape(-1)
@@ -123,8 +148,8 @@ class _Variables:
         return vector(self._variables[selector.variable], selector, resolve=self.resolve)
 
     def unit(self, title: str) -> str | None:
-        """Return None: these formats state no units."""
-        return None
+        """Return s for dates and spans of numpy; these formats state no other units."""
+        return "s" if title in self.times else None
 
 
 MOST_INSIDE = 100
@@ -217,12 +242,36 @@ class Hdf5File(_Variables):
             for index in np.ndindex(content.shape):
                 cells[index] = self._loaded(file[content[index]], file, h5py)
             content = cells
-        array = np.asarray(content)
+        array = _unpacked(np.asarray(content), item.attrs)
         return array.T if self.transposed and array.ndim == 2 else array
 
     def unit(self, title: str) -> str | None:
-        """Return the unit attribute of a data set."""
-        return self._units.get(title)
+        """Return the unit attribute of a data set; of ``ms since 2024-01-01`` (netCDF) what stands before the date."""
+        text = self._units.get(title)
+        since = None if text is None else re.fullmatch(r"\s*(\w+)\s+since\s.*", text, re.DOTALL)
+        return text if since is None else TIME_UNITS.get(since[1].lower(), text)
+
+
+def _unpacked(array: Any, attributes: Any) -> Any:
+    """Return numbers as they were before netCDF packed them: ``scale_factor``, ``add_offset``, and what is missing.
+
+    Reference: NetCDF Climate and Forecast Metadata Conventions 1.11, sections 2.5.1 and 8.1.
+    """
+    if array.dtype.kind not in "iuf":
+        return array
+    missing = np.zeros(array.shape, dtype=bool)
+    for key in ("_FillValue", "missing_value"):
+        if key in attributes:
+            missing |= np.isin(array, np.asarray(attributes[key]).reshape(-1))
+    packed = "scale_factor" in attributes or "add_offset" in attributes
+    if packed or missing.any():
+        factor, offset = (
+            float(np.asarray(attributes.get(key, default)).reshape(-1)[0])
+            for key, default in (("scale_factor", 1.0), ("add_offset", 0.0))
+        )
+        array = array.astype(np.float64) * factor + offset
+        array[missing] = np.nan
+    return array
 
 
 def _refuse_elsewhere(name: str, item: Any) -> None:

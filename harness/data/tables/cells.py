@@ -1,23 +1,28 @@
-"""Cells of tables as people write them: numbers, nothing, times, and a row of units below the header."""
+"""Cells of tables as people write them: numbers, nothing, and a row of units below the header."""
 
 from __future__ import annotations
 
-import datetime
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from harness.data.tables.headers import split_header
+from harness.errors import InputError
 from harness.signals import FloatArray
 from harness.units import is_unit
 
-__all__ = ["EMPTY", "clock", "is_number", "seconds_of", "units_below"]
+__all__ = ["EMPTY", "is_number", "numbers_of", "seconds_of", "units_below"]
 
 EMPTY = {"", "na", "n/a", "nan", "null", "none", "-nan", "#n/a"}
 """What stands where nothing was recorded, in small letters."""
 
-_STAMP = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d)(?:[.,](\d{1,12}))?(Z|[+-]\d\d(?::?\d\d)?)?")
+_THOUSANDS = (re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+"), re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+"))
+_COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
+_FORTRAN = re.compile(r"([+-]?\d+\.?\d*|[+-]?\.\d+)[dD]([+-]?\d+)")
+_WHOLE = re.compile(r"[+-]?\d{1,3}")
+POINTED = 3
+"""Cells with a point before which nobody asks whether it separates thousands."""
 
 
 def is_number(text: str) -> bool:
@@ -29,7 +34,7 @@ def is_number(text: str) -> bool:
     (True, False, False)
     """
     try:
-        float(text)
+        _number(text)
     except ValueError:
         return False
     return not text.strip().lower().lstrip("+-").startswith(("nan", "inf"))
@@ -37,6 +42,11 @@ def is_number(text: str) -> bool:
 
 def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None:
     """Return the titles with the units of the row below them; None if that row is no row of units.
+
+    Raises
+    ------
+    InputError
+        If a title and the row below it state two units.
 
     Examples
     --------
@@ -48,42 +58,93 @@ def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None
         return None
     if not any(cell and cell != "1" for cell in bare) or not all(is_unit(cell) for cell in bare if cell):
         return None
+    for title, cell in zip(titles, bare, strict=True):
+        stated = split_header(title)[1]
+        if cell and stated is not None and _spaced(stated) != _spaced(cell):
+            raise InputError(
+                f"two units of column {title!r}",
+                expected="one",
+                got=f"{stated!r} in the title, {cell!r} in the row below",
+                remedy="remove the one that is wrong",
+            )
     return [
         f"{title} [{cell}]" if cell and split_header(title)[1] is None else title
         for title, cell in zip(titles, bare, strict=True)
     ]
 
 
-def clock(cells: Sequence[str]) -> FloatArray | None:
-    """Return times of ISO 8601 as seconds from the first; None if a cell is none.
+def _spaced(unit: str) -> str:
+    """Return a unit without what may stand between its names."""
+    return re.sub(r"[\s*\u00b7.]", "", unit)
 
-    Times of a day may go without the date. Fractions keep all their digits.
+
+def numbers_of(cells: Sequence[str], where: Callable[[int], str]) -> FloatArray:
+    """Return the numbers in cells, NaN where one is empty.
+
+    A comma is the decimal sign where no cell holds a point. Signs between thousands are refused: ``1,234`` is a
+    thousand as likely as a fraction, and so is ``1.234`` beside ``12`` and ``999``.
+
+    Parameters
+    ----------
+    cells : sequence of str
+    where : callable
+        Gives the place of a cell for messages.
+
+    Raises
+    ------
+    InputError
+        At the first cell that is no number.
 
     Examples
     --------
-    >>> clock(["2024-05-01T23:59:59.5Z", "2024-05-02T00:00:00.25Z"]).tolist(), clock(["12:00:01,5"]).tolist()
-    ([0.0, 0.75], [0.0])
-    >>> clock(["0.1"]) is None
-    True
+    >>> numbers_of(["1,5", "", "-2,25e1", "\u22123"], str).tolist()
+    [1.5, nan, -22.5, -3.0]
     """
-    found = [_STAMP.fullmatch(cell.strip()) for cell in cells]
-    if not found or not all(found):
-        return None
-    whole, parts, zones = [], [], set()
-    for match in found:
-        assert match is not None
-        day, time, digits, zone = match.groups()
-        zones.add((day is None, zone is None))
+    cells = [cell.strip() for cell in cells]
+    signs = [cell for cell in cells if "," in cell]
+    thousands = bool(signs) and all(map(_THOUSANDS[0].fullmatch, signs))
+    commas = not thousands and not any("." in cell for cell in cells)
+    points = [row for row, cell in enumerate(cells) if "." in cell]
+    if len(points) >= POINTED and all(_THOUSANDS[1].fullmatch(cells[row]) for row in points):
+        others = [cell for cell in cells if "." not in cell and cell.lower() not in EMPTY]
+        if others and all(map(_WHOLE.fullmatch, others)):
+            raise _no_number(
+                cells[points[0]], where(points[0]), "a number without signs between thousands", "thousands"
+            )
+    numbers = []
+    for row, cell in enumerate(cells):
+        if cell.lower() in EMPTY:
+            numbers.append(np.nan)
+            continue
+        plain = _FORTRAN.sub(r"\1e\2", cell)
         try:
-            at = datetime.datetime.fromisoformat(f"{day or '1970-01-01'}T{time}{zone or ''}")
+            numbers.append(_number(plain.replace(",", ".") if commas and _COMMA.fullmatch(plain) else plain))
         except ValueError:
-            return None
-        whole.append(at)
-        parts.append(float(f"0.{digits}") if digits else 0.0)
-    if len(zones) > 1:  # with and without a zone: nobody can say how far apart they are
-        return None
-    seconds = np.array([(at - whole[0]).total_seconds() for at in whole])
-    return np.asarray(seconds + (np.array(parts) - parts[0]))
+            more = " with one kind of decimal sign, and none for thousands" if "," in cell else ""
+            raise _no_number(cell, where(row), f"a number{more}", "comma" if more else "") from None
+    return np.array(numbers)
+
+
+def _number(text: str) -> float:
+    """Return a number as tables hold it; Python's own underscores are none."""
+    if "_" in text:
+        raise ValueError(text)
+    return float(text.replace("\u2212", "-"))
+
+
+def _no_number(cell: str, place: str, expected: str, why: str) -> InputError:
+    """Return the refusal of a cell."""
+    remedies = {
+        "comma": "export with decimal points",
+        "thousands": "export without signs between thousands, or every number with as many decimals",
+    }
+    return InputError(
+        "a cell that is no number" if why != "thousands" else "a number with two readings",
+        expected=expected,
+        got=repr(cell),
+        remedy=remedies.get(why, "correct or empty the cell"),
+        place=place,
+    )
 
 
 def seconds_of(stamps: np.ndarray) -> FloatArray:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from harness.data.tables.cells import EMPTY, clock, seconds_of
+from harness.data.tables.cells import numbers_of, seconds_of
 from harness.data.tables.headers import TRUTH, split_header
+from harness.data.tables.stamps import clock
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Trajectory
 
@@ -37,7 +39,10 @@ class MemoryTable:
 
     def values(self, title: str) -> FloatArray:
         """Return one column (N,)."""
-        array = np.asarray(self._columns[title])
+        column = self._columns[title]
+        if isinstance(column, np.ma.MaskedArray) and column.dtype.kind in "biuf":
+            column = np.ma.filled(np.ma.asarray(column, np.float64), np.nan)  # what is masked was not measured
+        array = np.asarray(column)
         if array.ndim != 1:
             raise InputError(
                 f"column {title!r}",
@@ -73,23 +78,22 @@ class MemoryTable:
 
     def _slowly(self, title: str, cells: list[Any]) -> FloatArray:
         """Return a column of objects: numbers, texts of numbers, times, None."""
+        if any(isinstance(cell, datetime.timedelta) for cell in cells):
+            cells = [cell.total_seconds() if isinstance(cell, datetime.timedelta) else cell for cell in cells]
+            self._clocks.add(title)
+
+        def where(row: int) -> str:
+            return f"{self.where(row)}, column {title!r}"
+
         texts = ["" if cell is None else str(cell) for cell in cells]
-        if (stamps := clock(texts)) is not None:
+        if (stamps := clock(texts, self.notes, where)) is not None:
             self._clocks.add(title)
             return stamps
-        numbers = []
-        for row, text in enumerate(texts):
-            try:
-                numbers.append(np.nan if text.strip().lower() in EMPTY else float(text))
-            except ValueError:
-                raise InputError(
-                    "a cell that is no number",
-                    expected="a number",
-                    got=repr(text),
-                    remedy="correct or empty the cell",
-                    place=f"{self.where(row)}, column {title!r}",
-                ) from None
-        return np.array(numbers)
+        return numbers_of(texts, where)
+
+    def texts(self, title: str, most: int | None = None) -> list[str]:
+        """Return the cells of a column as they are written, at most so many."""
+        return ["" if cell is None else str(cell) for cell in self._columns[title][:most]]
 
 
 def columns_of(trajectory: Trajectory) -> dict[str, FloatArray]:

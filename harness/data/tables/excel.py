@@ -20,9 +20,20 @@ class ExcelFile(MemoryTable):
 
     def __init__(self, path: Path, sheet: str | None = None) -> None:
         sheets, rows = _read(path, sheet)
+        read = sheets[0] if sheet is None else sheet
+        if sheet is None and len(sheets) > 1 and not _has_numbers(rows):
+            others = {name: _read(path, name)[1] for name in sheets[1:]}
+            tables = [name for name, content in others.items() if _has_numbers(content)]
+            if len(tables) == 1:
+                read, rows = tables[0], others[tables[0]]
         skipped = 0
         while rows and not any(cell is not None for cell in rows[0]):
             rows, skipped = rows[1:], skipped + 1
+        while rows and not any(cell is not None for cell in rows[-1]):
+            rows.pop()
+        above = _above(rows)
+        rows, skipped = rows[above:], skipped + above
+        said = [f"what stands above the table, to row {skipped}, is left aside"] if above else []
         if len(rows) < 2:
             raise InputError("no rows", expected="a header and rows of numbers", got="fewer", remedy="check the sheet")
         titles = ["" if cell is None else str(cell).strip() for cell in rows[0]]
@@ -40,12 +51,55 @@ class ExcelFile(MemoryTable):
                 file=path,
             )
         columns = {title: [row[k] for row in body] for k, title in enumerate(titles) if title}
-        super().__init__(columns, first=len(rows) - len(body) + skipped + 1)
+        first = len(rows) - len(body) + skipped + 1
+        _refuse_truths(columns, first, path)
+        super().__init__(columns, first=first)
+        self.notes += said
         if len(sheets) > 1 and sheet is None:
-            others = ", ".join(map(repr, sheets[1:6])) + (" ..." if len(sheets) > 6 else "")
+            others_named = [repr(name) for name in sheets if name != read]
+            why = "the first, is read" if read == sheets[0] else "the only one with rows of numbers, is read"
             self.notes.append(
-                f"the workbook has {len(sheets)} sheets: {sheets[0]!r}, the first, is read; sheet = ... names another "
-                f"({others})"
+                f"the workbook has {len(sheets)} sheets: {read!r}, {why}; sheet = ... names another "
+                f"({', '.join(others_named[:5])}{' ...' if len(others_named) > 5 else ''})"
+            )
+
+
+def _has_numbers(rows: list[list[Any]]) -> bool:
+    """Return True if a row holds two numbers."""
+    return any(sum(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in row) > 1 for row in rows)
+
+
+MOST_ABOVE = 100
+"""Rows that somebody may have written above a table."""
+
+
+def _above(rows: list[list[Any]]) -> int:
+    """Return how many rows stand above a table: none of them has a cell in as many of its columns as its header."""
+    if len(rows) < 4:
+        return 0
+    columns = [k for k, cell in enumerate(rows[-2]) if cell is not None]
+    covered = [sum(row[k] is not None for k in columns) for row in rows[: MOST_ABOVE + 1]]
+    begin = next((row for row, count in enumerate(covered) if count == len(columns)), 0)
+    titles = [rows[begin][k] for k in columns]
+    tables = sum(
+        _has_numbers([row]) for row in rows[:begin]
+    )  # another table stands there: nobody can say which is meant
+    return begin if len(columns) > 1 and tables < 3 and all(isinstance(title, str) for title in titles) else 0
+
+
+def _refuse_truths(columns: dict[str, list[Any]], first: int, path: Path) -> None:
+    """Refuse TRUE or FALSE among numbers: nobody has measured them, and as 1 and 0 they would pass for readings."""
+    for title, cells in columns.items():
+        marked = [isinstance(cell, bool) for cell in cells]
+        if any(marked) and any(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells):
+            row = marked.index(True)
+            raise InputError(
+                "a cell that is no number",
+                expected="a number",
+                got=str(cells[row]).upper(),
+                remedy="correct or empty the cell",
+                file=path,
+                place=f"row {row + first}, column {title!r}",
             )
 
 

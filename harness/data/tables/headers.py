@@ -18,10 +18,10 @@ TRUTH = "truth:"
 """Prefix of columns that hold true states: for scoring only, never read as measurements."""
 
 _HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
-_ROUND = re.compile(r"^(?P<name>.*?)\s*[(<](?P<unit>[^()<>]*)[)>]\s*$")
+_ROUND = re.compile(r"^(?P<name>.*?)\s*[(<{](?P<unit>[^()<>{}]*)[)>}]\s*$")
 _GROUP = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
-_WIDE = str.maketrans("（）［］｛｝【】〔〕〈〉《》＜＞／：，、；．＿－　＊", "()[]{}[][]<><><>/:,,;._- *")
-_BREAK = re.compile(r"[\s_,;:/.\-]+(?:in[\s_]+)?|(?<=[a-z])(?=[A-Z])")
+_WIDE = str.maketrans("（）［］｛｝【】〔〕〈〉《》＜＞／：，、；．＿－　＊･・｡˚∘", "()[]{}[][]<><><>/:,,;._- *··.°°")
+_BREAK = re.compile(r"[\s_,;:/.|=\-]+(?:in[\s_]+)?|(?<=[a-z])(?=[A-Z])")
 _SPLIT = re.compile(
     r"[^\w*^×·]+|_+|(?<=\w)(?=[*^×·])|(?<=[a-zäöüéèß])(?=[A-Z])|(?<=[a-zA-Z\d])(?=[\u3040-\u9fff\uac00-\ud7af])"
     r"|(?<=[\u3040-\u9fff\uac00-\ud7af])(?=[a-zA-Zµμ\d])"
@@ -98,11 +98,16 @@ def split_header(header: str) -> tuple[str, str | None]:
     header = header.translate(_WIDE) if not header.isascii() else header
     found = _HEADER.match(header)
     if found is not None and found["name"]:
-        return found["name"].strip(), found["unit"].strip() or "1"
+        return _bare(found["name"]), found["unit"].strip() or "1"
     found = _ROUND.match(header)
     if found is not None and found["name"] and _says_unit(found["unit"]):
-        return found["name"].strip(), found["unit"].strip()
+        return _bare(found["name"]), found["unit"].strip()
     return header.strip(), None
+
+
+def _bare(name: str) -> str:
+    """Return a name without the sign that stands between it and a unit in brackets: ``u / (N m)`` (ISO 80000-1)."""
+    return (name.strip() if name.endswith(("_", "-")) else name.rstrip(" \t/|,;:=")).strip() or name.strip()
 
 
 def stated_unit(title: str, like: str) -> tuple[str, str] | None:

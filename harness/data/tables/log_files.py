@@ -31,10 +31,13 @@ class MdfFile:
         asammdf = optional("asammdf", "MDF")
         logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # the refusal says what is wrong, once
         self._channels: dict[str, Any] = {}
+        self._twice: set[str] = set()
         try:
             with asammdf.MDF(path) as log:
                 for signal in log.iter_channels(skip_master=True):
                     if signal.samples.dtype.kind in "biuf" and signal.samples.ndim == 1 and len(signal.samples):
+                        if signal.name in self._channels:
+                            self._twice.add(signal.name)
                         self._channels.setdefault(signal.name, signal)
         except Exception as error:
             _drop_quietly(error)
@@ -50,6 +53,14 @@ class MdfFile:
         """Return one channel (N,), or the time axis [s]."""
         if title == "time":
             return self._time.copy()
+        if title in self._twice:
+            raise InputError(
+                f"two channels {title!r}",
+                expected="channels with names of their own",
+                got=f"{title} in two groups",
+                remedy="rename or remove one",
+                place=title,
+            )
         return np.array(self._channels[title].samples, dtype=np.float64)
 
     def clocks(self, titles: Sequence[str]) -> tuple[list[FloatArray], str]:

@@ -14,7 +14,7 @@ from harness.signals import FloatArray
 
 __all__ = ["Selector", "parse_selector", "vector"]
 
-_STEP = re.compile(r"\{(\d+)\}|\[\s*(\d+)\s*\]|\[\s*:\s*,\s*(\d+)\s*\]|\.([A-Za-z_]\w*)")
+_STEP = re.compile(r"\{(\d+)\}|\[\s*(\d+)\s*(?:,\s*:\s*)?\]|\[\s*:\s*,\s*(\d+)\s*\]|\.([A-Za-z_]\w*)")
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ def parse_selector(text: str) -> Selector:
     """Read the text of a selector.
 
     ``NAME{i}`` is cell i of a MAT cell array (counted down the columns), ``NAME.field`` a field of a struct,
-    ``NAME[i]`` row i of a matrix and ``NAME[:,i]`` its column i. They may be chained; indices count from 0.
+    ``NAME[i]`` (or ``NAME[i,:]``) row i of a matrix, or element i of a row of structs, and ``NAME[:,i]`` its column i.
+    They may be chained; indices count from 0.
 
     Raises
     ------
@@ -128,6 +129,10 @@ def _step(value: Any, kind: str, index: int | str, so_far: str) -> Any:
             return array.reshape(-1, order="F")[index]
         if array.dtype.names and index < array.size:
             return array.reshape(-1, order="F")[index]
+    elif kind == "row" and array.dtype.names and (array.ndim == 1 or 1 in array.shape):
+        assert isinstance(index, int)
+        if index < array.size:
+            return array.reshape(-1)[index]
     elif array.ndim == 2 and array.dtype.kind in "biuf":
         assert isinstance(index, int)
         if index < array.shape[0 if kind == "row" else 1]:

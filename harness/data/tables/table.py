@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from harness.data.tables.headers import TRUTH, clock_unit, split_header, stated_unit
+from harness.data.tables.stamps import is_date, is_time_of_day, with_dates
 from harness.errors import InputError, no_file
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
@@ -250,8 +251,18 @@ class Table:
                 unit = clock_unit(title, path=bool(getattr(self._source, "paths", False)))
             except InputError as error:
                 raise error.located(file=self.path) from error
+        if own is not None and title is not None and (dated := self._with_dates(title)) is not None:
+            values = dated
         unit = own or declared or unit
         return convert(values, unit or "s", "s"), unit is not None
+
+    def _with_dates(self, title: str) -> FloatArray | None:
+        """Return times of day with the dates that another column gives; None where there is none."""
+        texts = getattr(self._source, "texts", None)
+        if texts is None or not all(map(is_time_of_day, texts(title, 1))):
+            return None
+        beside = [other for other in self.titles if other not in ("", title) and all(map(is_date, texts(other, 1)))]
+        return with_dates(texts(title), texts(beside[0]), self.where) if beside else None
 
     def read(self, column: str | int, like: str | None = None) -> tuple[FloatArray, str | None]:
         """Return one column (N,) and the unit that its title states, or None.

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harness.data.tables.cells import EMPTY, clock, is_number, units_below
+from harness.data.tables.cells import EMPTY, is_number, numbers_of, units_below
 from harness.data.tables.packing import most_unpacked
+from harness.data.tables.stamps import clock
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -23,7 +24,9 @@ __all__ = ["TextFile"]
 _DELIMITERS = (",", ";", "\t")
 _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
-_FORTRAN = re.compile(r"([+-]?\d+\.?\d*|[+-]?\.\d+)[dD]([+-]?\d+)")
+MOST_ABOVE = 100
+"""Lines that a logger may write above its table."""
+_MINUS = re.compile("\u2212(?=[\\d.,])")
 _PARTS = re.compile(r"[+-]?\d*(?:[.,](?P<decimals>\d*))?(?:[eEdD][+-]?(?P<power>\d*))?")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
@@ -47,6 +50,8 @@ class TextFile:
 
     def __init__(self, path: Path) -> None:
         text, coding = _text(path)
+        if "\u2212" in text:
+            text = _MINUS.sub("-", text)
         lines = text.splitlines()
         self.notes: list[str] = []
         if coding == "cp1252":
@@ -56,10 +61,13 @@ class TextFile:
             for number, line in enumerate(lines, start=1)
             if line.strip() and not line.lstrip().startswith(_COMMENTS)
         ]
+        while len(self._lines) > 1 and not self._lines[-1][1].strip(" ,;\t|"):  # rows of a workbook that hold nothing
+            self._lines.pop()
         hint = _HINT.fullmatch(self._lines[0][1].strip(" \t")) if self._lines else None
         self._lines = self._lines if hint is None else self._lines[1:]
         if not self._lines:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
+        self._leave_out_above(hint)
         first = self._lines[0][1]
         counts = {sign: first.count(sign) for sign in _DELIMITERS}
         best = max(_DELIMITERS, key=lambda sign: counts[sign])
@@ -109,6 +117,33 @@ class TextFile:
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as an editor counts it."""
         return f"line {self._lines[row][0]}"
+
+    def _leave_out_above(self, hint: re.Match[str] | None) -> None:
+        """Leave out what a logger writes above its table, where header and all rows have one form and it has not.
+
+        Lines above are taken for none of the table if none of them has as many cells as it; one line above rows that
+        are a cell longer or shorter is a header that does not fit, and is refused as such.
+        """
+        last = self._lines[-1][1] if len(self._lines) < 3 else self._lines[-2][1]
+        sign = hint[1] or "\t" if hint is not None else max(_DELIMITERS, key=last.count)
+        width = last.count(sign)
+        if not width or any('"' in line for _, line in self._lines[-3:]) or self._lines[0][1].count(sign) == width:
+            return
+        counts = [line.count(sign) for _, line in self._lines[:-1]]
+        wrong = [row for row, count in enumerate(counts) if count != width]
+        begin = wrong[-1] + 1
+        if begin > MOST_ABOVE or width in counts[:begin] or (begin == 1 and abs(counts[0] - width) < 2):
+            return
+        rows = [line for _, line in self._lines[:begin] if sum(map(is_number, line.split(sign))) > 1]
+        if len(rows) > 2:  # a table of its own, another run perhaps
+            return
+        titles = [cell.strip(' "') for cell in self._lines[begin][1].split(sign)]
+        if len(self._lines) - begin < 3 or any(map(is_number, titles)) or not all(titles[:-1]):
+            return
+        self.notes.append(
+            f"lines {self._lines[0][0]} to {self._lines[begin - 1][0]} stand above the table: they are left aside"
+        )
+        self._lines = self._lines[begin:]
 
     def _named(self, lines: list[str], width: int) -> list[str] | None:
         """Return the titles that a comment right above the numbers gives to all columns; None where it does not."""
@@ -256,30 +291,20 @@ class TextFile:
         for _, line in self._lines:
             row = self._cells(line)
             cells.append(row[column] if column < len(row) else "")
-        if (stamps := clock(cells)) is not None:
+
+        def where(row: int) -> str:
+            return f"{self.where(row)}, column {title!r}"
+
+        if (stamps := clock(cells, self.notes, where)) is not None:
             self._clocks.add(title)
             return stamps
-        numbers = []
-        signs = [cell for cell in cells if "," in cell]
-        thousands = bool(signs) and all(map(_THOUSANDS.fullmatch, signs))
-        commas = not thousands and not any("." in cell for cell in cells)
-        for k, cell in enumerate(cells):
-            if cell.lower() in EMPTY:
-                numbers.append(np.nan)
-                continue
-            try:
-                plain = _FORTRAN.sub(r"\1e\2", cell)
-                numbers.append(float(plain.replace(",", ".") if commas and _COMMA.fullmatch(plain) else plain))
-            except ValueError:
-                comma = "," in cell
-                raise InputError(
-                    "a cell that is no number",
-                    expected="a number" + (" with one kind of decimal sign, and none for thousands" if comma else ""),
-                    got=repr(cell),
-                    remedy="export with decimal points" if comma else "correct or empty the cell",
-                    place=f"{self.where(k)}, column {title!r}",
-                ) from None
-        return np.array(numbers)
+        return numbers_of(cells, where)
+
+    def texts(self, title: str, most: int | None = None) -> list[str]:
+        """Return the cells of a column as they are written, at most so many."""
+        column = self.titles.index(title)
+        rows = (self._cells(line) for _, line in self._lines[:most])
+        return [row[column] if column < len(row) else "" for row in rows]
 
     def _cells(self, line: str) -> list[str]:
         """Return the cells of a line."""
@@ -311,7 +336,9 @@ def _text(path: Path) -> tuple[str, str]:
                 got="more",
                 remedy="unpack it yourself, or cut or thin it",
             )
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+    if raw[:4] in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
+        coding = "utf-32"
+    elif raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         coding = "utf-16"
     elif raw[1:2] == b"\0" or raw[:1] == b"\0":  # a title begins with a letter of ASCII in every table that we read
         coding = "utf-16-le" if raw[1:2] == b"\0" else "utf-16-be"

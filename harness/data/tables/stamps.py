@@ -1,0 +1,202 @@
+"""Dates and times of day in the cells of a table, as seconds from the first."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["clock", "is_date", "is_time_of_day", "with_dates"]
+
+_DAY = (
+    r"(?:(?P<year>\d{4})(?P<sign>[-/.]?)(?P<month>\d\d)(?P=sign)(?P<day>\d\d)"
+    r"|(?P<first>\d{1,2})(?P<between>[./-])(?P<second>\d{1,2})(?P=between)(?P<last>\d{4}))"
+)
+_TIME = (
+    r"(?:(?P<hour>\d{1,3}):(?P<minute>[0-5]\d):(?P<whole>[0-5]\d)|(?P<compact>\d{6}))"
+    r"(?:[.,](?P<fraction>\d{1,12}))?(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
+)
+_STAMP = re.compile(rf"(?:{_DAY}(?P<joint>[T ]| +|, *))?{_TIME}\s*(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII)
+_DATE = re.compile(rf"{_DAY}(?:[T ]00:00:00(?:\.0+)?)?", re.ASCII)
+SECONDS = 86400
+"""Of a day."""
+_ROLLS = SECONDS // 2
+"""A time of day that falls by more than this [s] is one of the next day: no clock is set back by half a day."""
+
+
+def _row(row: int) -> str:
+    return f"row {row}"
+
+
+def clock(
+    cells: Sequence[str], notes: list[str] | None = None, where: Callable[[int], str] = _row
+) -> FloatArray | None:
+    """Return dates and times as seconds from the first; None if they are none.
+
+    Dates are those of ISO 8601 (also with ``/`` or without signs), ``31.12.2024``, and with slashes in the order that
+    all rows allow. Times of day may go without the date; where they fall by more than half a day, the next day begins.
+    Fractions keep all their digits; hours up to 12 may carry AM and PM.
+
+    Parameters
+    ----------
+    cells : sequence of str
+    notes : list of str, optional
+        Gets a sentence where days were counted.
+    where : callable
+        Gives the place of a row for messages.
+
+    Raises
+    ------
+    InputError
+        If most cells are times and one is none, or dates can be read in two ways that differ.
+
+    Examples
+    --------
+    >>> clock(["2024-05-01T23:59:59.5Z", "2024-05-02T00:00:00.25Z"]).tolist(), clock(["12:00:01,5"]).tolist()
+    ([0.0, 0.75], [0.0])
+    >>> clock(["23:59:59.5", "0:00:00.5"]).tolist(), clock(["31.01.2024 11:00:00", "01.02.2024 11:00:00"]).tolist()
+    ([0.0, 1.0], [0.0, 86400.0])
+    >>> clock(["0.1"]) is None
+    True
+    """
+    found = [_STAMP.fullmatch(cell.strip()) for cell in cells]
+    stamps = [one for one in found if one is not None]
+    if not stamps or 2 * len(stamps) < len(found):
+        return None
+    if any((one["compact"] is not None) != (one["joint"] == "T" and one["sign"] == "") for one in stamps):
+        return None  # 202405 is a number
+    if len(stamps) < len(found):
+        row = next(row for row, one in enumerate(found) if one is None)
+        raise _refused(f"a time in every row, as in {cells[found.index(stamps[0])]!r}", cells[row], where(row))
+    if len({(one["joint"] is None, one["zone"] is None) for one in stamps}) > 1:
+        return None  # with and without a zone: nobody can say how far apart they are
+    within = [_of_day(one) for one in stamps]
+    if None in within:
+        return None
+    parts = np.array([float(f"0.{one['fraction']}") if one["fraction"] else 0.0 for one in stamps])
+    whole = np.array(within, dtype=np.int64)
+    if stamps[0]["joint"] is not None:
+        days = _days(stamps, where) if whole.max() < SECONDS else None
+        if days is None:
+            return None
+        whole = whole + SECONDS * days
+    elif whole.max() < SECONDS:
+        rolled = np.cumsum(np.diff(whole, prepend=whole[0]) < -_ROLLS)
+        if rolled[-1] and notes is not None:
+            said = "a time of day that falls by half a day is the next day's"
+            text = f"midnight is passed ({rolled[-1]}x): {said}"
+            notes += [] if text in notes else [text]  # a column may be read more than once
+        whole = whole + SECONDS * rolled
+    whole = whole - np.array([_ahead(one["zone"]) for one in stamps], dtype=np.int64)
+    return np.asarray((whole - whole[0]) + (parts - parts[0]))
+
+
+def is_time_of_day(cell: str) -> bool:
+    """Return True for a time without a date.
+
+    Examples
+    --------
+    >>> is_time_of_day("12:00:00.5"), is_time_of_day("2024-01-01 12:00:00")
+    (True, False)
+    """
+    found = _STAMP.fullmatch(cell.strip())
+    return found is not None and found["joint"] is None and found["compact"] is None
+
+
+def is_date(cell: str) -> bool:
+    """Return True for a date without a time (or at midnight, as workbooks hold dates).
+
+    Examples
+    --------
+    >>> is_date("31.12.2024"), is_date("2024-12-31 00:00:00"), is_date("12:00:00"), is_date("20241231")
+    (True, True, False, False)
+    """
+    found = _DATE.fullmatch(cell.strip())
+    return found is not None and found["sign"] != ""
+
+
+def with_dates(times: Sequence[str], dates: Sequence[str], where: Callable[[int], str] = _row) -> FloatArray | None:
+    """Return times of day with the dates of another column as seconds from the first; None if they are none.
+
+    Examples
+    --------
+    >>> with_dates(["23:59:59", "00:00:01"], ["2024-01-31", "2024-02-01"]).tolist()
+    [0.0, 2.0]
+    """
+    if not all(map(is_date, dates)) or not all(map(is_time_of_day, times)):
+        return None
+    days = [re.split("[T ]", day.strip())[0] for day in dates]
+    return clock([f"{day} {time.strip()}" for day, time in zip(days, times, strict=True)], where=where)
+
+
+def _of_day(stamp: re.Match[str]) -> int | None:
+    """Return the seconds of a time since midnight; None where there is no such time."""
+    if stamp["compact"] is not None:
+        hour, minute, whole = (int(stamp["compact"][at : at + 2]) for at in (0, 2, 4))
+        if minute > 59 or whole > 59:
+            return None
+    else:
+        hour, minute, whole = int(stamp["hour"]), int(stamp["minute"]), int(stamp["whole"])
+    if stamp["half"] is not None:
+        if not 1 <= hour <= 12:
+            return None
+        hour = hour % 12 + 12 * (stamp["half"] in "Pp")
+    return hour * 3600 + minute * 60 + whole
+
+
+def _ahead(zone: str | None) -> int:
+    """Return by how many seconds a zone is ahead of UTC."""
+    if zone is None or zone == "Z":
+        return 0
+    digits = zone[1:].replace(":", "")
+    ahead = int(digits[:2]) * 3600 + int(digits[2:] or 0) * 60
+    return -ahead if zone[0] == "-" else ahead
+
+
+def _days(stamps: Sequence[re.Match[str]], where: Callable[[int], str]) -> np.ndarray | None:
+    """Return the days of dates, counted from any; None where one is no date.
+
+    Raises
+    ------
+    InputError
+        If days and months can change places, and the dates are other ones then.
+    """
+    orders: tuple[Callable[[re.Match[str]], tuple[str, str, str]], ...]
+    if stamps[0]["year"] is not None:
+        orders = (lambda one: (one["year"], one["month"], one["day"]),)
+    else:
+        orders = (lambda one: (one["last"], one["second"], one["first"]),)
+        if stamps[0]["between"] != ".":  # a date with points has its day first, one with slashes may have its month
+            orders = (*orders, lambda one: (one["last"], one["first"], one["second"]))
+    readings: list[np.ndarray] = []
+    for order in orders:
+        known: dict[tuple[str, str, str], int] = {}
+        try:
+            for one in stamps:
+                day = order(one)
+                if None not in day and day not in known:
+                    known[day] = datetime.date(int(day[0]), int(day[1]), int(day[2])).toordinal()
+            readings.append(np.array([known[order(one)] for one in stamps], dtype=np.int64))
+        except (ValueError, KeyError):  # no such date, or another form of it
+            continue
+    if not readings:
+        return None
+    if len(readings) == 2 and not np.array_equal(np.diff(readings[0]), np.diff(readings[1])):
+        row = int(np.flatnonzero(np.diff(readings[0]) != np.diff(readings[1]))[0]) + 1
+        raise _refused("dates with one reading (2024-12-31)", stamps[row].string, where(row))
+    return readings[0]
+
+
+def _refused(expected: str, got: str, place: str) -> InputError:
+    return InputError(
+        "a time that cannot be read",
+        expected=expected,
+        got=repr(got),
+        remedy="correct or empty the cell, or export times of ISO 8601",
+        place=place,
+    )
