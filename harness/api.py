@@ -5,8 +5,10 @@ The heavy rooms are imported inside the calls, so that asking for help stays fas
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 import numpy as np
 
 from harness import registry
-from harness.errors import HarnessError, InputError, PlantError, PluginError, refuse_no_file
+from harness.errors import HarnessError, InputError, PlantError, PluginError, as_written, refuse_no_file
 from harness.fitted import FittedModel, Usable, load_model
 from harness.options import meant_options
 from harness.parts.files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
@@ -192,22 +194,23 @@ def _described_model(path: Path) -> dict[str, Any]:
             remedy="check the file",
             file=path,
         )
-    spec = content.get("spec") or {}
-    ports = [
-        {"port": port.get("name", ""), "role": role[:-1], "unit": port.get("unit", "1")}
-        for role in ("inputs", "outputs", "states")
-        for port in spec.get(role, [])
-    ]
-    parameters = [
-        {"parameter": name, "value": f"{value:.6g}" if isinstance(value, int | float) else str(value)}
-        for name, value in (content.get("parameters") or {}).items()
-    ]
-    facts = [f"{path.name}: model of kind {content['kind']!r}"]
-    facts += [f"built on {content['model']}"] if content.get("model") else []
-    facts += [f"sample time {spec['sample_time']} s"] if spec.get("sample_time") else []
-    effects = content.get("effects") or []
-    facts += [f"effects: {', '.join('@'.join(map(str, one)) for one in effects)}"] if effects else []
-    return {"facts": facts, "tables": {"ports": ports, "parameters": parameters}, "content": content}
+    with as_written(path, "model.json"):
+        spec = content.get("spec") or {}
+        ports = [
+            {"port": port.get("name", ""), "role": role[:-1], "unit": port.get("unit", "1")}
+            for role in ("inputs", "outputs", "states")
+            for port in spec.get(role, [])
+        ]
+        parameters = [
+            {"parameter": name, "value": f"{value:.6g}" if isinstance(value, int | float) else str(value)}
+            for name, value in (content.get("parameters") or {}).items()
+        ]
+        facts = [f"{path.name}: model of kind {content['kind']!r}"]
+        facts += [f"built on {content['model']}"] if content.get("model") else []
+        facts += [f"sample time {spec['sample_time']} s"] if spec.get("sample_time") else []
+        effects = content.get("effects") or []
+        facts += [f"effects: {', '.join('@'.join(map(str, one)) for one in effects)}"] if effects else []
+        return {"facts": facts, "tables": {"ports": ports, "parameters": parameters}, "content": content}
 
 
 def new_dataset(
@@ -406,6 +409,13 @@ def halve(
         return simulate(plant, step=chosen, note=hearers.pop() if hearers else None, **asked)
 
     found = halved(run, times, step)
+    if note is not None and not names_fmu(plant):
+        from harness.cosim import own_steps
+
+        kept = own_steps(plant, within=(asked.get("options") or {}).get("within"))
+        if kept:
+            named = ", ".join(kept[:6]) + (", ..." if len(kept) > 6 else "")
+            note(f"steps of their own get no finer, only the exchange with the others does: {named}")
     if out is not None:
         from harness.data import write_trajectory
 
@@ -520,6 +530,8 @@ class Identified(Usable):
     """One step ahead, of a model that predicts distributions; empty for others."""
     judged: Trajectory | None = field(default=None, repr=False, compare=False)
     """The record that the picture in a notebook shows: the first that validates."""
+    bounds: Findings | None = field(default=None, repr=False)
+    """What theorems for finite samples promise beside what was measured, where it was asked for."""
 
     def plot(self) -> Figure:
         """Return the figure of the record that judges: its inputs, what was measured, and the free run of the model."""
@@ -555,7 +567,8 @@ class Identified(Usable):
             }
             for name, found in (("equation_error", self.equation_error), ("simulation_error", self.simulation_error))
         }
-        return {"model": self.model.to_dict(), **scores, "warnings": list(self.warnings)}
+        bounds = {} if self.bounds is None else {"bounds": self.bounds.to_dict()}
+        return {"model": self.model.to_dict(), **scores, "warnings": list(self.warnings), **bounds}
 
     def _rows(self) -> list[tuple[str, ...]]:
         """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
@@ -674,6 +687,7 @@ def identify(
     undriven: Sequence[str] = (),
     out: str | Path | None = None,
     seed: int = 0,
+    bounds: bool = False,
     force: bool = False,
     **signals: Unpack[Signals],
 ) -> Identified:
@@ -702,6 +716,8 @@ def identify(
         JSON file for the model.
     seed : int
         For identifiers that draw random numbers.
+    bounds : bool
+        Put bounds for finite samples beside what was measured; of linear models (the analysis ``finite-sample``).
     force : bool
         Overwrite ``out`` if it exists.
     **signals : Signals
@@ -784,7 +800,14 @@ def identify(
         (*_said(fitted), *data.warnings),
         probability,
         next(iter((*data.validation, *data.estimation)), None),
+        _bounds_beside(fitted, records, identifier, seed) if bounds else None,
     )
+
+
+def _bounds_beside(model: Model, records: Sequence[Trajectory], identifier: str, seed: int) -> Findings:
+    """Return bounds for finite samples beside a model that was fitted to records."""
+    made: Any = registry.create("analyses", "finite-sample", identifier=identifier)
+    return cast("Findings", made.beside(model, records, rng=stream("bounds", identifier, seed)))
 
 
 def calibrate(
@@ -1573,13 +1596,26 @@ def _subject(takes: Takes, subject: Any, more: dict[str, Any], signals: Signals)
         from harness.data import load_dataset
 
         return load_dataset(registry.dataset_path(subject), **signals).dataset
+    if takes == "records" and not _planned_for(subject):
+        return _subject("data", subject, more, signals)
     if not isinstance(subject, str | Path):
-        return subject
+        return getattr(subject, "model", subject) if takes == "records" else subject
+    if takes == "records":
+        found = load_model(subject, **more)
+        return getattr(found, "model", found)
     if takes == "maker":
         return lambda **other: make_plant(str(subject), {**more, **other})
     if takes == "definition":
         return load_model(str(subject), **more)
     return load_model(subject).model if str(subject).endswith(".json") else make_plant(str(subject), more)
+
+
+def _planned_for(subject: Any) -> bool:
+    """Return True of a model whose records are planned: a fitted one, its file, or a physical one by its name."""
+    if isinstance(subject, str | Path):
+        known = {entry.id for entry in registry.entries("models")}
+        return str(subject).endswith(".json") or str(subject) in known or ".py:" in str(subject)
+    return (hasattr(subject, "spec") and hasattr(subject, "step")) or hasattr(subject, "parameter_names")
 
 
 def check_data(
@@ -1801,7 +1837,8 @@ def _as_is(
     told = {name: chosen.pop(names[name], None) if name in names else None for name in asked}
     window = {name: told[name] if value is None else value for name, value in asked.items()}
     if not names_fmu(plant):
-        found = _system_as_is(plant, window, chosen, progress)
+        with _said_once(note):
+            found = _system_as_is(plant, window, chosen, progress)
         return _told(found, note, broke)
     found = registry.load("tools", "fmu-as-is")(
         plant,
@@ -1813,6 +1850,19 @@ def _as_is(
         **{"isolated": os.name == "posix", **chosen},
     )
     return _told(found, note, broke)
+
+
+@contextmanager
+def _said_once(note: Callable[[str], None] | None) -> Iterator[None]:
+    """Keep plants from logging what ``note`` gets at the end."""
+    log = logging.getLogger("plants")
+    level = log.level
+    if note is not None:
+        log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _told(run: FreeRun, note: Callable[[str], None] | None, broke: Callable[[PlantError], None] | None) -> Trajectory:

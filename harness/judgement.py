@@ -42,6 +42,10 @@ _ANSWERS = "; if there is none, and an output answers within the sample, declare
 _NEARLY, _CHANCE, _SHORT = 0.1, 0.5, 4
 # Probability, in a law without an integral or a filter, of one that is taken to have it.
 _NEEDED = 0.05
+# Estimates between two-stage least squares and limited-information maximum likelihood that are tried.
+_TRIED = 21
+# Windows of a motion that depend on others up to this share have that dimension in common.
+_NOTHING = 1e-11
 # Regressors and witnesses that depend on others up to these shares are left out.
 _RANK, _THIN = 1e-6, 1e-8
 
@@ -99,6 +103,10 @@ class _Form:
     lags: int
     change: bool
     filtered: bool = False
+
+    def coefficients(self, outputs: int) -> int:
+        """Return how many numbers such a law has, its constant included."""
+        return 1 + outputs * (self.lags + 1) + int(self.filtered)
 
 
 # Proportional; with a derivative; with an integral; with both; and each behind a filter. A law of two free poles would
@@ -222,6 +230,9 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
     the proportional, derivative and integral controllers, each behind a filter of one pole too. The size of the noise
     decides nothing.
 
+    An input that its own past foretells wholly is a sum of lines, or part of a motion from a start alone. Lines obey
+    any law of as many coefficients as they have dimensions; a law of fewer that holds to rounding is a controller's.
+
     Parameters
     ----------
     records : sequence of Trajectory
@@ -259,6 +270,10 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
             least = max(exact, _ROUNDED) if form == _PLAIN[0] else exact
             if (noise or departure < least) and (sure or form == _PLAIN[0]):
                 return Law(column, text, departure, probability)
+            if not sure and departure < _ROUNDED and form.coefficients(spec.ny) < _dimension(some):
+                return Law(column, text, departure, probability)
+        if not sure and (found := _weakly_told(some, column)) is not None:
+            return found
         if sure and shares[column] > 1.0 - _EXACT**2 and _granger(_before(some), 4)[0][column] > 1.0 - _EXACT**2:
             left = float(alone[column] * np.sqrt(max(1.0 - shares[column], 0.0)))
             return Law(column, f"{spec.inputs[column].name} follows from the last 4 samples", left, 1.0)
@@ -394,6 +409,9 @@ def _tested(records: Sequence[Trajectory], column: int, form: _Form) -> tuple[fl
     target, law, lengths = np.concatenate(targets), np.concatenate(laws), [len(part) for part in targets]
     if not np.ptp(target) > 0:
         return 1.0, 0.0, ""  # a pulse before the rows that are tested: what rests is no answer
+    size = float(np.concatenate([record.u[:, column] for record in records]).std())
+    if _by_itself(target, law[:, [0, *range(1 + spec.ny * (lags + 1), law.shape[1])]]) < _ROUNDED * size:
+        return 1.0, 0.0, ""  # a ramp, or one mode that dies away: no output has a part in it
     witness = _unit(np.concatenate(witnesses))
     gains, covariance, statistic, free = _moments(target, law, witness, lengths, lags)
     # Without an integral, or a filter, the law is that of the other forms, which bear sharper witness. The pole of a
@@ -410,10 +428,15 @@ def _tested(records: Sequence[Trajectory], column: int, form: _Form) -> tuple[fl
         total, among = part @ gains, part @ covariance @ part.T
         if chi2.sf(float(total @ np.linalg.lstsq(among, total, rcond=1e-9)[0]), len(part)) > _NEEDED:
             return 1.0, 0.0, ""
-    size = float(np.concatenate([record.u[:, column] for record in records]).std())
     departure = float(np.std(target - law @ gains)) / (size if size > 0 else 1.0)
     text = _text(spec, column, form, -gains[1:], law.std(axis=0)[1:], float(target.std()))
     return departure, float(chi2.sf(statistic, free)), text
+
+
+def _by_itself(target: FloatArray, own: FloatArray) -> float:
+    """Return what a constant and the sample before leave of an input, or of its change."""
+    scaled = _unit(own)
+    return float(np.std(target - scaled @ np.linalg.lstsq(scaled, target, rcond=_THIN)[0]))
 
 
 def _moments(
@@ -435,6 +458,70 @@ def _moments(
     inverse = np.linalg.pinv(root @ slopes, rcond=_RANK)
     covariance = inverse @ inverse.T / rows * np.outer(unit, unit)
     return unit * gains, covariance, float(rows * (wrong @ wrong)), max(z.shape[1] - int(rank), 1)
+
+
+def _dimension(records: Sequence[Trajectory]) -> int:
+    """Return how many dimensions windows of inputs and outputs span, a constant included."""
+    rows = []
+    for record in records:
+        both, last = np.hstack([record.u, record.y]), len(record) - _SHORT
+        if last > 0:
+            rows.append(np.hstack([both[j : last + j] for j in range(_SHORT)]))
+    if not rows:
+        return 0
+    together = np.concatenate(rows)
+    values = np.linalg.svd(_unit(np.hstack([np.ones((len(together), 1)), together])), compute_uv=False)
+    return int(np.sum(values > _NOTHING * values[0]))
+
+
+def _weakly_told(records: Sequence[Trajectory], column: int) -> Law | None:
+    """Return the proportional law that a motion from a start shows although hardly more than one mode of it is seen.
+
+    Two-stage estimates then lie anywhere along what the data do not tell, and their test rejects them. The least of
+    ``v' P v / v' v`` over all laws, P the projection on the witnesses, is chi-square whatever is told (Anderson & Rubin
+    1949, Ann. Math. Stat. 20:46, sec. 5): limited-information maximum likelihood. Of the estimates between both (those
+    of the k-class: Theil 1958, *Economic Forecasts and Policy*, sec. 6.2) the first that the test bears out counts.
+    """
+    from scipy.linalg import eigh
+    from scipy.stats import chi2
+
+    spec, first = records[0].spec, int(records[0].spec.feedthrough)
+    sides, witnesses = [], []
+    for record in records:
+        k = np.arange(_REACH + 1, len(record) - _REACH)
+        u, y = record.u, record.y
+        sides.append(np.hstack([u[k, column, None], y[k - first]]))
+        around = [u[k - j] for j in range(-_REACH, _REACH + 1)]
+        before = [y[k - j] for j in range(first + 1, _REACH + 1)]
+        witnesses.append(np.hstack([*around, *before, *(y[k + j] for j in range(1, _REACH + 1))]))
+    if sum(map(len, sides)) < 3 * witnesses[0].shape[1]:
+        return None
+    side, witness = np.concatenate(sides), np.concatenate(witnesses)
+    side, witness = side - side.mean(axis=0), _unit(witness - witness.mean(axis=0))
+    size = np.where(side.std(axis=0) > 0, side.std(axis=0), 1.0)
+    left, values, _ = np.linalg.svd(witness, full_matrices=False)
+    z = left[:, values > _THIN * values[0]]
+    seen = z.T @ (side / size)
+    rows, whole = len(side), (side / size).T @ (side / size)
+    if np.linalg.eigvalsh(whole)[0] <= _THIN * rows:
+        return None  # a law to rounding is found without
+    explained = seen.T @ seen
+    least = float(eigh(explained, whole, eigvals_only=True)[0])
+    free, law, probability = max(z.shape[1] - spec.ny, 1), np.zeros(0), 0.0
+    for part in np.linspace(0.0, 1.0, _TRIED):  # from two stages to limited information: the first that is borne out
+        inner = explained - part * least * whole
+        law = np.append(1.0, -np.linalg.lstsq(inner[1:, 1:], inner[1:, 0], rcond=1e-12)[0])
+        share = float(law @ explained @ law) / float(law @ whole @ law)
+        probability = float(chi2.sf(rows * share, free))
+        if probability > _DOUBT:
+            break
+    law = law * size[0] / size
+    own = float(np.concatenate([record.u[:, column] for record in records]).std())
+    departure = float(np.std(side @ law)) / (own if own > 0 else 1.0)
+    if probability <= _DOUBT or departure > _HALF:
+        return None
+    text = _text(spec, column, _PLAIN[0], law[1:], size[1:], float(size[0]))
+    return Law(column, text, departure, probability)
 
 
 def _text(spec: PlantSpec, column: int, form: _Form, gains: FloatArray, spread: FloatArray, own: float) -> str:

@@ -100,6 +100,9 @@ def identify(
     slopes: Slopes = "differences",
     ssv: Ssv = None,
     copy: Copies = None,
+    bounds: Annotated[
+        bool, typer.Option("--bounds", help="put bounds for finite samples beside what was measured (linear models)")
+    ] = False,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
     max_error: MaxError = None,
@@ -112,11 +115,14 @@ def identify(
     demands = demands_of(None, max_error, None)
     if is_response(dataset):
         _identify_response(
-            dataset, identifier, option, signals, {"file of records": validation, "a physical model": model},
-            out, as_json=as_json, force=force,
+            dataset, identifier, option, signals,
+            {"file of records": validation, "a physical model": model, "--bounds": bounds or None}, out,
+            as_json=as_json, force=force,
         )  # fmt: skip
         return
     if free:
+        if bounds:
+            raise InputError("--bounds", expected="a linear identifier", got="--free", remedy="leave one out")
         if model is None or identifier is not None:
             raise InputError(
                 "--free",
@@ -159,6 +165,7 @@ def identify(
         undriven=undriven or (),
         out=out,
         seed=seed,
+        bounds=bounds,
         force=force,
         **signals,
     )
@@ -167,6 +174,10 @@ def identify(
         print_json(fitted.to_dict())
     else:
         print_identified(fitted, name)
+        if fitted.bounds is not None:
+            print_rows([dict(row) for row in fitted.bounds.rows])
+            for text in fitted.bounds.words:
+                say(text)
         if out is not None:
             say(f"wrote {out}")
     judged("identify", demands.of_errors(name, fitted.errors()), junit)

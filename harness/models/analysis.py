@@ -13,9 +13,10 @@ from harness.errors import InputError
 
 __all__ = ["Analysis", "Findings", "Takes"]
 
-Takes = Literal["process", "maker", "definition", "data"]
+Takes = Literal["process", "maker", "definition", "data", "records"]
 """What an analysis looks at: a process (a plant, or a fitted model in its file), a maker of plants
-``make(**options)``, the equations of a model (:class:`harness.physics.System`), or a data set."""
+``make(**options)``, the equations of a model (:class:`harness.physics.System`), or a data set; ``"records"``: a data
+set, a fitted model in its file or a physical model by its name, whose records are planned."""
 
 
 @dataclass(frozen=True, eq=False)

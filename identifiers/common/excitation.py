@@ -10,7 +10,7 @@ import numpy as np
 from harness.errors import FitError
 from harness.judgement import dependence_text
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.common.records import lagged_blocks
+from identifiers.common.records import lagged, lagged_blocks
 from identifiers.common.regression import Solution, solve
 
 __all__ = ["Columns", "excited_lags", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
@@ -26,6 +26,11 @@ _EXACT = 1e-7
 _CLIFF = 1e-3
 # Samples that are looked at for that, and how much of them is rounding.
 _ROWS, _ROUNDING = 20_000, 1e-13
+# A small combination is one of outputs if so much of its squared weights is theirs, and a signal if so much of its
+# variance is foretold: least squares then finds at least half of what it does.
+_OUTPUTS, _SIGNAL = 0.95, 0.5
+# A dependence of lags in which outputs have less than this share is one of the inputs by themselves: no law.
+_INPUTS = 0.1
 # A ridge that is none: it only asks for exact laws too, where the solver answers dependent columns.
 _TINY = 1e-30
 
@@ -124,23 +129,57 @@ def refuse_collinear(
     least: float,
     what: str,
     remedy: str = "add an excitation to what the controller commands, or leave an output out",
+    records: Sequence[Trajectory] = (),
 ) -> None:
     """Raise if some combination of measured states is no more than noise.
+
+    The residual of the equation holds what pushes the plant as well as the noise of the sensors, and only the latter is
+    in the regressors. So a small combination of outputs is no noise where the sample before and the inputs foretell
+    half of it: noise of the sensors is new at every sample.
 
     Parameters
     ----------
     solution, columns, least, what
         As of :func:`refuse_feedback`; here the outputs are the states (one lag).
+    remedy : str
+    records : sequence of Trajectory
+        Where the samples before are looked up; without them every combination that is small counts as noise.
     """
     if least <= 0:
         return
     noise = _noise(solution, columns)
     _, values, right = np.linalg.svd(solution.factor)
     weak = (values < least * np.linalg.norm(right * noise, axis=1)) & (values < _WEAK)
+    for row in np.flatnonzero(weak):
+        weak[int(row)] = not _foretold(right[int(row)], solution, columns, records)
     if weak.any():
         null = right[int(np.flatnonzero(weak)[-1])]
         rank = values.size - int(weak.sum())
         raise _undetermined(null / solution.scale, solution.scale, columns, rank, float(values[-1]), what, remedy)
+
+
+def _foretold(direction: FloatArray, solution: Solution, columns: Columns, records: Sequence[Trajectory]) -> bool:
+    """Return True if a combination of outputs follows half from the sample before and the inputs: it is a signal."""
+    seen = list(columns.output_of)
+    if np.sum(direction[seen] ** 2) < _OUTPUTS:
+        return False  # a law of an input, which a controller of some memory makes foretold as well
+    before, now = [], []
+    for record in records:
+        if len(record) < 3:
+            continue
+        rows = np.hstack([lagged(record, 1), np.ones((len(record) - 1, 1))])[:, : direction.size]
+        now.append(rows[1:] @ (direction / solution.scale))
+        before.append(np.hstack([np.ones((len(rows) - 1, 1)), record.y[:-2], record.u[:-2], record.u[1:-1]]))
+    if not now:
+        return False
+    known, wanted = np.concatenate(before), np.concatenate(now)
+    wanted = wanted - wanted.mean()
+    size = np.linalg.norm(known, axis=0)
+    known = known / np.where(size > 0, size, 1.0)
+    left = wanted - known @ np.linalg.lstsq(known, wanted, rcond=1e-10)[0]
+    free = len(wanted) - known.shape[1]
+    power = float(wanted @ wanted)
+    return free > 0 and power > 0 and float(left @ left) / free < (1.0 - _SIGNAL) * power / len(wanted)
 
 
 def excited_lags(records: Sequence[Trajectory], most: int) -> int:
@@ -234,6 +273,16 @@ def _undetermined(
     remedy: str = "add an excitation to what the controller commands",
 ) -> FitError:
     """Return the refusal, with the direction that the data do not tell."""
+    unit = null * size
+    seen = list(columns.output_of)
+    if len(seen) > len(columns.now) and np.sum(unit[seen] ** 2) < _INPUTS * np.sum(unit**2):
+        given = np.where(np.isin(np.arange(unit.size), seen), 0.0, null)
+        return FitError(
+            f"{what}: the data do not determine the model",
+            expected="inputs whose lags move in every direction",
+            got=f"rank {rank} of {size.size}: {dependence_text(given, size, columns.names)} up to {share:.1e} of size",
+            remedy="use a richer input (more lines, noise, PRBS), or a lower order",
+        )
     law = dependence_text(null, size, columns.names)
     return FitError(
         f"{what}: the data do not determine the model",

@@ -107,7 +107,7 @@ class StateLeastSquares:
             )
         columns = Columns(spec)
         solution = one_step(records, 1, self.offset, 0.0, what)
-        refuse_collinear(solution, columns, self.least_excitation, what)
+        refuse_collinear(solution, columns, self.least_excitation, what, records=records)
         refuse_feedback(solution, columns, self.least_excitation, what)
         coefficients = self._coefficients(records, solution, what)
         notes = {

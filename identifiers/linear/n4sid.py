@@ -25,6 +25,7 @@ from identifiers.common.ridge import ridge_by_cross_validation
 from identifiers.common.scaling import Scaling, scaled
 from identifiers.common.stability import clip_eigenvalues
 from identifiers.linear.directions import Directions, lively_directions
+from identifiers.linear.hidden_by_load import hidden_by_load
 from identifiers.linear.state_space_estimate import state_space_estimate
 
 __all__ = ["Subspace"]
@@ -223,6 +224,7 @@ class Subspace:
             near = self._without_stretches(found)
             model = replace(model, spread=spread_of(near, warning=notes.get("warning", "")))
         model = data.in_units(replace(model, notes=notes))
+        hidden_by_load(model, data.measured, data.feedback, notes)
         notes[KEY] = determined_bands(model.matrices, data.measured)
         rule = "given" if self.order is not None else "held-out prediction errors"
         estimate = state_space_estimate(model, values, rule)

@@ -14,13 +14,16 @@ from harness.models.arx_orders import Delay, input_delays
 from harness.models.determined import KEY, determined_bands
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import spread_of, steps_without
 from identifiers.common.observers import innovation_form
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable, without_holes
 from identifiers.common.scaling import scaled
 from identifiers.common.stability import RADIUS
-from identifiers.linear.polynomials.estimate import Fitted, in_units, prediction_error_estimate, whiteness
+from identifiers.common.whiteness import whiteness
+from identifiers.linear.hidden_by_load import hidden_by_load
+from identifiers.linear.polynomials.estimate import Fitted, in_units, prediction_error_estimate
 from identifiers.linear.polynomials.holes import in_pieces
 from identifiers.linear.polynomials.model import Orders, Part, Polynomials, block_form
 from identifiers.linear.polynomials.orders import LETTERS, Counts, orders_by_output
@@ -36,6 +39,12 @@ _GAIN = 0.98
 _ROUNDING = 1e-7
 # Gradients that depend on others up to this share of the largest singular value: what numpy.linalg.pinv leaves out.
 _LOST = 1e-15
+# Samples of the past in which a controller's law is looked for beside a fit.
+_LAW = 4
+# Probability of residuals so correlated in time, were they white, from which on they count as coloured.
+_COLOURED = 1e-3
+# Share of an input's unpredictable part that past outputs explain, from which on what is left of them biases it.
+_ANSWERED = 0.1
 # Samples of delay that are looked for at most.
 _DELAYS = 30
 
@@ -133,6 +142,8 @@ class PredictionError:
         model, fits = made._fitted(records, order, what)
         feedback = feedback_of(records)
         notes["feedback_share"] = feedback.share
+        if (poor := self._unexcited(records, order)) is not None:
+            notes["warning"] = poor
         if feedback.found and self.structure == "oe":
             notes["warning"] = "outputs foretell the input (feedback): output error is biased unless noise is white"
         rms = (np.array(model.notes["residual_rms"]) * scaling.outputs).tolist()
@@ -140,13 +151,36 @@ class PredictionError:
         notes = {**notes, **model.notes, "order": order, "residual_rms": rms}
         notes["polynomials"] = [polynomials.to_dict() for polynomials, _ in told]
         notes["standard_errors"] = [errors.tolist() for _, errors in told]
+        if feedback.found and "warning" not in notes:
+            try:
+                refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
+            except FitError as error:  # noise models can tell a loop that n4sid refuses, or take its controller for it
+                notes["warning"] = f"the model may be that of the controller: {error}"
+            else:
+                if feedback.share > _ANSWERED and min(fit.whiteness for fit in fits) < _COLOURED / spec.ny:
+                    notes["warning"] = (
+                        "residuals are correlated in time, which in a loop (past outputs foretell the input) biases "
+                        "what the inputs do: raise the order, or move the set-point more"
+                    )
         estimate = prediction_error_estimate(spec, fits, scaling)
         # about a biased answer, or one on the edge of what is allowed, the spread of the fit says nothing
         if estimate is not None and "warning" not in notes and "stabilized" not in notes:
             notes["estimate"] = estimate.to_dict()
         notes[KEY] = determined_bands(model.in_units(scaling).matrices, measured)
         model = replace(model, notes=notes)
-        return (model if "stabilized" in notes else self._with_spread(model, fits)).in_units(scaling)
+        model = (model if "stabilized" in notes else self._with_spread(model, fits)).in_units(scaling)
+        hidden_by_load(model, measured, feedback, notes)
+        return model
+
+    def _unexcited(self, records: Sequence[Trajectory], order: int) -> str | None:
+        """Return a warning where the inputs excite fewer lags than their polynomials have numbers, else None."""
+        needed = 2 * order if self.structure in ("oe", "bj") and self.nb is None and self.nf is None else order
+        if self.least_excitation <= 0 or (lags := excited_lags(records, needed)) >= needed:
+            return None
+        return (
+            f"the inputs excite {lags} lags and the model asks for {needed}: it follows from how the record starts, "
+            "and from its order, more than from what the inputs do; use a richer input, or a lower order"
+        )
 
     def _with_delays(self, records: Sequence[Trajectory]) -> tuple[PredictionError, dict[str, Any]]:
         """Return the identifier with its delays as numbers, and what the data say of them."""

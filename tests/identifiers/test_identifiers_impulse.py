@@ -121,3 +121,56 @@ def test_what_cannot_be_fitted_is_refused():
         ImpulseResponse(length=1).fit([data], rng=np.random.default_rng(0))
     with pytest.raises(FitError, match="too many unknowns"):
         ImpulseResponse(length=601).fit([data], rng=np.random.default_rng(0))
+
+
+def drawn_system(seed, coloured=0.0, n=400):
+    """Return a record of a random stable system of order 1 to 5 under slow inputs, and its response from lag 1 on."""
+    rng = np.random.default_rng([seed, 5])
+    order = int(rng.integers(1, 6))
+    a = rng.normal(size=(order, order))
+    a *= rng.uniform(0.5, 0.9) / np.abs(np.linalg.eigvals(a)).max()
+    b, c, truth = rng.normal(size=(order, 1)), rng.normal(size=(1, order)), np.zeros((LAGS, 1, 1))
+    for k in range(LAGS):
+        truth[k] = c @ np.linalg.matrix_power(a, k) @ b
+    truth /= np.linalg.norm(truth)
+    u, e = rng.normal(size=(n + LAGS, 1)), rng.normal(size=(n, 1))
+    for k in range(1, len(u)):
+        u[k] += 0.6 * u[k - 1]
+    for k in range(1, n):
+        e[k] += coloured * e[k - 1]
+    y = np.zeros((n + LAGS, 1))
+    for k in range(LAGS):
+        y[k + 1 :] += u[: len(u) - k - 1] @ truth[k].T
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    return Trajectory(np.arange(float(n)), u[LAGS:], y[LAGS:] + 0.3 * e, spec), truth
+
+
+def test_intervals_hold_random_systems_early_and_late():
+    early, late = [], []
+    for seed in range(30):
+        data, truth = drawn_system(seed)
+        notes = fitted(data, kernel="dc").notes
+        low, high, response = (np.array(notes[name]) for name in ("low", "high", "response"))
+        assert np.all((low <= response) & (response <= high))
+        inside = (low <= truth) & (truth <= high)
+        early.append(inside[:8].mean())
+        late.append(inside[8:].mean())
+    assert 0.90 < np.mean(early) < 0.99
+    assert 0.90 < np.mean(late)
+
+
+def test_the_estimate_has_the_intervals_where_residuals_are_white_and_else_the_reason():
+    from harness.models.estimate import estimate_of
+
+    data, _ = drawn_system(0)
+    model = fitted(data)
+    found = estimate_of(model)
+    low, high = found.interval("y per u, lag 2")
+    assert low == pytest.approx(np.array(model.notes["low"])[1, 0, 0])
+    assert high == pytest.approx(np.array(model.notes["high"])[1, 0, 0])
+    assert found.deviation("y per u, lag 2") == pytest.approx((high - low) / 4, rel=0.3)
+    slow, _ = drawn_system(0, coloured=0.8)
+    model = fitted(slow)
+    assert "low" not in model.notes
+    assert estimate_of(model).intervals is None
+    assert "correlated in time" in estimate_of(model).method

@@ -10,7 +10,18 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["KERNELS", "Evidence", "Kernel", "evidence", "joined", "kernel_matrix", "kernel_root"]
+__all__ = [
+    "KERNELS",
+    "Evidence",
+    "Kernel",
+    "Loose",
+    "evidence",
+    "joined",
+    "kernel_matrix",
+    "kernel_root",
+    "loose",
+    "misfit",
+]
 
 Kernel = Literal["tc", "dc", "ss"]
 KERNELS: tuple[Kernel, ...] = ("tc", "dc", "ss")
@@ -126,13 +137,90 @@ def evidence(gram: FloatArray, right: FloatArray, square: float, rows: int, root
     >>> round(float(found.mean[0]), 3), round(found.noise, 3)
     (0.5, 0.01)
     """
-    inner = root.T @ gram @ root + np.eye(len(root))
-    factor = np.linalg.cholesky(inner)
-    seen = np.linalg.solve(factor, root.T @ right)
+    value, noise, factor, seen = _weighed(gram, right, square, rows, root)
+    spread = np.linalg.solve(factor, root.T).T
+    return Evidence(value, noise, spread @ seen, np.sqrt(noise) * spread)
+
+
+def misfit(gram: FloatArray, right: FloatArray, square: float, rows: int, root: FloatArray) -> float:
+    """Return the ``value`` of :func:`evidence` alone, for searches.
+
+    Parameters
+    ----------
+    gram, right, square, rows, root
+        As of :func:`evidence`.
+
+    Examples
+    --------
+    >>> given = np.array([[100.0]]), np.array([50.0]), 26.0, 100, np.array([[10.0]])
+    >>> misfit(*given) == evidence(*given).value
+    True
+    """
+    return _weighed(gram, right, square, rows, root)[0]
+
+
+def _weighed(
+    gram: FloatArray, right: FloatArray, square: float, rows: int, root: FloatArray
+) -> tuple[float, float, FloatArray, FloatArray]:
+    """Return the misfit, the variance of the noise, the factor of the inner matrix, and what it makes of the data."""
+    from scipy.linalg import solve_triangular
+
+    factor: FloatArray = np.asarray(np.linalg.cholesky(root.T @ gram @ root + np.eye(len(root))), dtype=np.float64)
+    seen = np.asarray(solve_triangular(factor, root.T @ right, lower=True, check_finite=False), dtype=np.float64)
     noise = max(square - float(seen @ seen), 1e-14 * square) / rows
     value = rows * np.log(max(noise, 1e-300)) + 2.0 * float(np.log(np.diag(factor)).sum())
-    spread = np.linalg.solve(factor, root.T).T
-    return Evidence(float(value), noise, spread @ seen, np.sqrt(noise) * spread)
+    return float(value), noise, factor, seen
+
+
+@dataclass(frozen=True, eq=False)
+class Loose:
+    """What data say of coefficients under a prior that is meant to say little.
+
+    Parameters
+    ----------
+    mean : array (p,)
+    covariance : array (p, p)
+    freedom : float
+        Equations less the coefficients that the data decide.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    freedom: float
+
+
+def loose(gram: FloatArray, right: FloatArray, square: float, rows: int, root: FloatArray) -> Loose:
+    """Return the posterior under a loose prior, the variance of the noise from what is left over.
+
+    Where the prior says little the fit follows the noise, so that the noise is ``|y - Phi g|^2`` over the equations
+    less the trace of the matrix that takes y to the fit (Wahba 1983, J. R. Stat. Soc. B 45:133, eq. 3.5).
+
+    Parameters
+    ----------
+    gram, right, square, rows, root
+        As of :func:`evidence`.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> x = rng.normal(size=(40, 20))
+    >>> y = x @ np.ones(20) + rng.normal(size=40)
+    >>> found = loose(x.T @ x, x.T @ y, float(y @ y), 40, 1e3 * np.eye(20))
+    >>> plain = np.linalg.lstsq(x, y, rcond=None)
+    >>> bool(np.allclose(found.mean, plain[0], atol=1e-4)), round(found.freedom, 3)
+    (True, 20.0)
+    >>> variance = float(plain[1][0]) / 20
+    >>> bool(np.allclose(found.covariance, variance * np.linalg.inv(x.T @ x), rtol=1e-4))
+    True
+    """
+    inner = root.T @ gram @ root
+    factor = np.linalg.cholesky(inner + np.eye(len(root)))
+    spread = np.linalg.solve(factor, root.T)
+    mean = spread.T @ (spread @ right)
+    decided = len(root) - float(np.sum(np.linalg.inv(factor) ** 2))
+    freedom = max(rows - decided, 1.0)
+    left = max(square - 2.0 * float(mean @ right) + float(mean @ gram @ mean), 1e-14 * square)
+    return Loose(mean, left / freedom * (spread.T @ spread), freedom)
 
 
 def joined(roots: Sequence[FloatArray]) -> FloatArray:

@@ -13,10 +13,8 @@ from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL, q
 from identifiers.common.scaling import Scaling
 from identifiers.linear.polynomials.model import Polynomials
 
-__all__ = ["Fitted", "in_units", "prediction_error_estimate", "whiteness"]
+__all__ = ["Fitted", "in_units", "prediction_error_estimate"]
 
-LAGS = 20
-"""Lags of the residuals' autocorrelation that are tested together (Ljung & Box 1978), as usual in the field."""
 DEPENDENT = 1e-7
 """Singular values of the gradients below this share of the largest: a direction that the data do not determine."""
 
@@ -59,31 +57,6 @@ class Fitted:
     def errors(self) -> list[float]:
         """Standard errors of the parameter vector."""
         return [float(error) for error in np.sqrt(np.diag(self.covariance))]
-
-
-def whiteness(residuals: Sequence[FloatArray]) -> float:
-    """Return the probability of residuals at least so correlated in time, were they white (Ljung & Box 1978).
-
-    Parameters
-    ----------
-    residuals : sequence of array (N_i,)
-        Record by record: no product crosses a seam.
-
-    Examples
-    --------
-    >>> noise = np.random.default_rng(0).normal(size=500)
-    >>> whiteness([noise]) > 0.01, whiteness([np.cumsum(noise)]) < 1e-6
-    (True, True)
-    """
-    from scipy.stats import chi2
-
-    n = sum(len(miss) for miss in residuals)
-    power = sum(float(miss @ miss) for miss in residuals)
-    lags = min(LAGS, max(len(miss) for miss in residuals) - 2)
-    if power == 0 or lags < 1:
-        return 1.0
-    shares = [sum(float(miss[j:] @ miss[:-j]) for miss in residuals) / power for j in range(1, lags + 1)]
-    return float(chi2.sf(n * (n + 2) * sum(s**2 / (n - j) for j, s in enumerate(shares, 1)), lags))
 
 
 def in_units(fit: Fitted, scaling: Scaling, output: int) -> tuple[Polynomials, FloatArray]:

@@ -1,0 +1,50 @@
+"""Parts by their id, for analyses that are told which identifier or scenario to use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any, Literal
+
+from harness.errors import InputError
+from harness.options import meant_options
+
+__all__ = ["named"]
+
+
+def named(kind: Literal["identifiers", "scenarios", "plants"], name: str, options: Mapping[str, Any]) -> Any:
+    """Return a registered part with its options.
+
+    Parameters
+    ----------
+    kind : {"identifiers", "scenarios", "plants"}
+    name : str
+        Its id.
+    options : mapping
+
+    Raises
+    ------
+    InputError
+        If there is no such part, or it has no such option.
+
+    Examples
+    --------
+    >>> named("identifiers", "arx", {"order": 2}).order
+    2
+    """
+    found = list(entry_points(group=f"sysid_harness.{kind}", name=name))
+    if not found:
+        raise InputError(
+            f"{kind[:-1]} by its id",
+            expected=f"a registered one (sysid list {kind})",
+            got=repr(name),
+            remedy="correct it",
+        )
+    maker = found[0].load()
+    meant = meant_options(f"{kind[:-1]} {name!r}", maker, options)
+    try:
+        return maker(**meant)
+    except TypeError as error:
+        raise InputError(
+            f"options of {name}", expected="those of its reference page", got=str(error), remedy="correct them"
+        ) from error

@@ -1,0 +1,181 @@
+"""Edges of the judge: motions from a start alone, ramps and lines, nearly dependent states, loads that hide a plant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.errors import FitError
+from harness.judgement import law_of
+from harness.registry import create
+from harness.signals import Channel, PlantSpec, Trajectory
+
+ONE = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
+TWO = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 0.1)
+A, B = np.array([[0.98, 0.1], [-0.3, 0.95]]), np.array([0.005, 0.1])
+
+
+def started(kind, seed=0, runs=12, noise=0.0):
+    """Return runs of 50 samples from a start each; only the position is seen, by a controller of this kind."""
+    rng, found = np.random.default_rng(seed), []
+    for _ in range(runs):
+        x, u, y, slow, total, last = rng.normal(size=2), np.zeros((50, 1)), np.zeros((50, 1)), None, 0.0, None
+        for k in range(50):
+            y[k] = x[0] + noise * rng.normal()
+            now = -1.5 * y[k, 0]
+            if kind == "filtered":
+                slow = now if slow is None else 0.6 * slow + 0.4 * now
+                u[k] = slow
+            elif kind == "PI":
+                total += 0.05 * now
+                u[k] = now + total
+            else:
+                u[k] = 0.7 * now + 0.5 * (0.0 if last is None else now - last)
+                last = now
+            x = A @ x + B * u[k]
+        found.append(Trajectory(np.arange(50) * 0.1, u, y, ONE))
+    return found
+
+
+@pytest.mark.parametrize("kind", ["filtered", "PI", "PD"])
+def test_a_motion_from_a_start_alone_names_its_controller(kind):
+    law = law_of(started(kind))
+    assert law is not None
+    assert law.departure < 1e-10
+    with pytest.raises(FitError, match="beside the controller"):
+        create("identifiers", "arx", order=1).fit(started(kind), rng=np.random.default_rng(0))
+
+
+def proportional(noise, seed):
+    """Return runs of an unstable plant under state feedback of true states, its sensors with noise."""
+    a, b, gain = np.array([[1.05, 0.2], [0.0, 0.9]]), np.array([0.0, 1.0]), np.array([1.2, 0.9])
+    rng, found = np.random.default_rng(seed), []
+    for _ in range(20):
+        x, u, y = rng.normal(size=2), np.zeros((50, 1)), np.zeros((50, 2))
+        for k in range(50):
+            y[k], u[k] = x + noise * rng.normal(size=2), -gain @ x
+            x = a @ x + b * u[k]
+        found.append(Trajectory(np.arange(50) * 0.1, u, y, TWO))
+    return found
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_a_law_of_which_one_mode_is_seen_is_one(noise):
+    for seed in range(5):
+        assert law_of(proportional(noise, seed)) is not None
+
+
+def open_record(u, noise, seed=0, outputs=1):
+    rng, x, y = np.random.default_rng(seed), np.zeros(2), np.zeros((len(u), outputs))
+    for k in range(len(u)):
+        y[k] = x[:outputs]
+        x = A @ x + B * u[k]
+    y += noise * max(float(y.std()), 1e-12) * rng.normal(size=y.shape)
+    return Trajectory(np.arange(len(u)) * 0.1, u, y, ONE if outputs == 1 else TWO)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3, 0.05])
+@pytest.mark.parametrize("outputs", [1, 2])
+@pytest.mark.parametrize("lines", [2, 3, 10])
+def test_lines_in_open_loop_are_no_law_however_clean(lines, outputs, noise):
+    k = np.arange(800)[:, None]
+    for seed in range(3):
+        rng = np.random.default_rng([seed, lines])
+        f, phase = rng.uniform(0.01, 0.4, lines), rng.uniform(0, 6, lines)
+        u = np.sin(2 * np.pi * k * f + phase).sum(axis=1, keepdims=True)
+        law = law_of([open_record(u, noise, seed, outputs)])
+        if lines > 2 or noise > 0:  # two lines have as many dimensions as a law of two outputs has numbers
+            assert law is None, law
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_ramp_is_no_controller_and_no_excitation(noise):
+    ramp = open_record(0.01 * np.arange(400.0)[:, None], noise)
+    assert law_of([ramp]) is None
+    for structure in ("oe", "bj"):
+        model = create("identifiers", "prediction-error", structure=structure, order=2).fit(
+            [ramp], rng=np.random.default_rng(0)
+        )
+        assert "excite 1 lags and the model asks for 4" in model.notes["warning"]
+        assert "estimate" not in model.notes
+
+
+def test_a_rich_input_is_not_warned_of():
+    rich = open_record(np.random.default_rng(9).normal(size=(400, 1)), 0.01)
+    model = create("identifiers", "prediction-error", order=2).fit([rich], rng=np.random.default_rng(0))
+    assert "warning" not in model.notes
+
+
+def leaning(sensor, process, seed=0, n=1000):
+    """Return three states of which one nearly follows from the others, under steps in open loop."""
+    a = np.array([[0.9, 0.1, 0.0], [0.0, 0.8, 0.2], [0.1, 0.0, 0.7]])
+    b = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.2]])
+    rng, x, y = np.random.default_rng(seed), np.zeros(3), np.zeros((n, 3))
+    u = np.repeat(rng.uniform(-1, 1, (n // 50 + 1, 2)), 50, axis=0)[:n]
+    for k in range(n):
+        y[k] = x
+        x = a @ x + b @ u[k] + process * rng.normal(size=3)
+    y += sensor * y.std(axis=0) * rng.normal(size=y.shape)
+    spec = PlantSpec((Channel("u0"), Channel("u1")), tuple(Channel(f"y{i}") for i in range(3)), 0.1)
+    return Trajectory(np.arange(n) * 0.1, u, y, spec), a
+
+
+def test_nearly_dependent_states_that_the_process_moves_are_fitted():
+    fitted = 0
+    for seed in range(10):
+        record, a = leaning(0.0, 0.3, seed)
+        try:
+            model = create("identifiers", "least-squares").fit([record], rng=np.random.default_rng(0))
+        except FitError:
+            continue
+        assert np.abs(model.a_matrix - a).max() < 0.2
+        fitted += 1
+    assert fitted >= 8
+
+
+def test_nearly_dependent_states_whose_difference_is_noise_of_sensors_are_refused():
+    refused = 0
+    for seed in range(10):
+        try:
+            create("identifiers", "least-squares").fit([leaning(0.05, 0.0, seed)[0]], rng=np.random.default_rng(0))
+        except FitError as error:
+            refused += "noise alone would leave" in str(error)
+    assert refused >= 5
+
+
+def loop_under_load(load, seed, n=1500):
+    """Return a PI loop with steps of its set-point, a slow load on its input."""
+    rng, x, d, total = np.random.default_rng(seed), 0.0, 0.0, 0.0
+    u, y = np.zeros((n, 1)), np.zeros((n, 1))
+    reference = np.repeat(rng.uniform(-1, 1, n // 100 + 1), 100)[:n]
+    for k in range(n):
+        y[k] = x + 0.01 * rng.normal()
+        error = reference[k] - y[k, 0]
+        total += 0.15 * error
+        u[k] = 0.8 * error + total
+        d = 0.98 * d + load * rng.normal()
+        x = 0.9 * x + 0.1 * (u[k, 0] + d)
+    return Trajectory(np.arange(n) * 0.1, u, y, ONE)
+
+
+def off(model):
+    f = np.array([0.05, 0.2])
+    truth = 0.1 / (np.exp(2j * np.pi * f * 0.1) - 0.9)
+    return np.abs(model.frequency_response(f)[:, 0, 0] / truth - 1).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "options"), [("n4sid", {}), ("prediction-error", {"structure": "bj", "order": 1})], ids=["n4sid", "bj"]
+)
+def test_a_load_that_hides_the_plant_in_a_loop_is_said(name, options):
+    for seed in range(2):
+        quiet = create("identifiers", name, **options).fit([loop_under_load(0.02, seed)], rng=np.random.default_rng(0))
+        assert off(quiet) < 0.2
+        assert "warning" not in quiet.notes
+        try:
+            model = create("identifiers", name, **options).fit(
+                [loop_under_load(1.0, seed)], rng=np.random.default_rng(0)
+            )
+        except FitError:  # refused is said too
+            continue
+        assert "warning" in model.notes or off(model) < 0.5
