@@ -28,7 +28,7 @@ def fits_fmu(effect: Effect) -> bool:
     """
     outside = {"input", "coordinate", "output"} & set(effect.kinds)
     hidden = "output" in effect.kinds and effect.states
-    return bool(outside) and "a" not in effect.extras and not hidden and not effect.grows
+    return bool(outside) and not {"a", "temperature"} & set(effect.extras) and not hidden and not effect.grows
 
 
 def surround(

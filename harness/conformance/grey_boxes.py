@@ -197,11 +197,22 @@ def _hosts(factory: Factory) -> list[tuple[Any, Any]]:
     from harness.physics import load_model
 
     made, found = _effect(factory), []
-    for name in HOSTS:
-        system = load_model(name)
+    for system in (*map(load_model, HOSTS), _with_a_temperature()):
         found += [(system, placed) for placed in place_all(system, [made])]
-    demand(found, f"it fits no port of {', '.join(HOSTS)}")
+    demand(found, f"it fits no port of {', '.join(HOSTS)}, nor of an oscillator whose temperature is measured")
     return found
+
+
+def _with_a_temperature() -> Any:
+    """Return an oscillator whose temperature is measured: the host of laws that depend on one."""
+    from harness.physics.symbolic.mechanism import Mechanism
+
+    m = Mechanism("warm oscillator", q="q", u="u temperature", p="m c k", units={"u": "N", "temperature": "K"})
+    m.body(m.p[0], (m.q[0], 0), weight=0)
+    m.V = m.p[2] * m.q[0] ** 2 / 2
+    m.Q = [m.u[0] - m.p[1] * m.v[0]]
+    m.parameters(m=("kg", 1.0), c=("N s/m", 0.1), k=("N/m", 1.0))
+    return m.system()
 
 
 def _fits_a_port(factory: Factory) -> None:

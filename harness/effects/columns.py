@@ -156,7 +156,7 @@ def column_blocks(
         given = dict(zip((parameter.name for parameter in nonlinear), choice, strict=True))
         if linear:
             nothing = {**given, **dict.fromkeys(linear, 0.0)}
-            zero = claimed(signals, nothing, parameters)
+            zero = 0.0 if _gone(placed, nothing, claimed.start) else claimed(signals, nothing, parameters)
             columns = [claimed(signals, {**nothing, name: 1.0}, parameters) - zero for name in linear]
         else:
             columns = [claimed(signals, given, parameters)]
@@ -164,6 +164,15 @@ def column_blocks(
         if np.isfinite(stack).all():
             blocks.append(ColumnBlock(placed, given, tuple(linear) or ("effect",), stack))
     return blocks
+
+
+def _gone(placed: Placed, nothing: Mapping[str, float], start: Mapping[str, float]) -> bool:
+    """Return True if an effect is not there at some values: its force needs no look then."""
+    values = {**start, **nothing}
+    return placed.effect.vanishes and all(
+        parameter.neutral is None or values[parameter.name] == parameter.neutral
+        for parameter in placed.effect.parameters
+    )
 
 
 def regression_columns(

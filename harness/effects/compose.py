@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.effects.effect import Placed, port_units, unit_of
-from harness.effects.places import carried_load, port_of
+from harness.effects.places import carried_load, measured_temperature, port_of
 from harness.errors import InputError
 
 if TYPE_CHECKING:
@@ -220,7 +220,10 @@ def _place_input(system: System, placed: Placed, port: Port, made: _Symbols) -> 
     signal = system.u[[channel.name for channel in system.inputs].index(port.name)]
     row = system.driven_by(port.name)
     q, v = (0.0, 0.0) if row is None else _motion(system, system.coordinates[row].name)
-    value, derivatives = placed.effect.evaluate(signal, made.states, made.values, q, v, t=system.t, a=0.0, load=0.0)
+    heat = measured_temperature(system)
+    value, derivatives = placed.effect.evaluate(
+        signal, made.states, made.values, q, v, t=system.t, a=0.0, load=0.0, temperature=heat
+    )
     if "coordinate" in placed.effect.kinds:
         value = signal + value
     hidden = _hidden(system, placed, port, made, derivatives, {"signal": signal, "q": q, "v": v})
@@ -236,7 +239,15 @@ def _place_force(system: System, placed: Placed, port: Port, made: _Symbols) -> 
     signal, a = system.input_forces[row], ca.SX.sym("a")
     load = carried_load(system, port.name)
     value, derivatives = placed.effect.evaluate(
-        signal, made.states, made.values, q, v, t=system.t, a=a, load=0.0 if load is None else load
+        signal,
+        made.states,
+        made.values,
+        q,
+        v,
+        t=system.t,
+        a=a,
+        load=0.0 if load is None else load,
+        temperature=measured_temperature(system),
     )
     value, mass = ca.SX(value), None
     if ca.depends_on(value, a):

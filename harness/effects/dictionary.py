@@ -13,16 +13,30 @@ from harness.effects.laws import (
     drifting,
     external,
     friction,
+    mounting,
     process,
     sensor,
     stiffness,
+    thermal,
     transmission,
 )
 from harness.errors import InputError
 
 __all__ = ["Confusions", "Dictionary", "builtin", "find"]
 
-_FILES = (friction, bristles, stiffness, actuator, transmission, sensor, drifting, external, process)
+_FILES = (
+    friction,
+    bristles,
+    stiffness,
+    mounting,
+    actuator,
+    transmission,
+    sensor,
+    drifting,
+    thermal,
+    external,
+    process,
+)
 
 
 @functools.cache

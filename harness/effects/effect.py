@@ -27,7 +27,9 @@ EXPERIMENTS = ("slow motion", "chirp", "turned base", "large swing", "full swing
 longest lag; the base turned by a known angle; swings beyond 60 deg, and beyond 90; triangles of small amplitude; decays
 from high speed; no excitation at all; a known mass added."""
 _FIXED_ARGUMENTS = 5
-_EXTRA_ARGUMENTS = ("t", "a", "load")
+_EXTRA_ARGUMENTS = ("t", "a", "load", "temperature")
+NEEDS = ("drive", "gravity", "alone")
+"""What a law may ask of the plant about its port: an input's force on that coordinate; gravity; no other coordinate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,8 @@ class Effect:
     cuts : bool
         What it takes from a reading is lost (values beyond a limit, the sign): in a model it comes after all that bends
         or shifts the scale of that output.
+    needs : tuple of str
+        What the plant must have about its port, of :data:`NEEDS`: elsewhere the law makes no sense, and is not tried.
     """
 
     name: str
@@ -116,6 +120,7 @@ class Effect:
     whole: str = ""
     told_by: tuple[str, ...] = ()
     cuts: bool = False
+    needs: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return self.name
@@ -218,7 +223,8 @@ class Effect:
         q, v : number, array or symbol
             The coordinate and its rate (0 where there is none).
         **extras
-            ``t``, ``a`` (acceleration), ``load``: those that the block names as arguments must be given.
+            ``t``, ``a`` (acceleration), ``load``, ``temperature`` [K]: those that the block names as arguments must be
+            given.
         """
         result = self.function(
             signal,
@@ -311,6 +317,7 @@ def effect(
     whole: str = "",
     told_by: Sequence[str] = (),
     cuts: bool = False,
+    needs: Sequence[str] = (),
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect of a function.
 
@@ -325,18 +332,19 @@ def effect(
         Names of hidden states separated by spaces, or name to unit template. They start at 0 unless ``initial`` says
         otherwise.
     name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial,
-    requires, requires_along, grows, whole, told_by, cuts
+    requires, requires_along, grows, whole, told_by, cuts, needs
         See :class:`Effect`; ``name`` is the function's own unless given.
 
     Returns
     -------
     callable
         A decorator for ``function(signal, s, p, q, v)``; more arguments are passed if they are named ``t`` (time),
-        ``a`` (acceleration of the coordinate; a force may depend on it linearly, hidden states may not) or ``load``
-        (force that the joint carries). It returns the new input or output; on a coordinate the force to *add*; on a
-        process state the rate to add (with the rate to add to the next state, if ``downstream``); on the base the
-        pair of gravity components. With hidden states it returns that and the list of their derivatives. A block that
-        fits both a coordinate and an input returns the force to add at either. Use the functions of
+        ``a`` (acceleration of the coordinate; a force may depend on it linearly, hidden states may not), ``load``
+        (force that the joint carries) or ``temperature`` (an input in kelvin or degC, in kelvin). It returns the new
+        input or output; on a coordinate the force to *add*; on a process state the rate to add (with the rate to add to
+        the next state, if ``downstream``); on the base the pair of gravity components. With hidden states it returns
+        that and the list of their derivatives. A block that fits both a coordinate and an input returns the force to
+        add at either. Use the functions of
         :mod:`harness.effects.functions`.
 
     Raises
@@ -370,6 +378,10 @@ def effect(
             expected=f"among {', '.join(EXPERIMENTS)}",
             got=repr(unknown[0]),
             remedy="name kinds of experiments from this list, and say in experiment what else would tell",
+        )
+    if unknown := [need for need in needs if need not in NEEDS]:
+        raise InputError(
+            "needs of an effect", expected=f"among {', '.join(NEEDS)}", got=repr(unknown[0]), remedy="choose from these"
         )
     parameters = _parameters(params)
     hidden = dict.fromkeys(states.split(), "1") if isinstance(states, str) else dict(states)
@@ -412,6 +424,7 @@ def effect(
             whole=whole,
             told_by=tuple(told_by),
             cuts=cuts,
+            needs=tuple(needs),
         )
 
     return decorate

@@ -13,7 +13,10 @@ from harness.errors import InputError
 if TYPE_CHECKING:
     from harness.physics.compiled.system import Port, System
 
-__all__ = ["carried_load", "fits", "obstacle", "place_all", "port_of"]
+__all__ = ["carried_load", "fits", "measured_temperature", "obstacle", "place_all", "port_of"]
+
+_TEMPERATURES = {"K": 0.0, "degC": 273.15}
+"""Units of an input that is a temperature, with what makes kelvins of it."""
 
 
 def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[Placed]:
@@ -99,8 +102,36 @@ def obstacle(system: System, effect: Effect, port: Port) -> str | None:
             return "no input drives this coordinate"
         if "load" in effect.extras and carried_load(system, port.name) is None:
             return "the joint carries no load"
+    if "temperature" in effect.extras:
+        if measured_temperature(system) is None:
+            return "no temperature is measured: no input has the unit K or degC"
+        if port.kind == "input" and (port.unit in _TEMPERATURES or system.driven_by(port.name) is None):
+            return "it acts on the force of an input"
+    if (missing := _missing(system, effect, port)) is not None:
+        return missing
     if port.kind == "process" and effect.downstream and system.process[-1] == port.name:
         return "nothing lies downstream"
+    return None
+
+
+def _missing(system: System, effect: Effect, port: Port) -> str | None:
+    """Return what the plant lacks about a port of what a law needs; None if it lacks nothing."""
+    if "drive" in effect.needs and port.kind == "coordinate" and not _driven(system, port.name):
+        return "no input drives this coordinate"
+    if "drive" in effect.needs and port.kind == "input" and system.driven_by(port.name) is None:
+        return "this input drives no coordinate"
+    if "gravity" in effect.needs and not any(other.kind == "base" for other in system.ports):
+        return "gravity does not act on the plant"
+    if "alone" in effect.needs and len(system.coordinates) > 1:
+        return "other coordinates move with it"
+    return None
+
+
+def measured_temperature(system: System) -> Any:
+    """Return the first input that is a temperature, in kelvin; None if there is none."""
+    for row, channel in enumerate(system.inputs):
+        if channel.unit in _TEMPERATURES:
+            return system.u[row] + _TEMPERATURES[channel.unit]
     return None
 
 

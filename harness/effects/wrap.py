@@ -18,6 +18,8 @@ from harness.signals import Channel, FloatArray, PlantSpec
 __all__ = ["WrappedPlant"]
 
 _LARGEST_SUBSTEPS = 1000
+_INSIDE = frozenset({"a", "load", "temperature"})
+"""Arguments of a law that nobody knows from outside a plant."""
 _RATE_SUFFIXES = ("_rate", "_dot", "d")  # what the rate of a coordinate is called
 _RATE_PREFIXES = ("d", "v_")
 
@@ -201,11 +203,11 @@ class WrappedPlant:
         inputs = [channel.name for channel in spec.inputs]
         outputs = [channel.name for channel in spec.outputs]
         numbers = _numbers(effect, values, spec.sample_time)
-        if "input" in effect.kinds and port in inputs:
+        if "input" in effect.kinds and port in inputs and not _INSIDE & set(effect.extras):
             self._inputs.append(_Stage(effect, numbers, spec.sample_time, inputs.index(port)))
         elif "output" in effect.kinds and port in outputs:
             self._outputs.append(_Stage(effect, numbers, spec.sample_time, outputs.index(port)))
-        elif "coordinate" in effect.kinds and not {"a", "load"} & set(effect.extras) and port in outputs:
+        elif "coordinate" in effect.kinds and not _INSIDE & set(effect.extras) and port in outputs:
             row = outputs.index(port)
             name = drives[port] if drives is not None and port in drives else _driver(spec, row)
             if name is None or name not in inputs:
@@ -373,11 +375,11 @@ def _driver(spec: PlantSpec, row: int) -> str | None:
 def _refuse(spec: PlantSpec, effect: Effect, port: str, why: str) -> None:
     """Raise, naming the ports that the effect fits."""
     where: list[str] = []
-    if "input" in effect.kinds:
+    if "input" in effect.kinds and not _INSIDE & set(effect.extras):
         where += [channel.name for channel in spec.inputs]
     if "output" in effect.kinds:
         where += [channel.name for channel in spec.outputs]
-    if "coordinate" in effect.kinds and not {"a", "load"} & set(effect.extras):
+    if "coordinate" in effect.kinds and not _INSIDE & set(effect.extras):
         where += [channel.name for row, channel in enumerate(spec.outputs) if _driver(spec, row) is not None]
     raise InputError(
         f"effect {effect.name} does not fit {port!r} from outside this plant ({why})",

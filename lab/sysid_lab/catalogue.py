@@ -73,7 +73,7 @@ PAIRS = {
 OUTSIDE = {
     "pendulum": (
         "even_drag@theta",
-        "torque_ripple@theta",
+        "cubic_drag@theta",
         "force_step@theta",
         "magnet@theta",
         "tiring_drive@theta",

@@ -198,7 +198,8 @@ def _structure(task: Task, context: Context) -> tuple[Hidden, ...]:
     if task.structure == "sagging-supply":
         return (sagging_gain(at, u, 0.01),)
     if task.structure == "rippling-drive":
-        return (Hidden(name, at, {"ripple0": 0.01 * rms(u) / rms(u * np.cos(5 * q))}),)
+        size = 0.01 * rms(u) / rms(u * np.cos(5 * q))
+        return (Hidden(name, at, {"ripple0": size}, {"a": size, "k": 5.0, "phi": 0.5 * math.pi}),)
     if task.structure == "tiring-drive":
         return (Hidden(name, at, {"tire0": 0.01 * rms(u) / rms(u * v)}),)
     return (Hidden(name, at, {"rod": _HEAVY_ROD}),)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.diagnosis.arm.below_nothing import inertia_below_nothing
 from harness.diagnosis.arm.bodies import ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
@@ -140,7 +141,10 @@ def _misfit(found: ArmDiagnosis, policy: ArmPolicy) -> tuple[str, ...]:
     """Return why the arm does not fit its log and what to check, a wrong URDF included; empty if it fits."""
     reasons = misfit_reasons(found.arm, found.joints, found.policy)
     judged = [joint.joint for joint in found.joints]
+    below = inertia_below_nothing(found.arm, found.runs, judged)
     mistake = likely_mistake(found.dataset, found.arm, found.runs, judged, found.policy) if reasons else ()
+    if below and not mistake:
+        return (*below, *reasons)
     alike = look_like_another_arm(found.wide, found.joints)
     if not mistake and found.arm.inertia == "fixed" and (reasons or alike):
         free = free_bodies(found.arm, found.runs, found.joints, found.wide, policy)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import effect, par
-from harness.effects.functions import absolute, clip, dead_band, tanh
+from harness.effects.functions import absolute, clip, dead_band, exp, larger, tanh
 
 __all__ = [
     "actuator_lag",
@@ -14,8 +14,11 @@ __all__ = [
     "input_compression",
     "input_delay",
     "input_gain",
+    "power_sag",
+    "propeller_thrust",
     "rate_limit",
     "saturation",
+    "supply_sag",
 ]
 
 
@@ -133,6 +136,69 @@ def input_gain(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def input_compression(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Gain of a drive that falls with its command (magnetic saturation, a soft supply)."""
     return u - p.c * u * absolute(u)
+
+
+@effect(
+    "input",
+    [
+        par("c", "1/u", scale="0.1 u^-1", ceiling="0.8 u^-1", sign="+", neutral=0.0, main=True, linear=True,
+            meaning="share of the gain that is lost after a long command of 1"),
+        # within two samples it sags at once, and what takes half of the record is a drift
+        par("tau", "s", scale="0.03 T", floor="2 dt", ceiling="0.5 T", sign="+", minimum=1e-9, grid=(1.0, 0.2, 4.0),
+            meaning="time in which the supply sags and recovers"),
+        par("z0", "u", scale="0.8 u", sign="+", minimum=0.0, nuisance=True, per_record=True,
+            meaning="command before the record that it still sags by"),
+    ],
+    states={"z": "u"},
+    formula="u' = [1 - c (z + z0 exp(-t/tau))] u, z' = (|u| - z)/tau: the current that was drawn, as the supply sags",
+    family=("input_compression", "drifting_gain", "saturation", "input_gain", "power_sag"),
+    limits={
+        "input_compression": "for a supply that sags at once",
+        "drifting_gain": "for a supply that recovers in no time of the record",
+        "input_gain": "for a command whose size does not change",
+    },
+    experiment="bursts of large and small commands: after a large one the same command gives less for a while",
+)  # fmt: skip
+def supply_sag(u: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> tuple[Any, list[Any]]:
+    """Supply that sags with the current drawn, and recovers in a while: a battery, a capacitor behind a long line."""
+    return (1.0 - p.c * (s.z + p.z0 * exp(-t / p.tau))) * u, [(absolute(u) - s.z) / p.tau]
+
+
+@effect(
+    "coordinate",
+    [par("c", "1/(F v)", scale="0.1 F^-1 v^-1", ceiling="0.3 F^-1 v^-1", sign="+", neutral=0.0, main=True, linear=True,
+         meaning="share of the gain that is lost at a power of 1")],
+    formula="F = -c f P, P = max(f v, 0) the power that the force f of the input gives to the motion",
+    family=("input_compression", "saturation", "viscous_friction", "quadratic_drag", "supply_sag", "gear_loss"),
+    limits={"input_compression": "at constant speed", "input_gain": "at constant power"},
+    needs=("drive",),
+    experiment="the same command with the motion and against it, at several speeds: the gain falls with the power",
+    told_by=("fast swing",),
+)  # fmt: skip
+def power_sag(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Gain of a drive that falls with the power drawn: a supply with a resistance, under a motor at speed."""
+    return -p.c * f * larger(f * v, 0.0)
+
+
+@effect(
+    "input",
+    [
+        par("s", "1", scale="0.5", sign="+", neutral=0.0, main=True, linear=True,
+            meaning="1: the force is quadratic in the command, 0: it is linear"),
+        # beside the scale of the nominal parameters another one is a gain
+        par("U", "u", scale="1 u", sign="+", minimum=1e-12, fixed=True, nuisance=True,
+            meaning="command at which both give the same"),
+    ],
+    formula="u' = (1 - s) u + s u |u|/U",
+    family=("dead_zone", "input_gain", "input_compression"),
+    limits={"dead_zone": "for small commands of one size", "input_gain": "for commands of one size"},
+    requires={"small commands do not pull backwards (s is 1 at most)": lambda p: p["s"] <= 1.1},
+    experiment="commands of several sizes at standstill, with a measured force: twice the command gives four times it",
+    told_by=("small reversals",),
+)  # fmt: skip
+def propeller_thrust(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Thrust of a propeller, and its reaction: quadratic in the speed that is commanded."""
+    return (1.0 - p.s) * u + p.s * u * absolute(u) / p.U
 
 
 @effect(

@@ -14,6 +14,7 @@ from harness.effects.functions import absolute, cos, exp, no_sooner, power, tanh
 __all__ = [
     "asymmetric_friction",
     "coulomb_friction",
+    "degressive_friction",
     "hysteresis",
     "load_dependent_friction",
     "parallel_hysteresis",
@@ -62,7 +63,7 @@ def viscous_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     [_level("Fc", "0.05 F", main=True, meaning="Coulomb level"), _width()],
     formula="F = -Fc sgn(v), sgn(v) = tanh(v/w)",
     family=("stribeck_friction", "asymmetric_friction", "viscous_friction", "hysteresis", "load_dependent_friction",
-            "position_dependent_friction", "sublinear_friction", "yield_friction"),
+            "position_dependent_friction", "sublinear_friction", "yield_friction", "gear_loss"),
     limits={"stribeck_friction": "at speeds far above the Stribeck speed"},
     experiment="slow triangles through zero speed at several amplitudes: the force loop keeps its height",
     whole="dry friction",
@@ -145,7 +146,7 @@ def asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     told_by=("slow motion",),
 )  # fmt: skip
 def sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
-    """Friction of grease and seals, which grows with the speed less than in proportion."""
+    """Degressive friction of grease and seals: a power of the speed, which grows less than in proportion."""
     return -p.Fr * v * power(v * v + p.w * p.w, 0.5 * (p.a - 1.0))
 
 
@@ -169,6 +170,32 @@ def sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Dry friction and, beyond its level, a force that grows with the speed less than in proportion: stiff grease."""
     return -p.Fc * tanh(v / p.w) - p.Fr * v * power(v * v + p.w * p.w, 0.5 * (p.a - 1.0))
+
+
+@effect(
+    "coordinate",
+    [
+        _level("Fc", "0.05 F", main=True, meaning="level at high speed; Fc/vs is viscous, near standstill"),
+        # at lower speeds it is told from the sign of dry friction by its corner alone, which nobody knows
+        par("vs", "v", scale="0.3 v", floor="0.05 v", ceiling="5 v", sign="+", minimum=1e-6, grid=(1.0, 0.3, 3.0),
+            meaning="speed at which half of the level is reached"),
+    ],
+    formula="F = -Fc v/(vs + |v|), which is -c v/(1 + |v|/vs) with c = Fc/vs",
+    family=("coulomb_friction", "sublinear_friction", "viscous_friction", "yield_friction"),
+    nests=("coulomb_friction",),
+    limits={
+        "coulomb_friction": "at speeds far above vs",
+        "viscous_friction": "at speeds far below vs",
+        "sublinear_friction": "within a few times one speed, where any such law is a power",
+    },
+    grows="degression",
+    experiment="slow and fast triangles: near standstill the force grows with the speed, at speed it comes to a level",
+    whole="dry friction",
+    told_by=("slow motion",),
+)  # fmt: skip
+def degressive_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Degressive viscous friction, which grows with the speed up to a level: shear-thinning grease, wet seals."""
+    return -p.Fc * v / (p.vs + absolute(v))
 
 
 @effect(

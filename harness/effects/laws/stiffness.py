@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import effect, par
-from harness.effects.functions import cos, dead_band, dead_band_slope, sigmoid, sin
+from harness.effects.functions import cos, dead_band, dead_band_slope, sigmoid, sin, sqrt
 
 __all__ = [
+    "counterbalance",
     "cubic_spring",
     "eccentric_load",
     "end_stop",
@@ -142,6 +143,40 @@ def gravity_tilt(g: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Centre of mass beside the nominal's line."""
     return -p.A * cos(q + p.phi)
+
+
+@effect(
+    "coordinate",
+    [
+        par("A", "F", scale="0.05 F", sign="+", neutral=0.0, main=True, linear=True,
+            meaning="k L0 a b rho / (4 sqrt(a^2 + b^2)): what the free length adds twice a turn"),
+        par("alpha", "rad", scale="0.2", grid=(1.0, 4.927, 8.854, 12.781),
+            meaning="angle at which arm and anchor stand in line"),
+        par("rho", "1", scale="0.5", minimum=-0.98, maximum=0.98, nuisance=True,
+            meaning="2 a b / (a^2 + b^2), of the arm a and the distance b of the anchor; negative: on the other side"),
+        par("E", "F", scale="0", neutral=0.0, linear=True,
+            meaning="its pull at q = 0, where the anchor stands beside the vertical"),
+    ],
+    formula="F = 2 A sin(2 (q - alpha)) / (s (1 + s)) + E cos(q), s = sqrt(1 - rho cos(q - alpha)): the torque "
+    "-k (1 - L0/L) a b sin(q - alpha) of a spring of length L = s sqrt(a^2 + b^2), less what gravity takes up",
+    family=("cubic_spring", "quadratic_spring", "linear_spring", "eccentric_load", "gravity_tilt", "cogging",
+            "sensor_nonlinearity", "sensor_cyclic_error"),
+    nests=("eccentric_load",),
+    same_as={"parameter": "for a spring without a free length: gravity, with its amplitude free"},
+    limits={
+        "cubic_spring": "at small angles from an anchor in line with the arm, with gravity's amplitude free",
+        "quadratic_spring": "at small angles, from an anchor at half a right angle to the arm",
+    },
+    angles=True,
+    needs=("gravity",),
+    experiment="hold the joint at angles over the whole turn: beside gravity, its torque comes twice a turn",
+    told_by=("full swing",),
+)  # fmt: skip
+def counterbalance(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Spring over a lever arm that carries a load, and whose length changes: more than a share of gravity."""
+    angle = q - p.alpha
+    length = sqrt(1.0 - p.rho * cos(angle))
+    return 2.0 * p.A * sin(2.0 * angle) / (length * (1.0 + length)) + p.E * cos(q)
 
 
 @effect(

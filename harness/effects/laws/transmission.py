@@ -14,9 +14,17 @@ import functools
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
-from harness.effects.functions import dead_band, dead_band_slope, sigmoid, sin, softplus
+from harness.effects.functions import absolute, dead_band, dead_band_slope, sigmoid, sin, softplus, tanh
 
-__all__ = ["backlash", "cogging", "elasticity", "hardening_elasticity", "unilateral_backlash"]
+__all__ = [
+    "backlash",
+    "cogging",
+    "elasticity",
+    "gear_loss",
+    "hardening_elasticity",
+    "torque_ripple",
+    "unilateral_backlash",
+]
 
 
 def _inertia(scale: str, grid: tuple[float, ...] = (1.0,)) -> EffectParameter:
@@ -144,6 +152,64 @@ def unilateral_backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, li
 @effect(
     "coordinate",
     [
+        par("c", "1", scale="0.1", sign="+", neutral=0.0, main=True, linear=True,
+            meaning="share of the transmitted force that is lost: 1 less the efficiency, the motor driving"),
+        # with the scale of the nominal parameters free, any other ratio is a gain of the drive
+        par("r", "1", scale="1", sign="+", minimum=0.0, fixed=True,
+            meaning="share that is lost while the load drives, over c"),
+        par("w", "v", scale="0.02 v", floor="0.0002 v", ceiling="1 v", sign="+", minimum=1e-6, nuisance=True,
+            meaning="smoothing width of the sign"),
+    ],
+    formula="F = -c |f| sgn(v) while the motor drives (f v > 0), -c r |f| sgn(v) while the load does; f the force of "
+    "the input, sgn(v) = tanh(v/w); efficiencies 1 - c and 1/(1 + c r)",
+    family=("load_dependent_friction", "coulomb_friction", "input_gain", "torque_ripple", "dead_zone",
+            "viscous_friction"),
+    same_as={"parameter": "while one side drives all the time: a factor on all nominal parameters"},
+    limits={
+        "coulomb_friction": "under a force of constant size",
+        "load_dependent_friction": "where the guide carries no load that changes: its load is then the input's force",
+        "input_gain": "while one side drives all the time",
+    },
+    needs=("drive",),
+    experiment="the same motion against a spring or a weight, driven and driving back: the force loop opens with the "
+    "torque that the gear passes on, and closes where it passes none",
+    told_by=("slow motion", "added mass"),
+)  # fmt: skip
+def gear_loss(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Efficiency of a gear: dry friction in proportion to the torque that it transmits, whoever drives."""
+    sign = tanh(v / p.w)
+    return -0.5 * p.c * ((1.0 + p.r) * absolute(f) * sign + (1.0 - p.r) * f * sign**2)
+
+
+@effect(
+    "coordinate",
+    [
+        par("a", "1", scale="0.1", neutral=0.0, main=True, linear=True, meaning="share of the force that ripples"),
+        # as for cogging: over less than a quarter of a period nothing repeats
+        par("k", "rad/q", scale="6", floor="0.56 q^-1", minimum=2.5, maximum=1000.0,
+            grid=(1.0, 0.5, 0.6666666666666666, 1.3333333333333333, 2.0, 3.0, 4.0),
+            role="wave number", meaning="periods per turn: pole pairs or commutations times the gear ratio"),
+        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), role="phase", meaning="phase"),
+    ],
+    formula="F = a sin(k q + phi) f, f the force of the input, k >= 2.5",
+    family=("cogging", "gear_loss", "position_dependent_friction", "input_gain"),
+    limits={
+        "cogging": "under a force of constant size, or one that follows from the angle as at rest",
+        "input_gain": "for a motion far shorter than a period",
+    },
+    requires={"the force keeps its direction": lambda p: abs(p["a"]) < 1.0},
+    needs=("drive",),
+    experiment="slow turns against several loads: what repeats with the angle grows with the torque, cogging stays",
+    told_by=("added mass",),
+)  # fmt: skip
+def torque_ripple(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Ripple of a motor's torque with its angle, in proportion to the torque (commutation, an encoder's angle)."""
+    return p.a * sin(p.k * q + p.phi) * f
+
+
+@effect(
+    "coordinate",
+    [
         par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
         # k times the travel (2 sqrt(2) rms) reaches pi/2: over less than a quarter of a period nothing repeats
         par("k", "rad/q", scale="6", floor="0.56 q^-1", minimum=2.5, maximum=1000.0,
@@ -153,7 +219,7 @@ def unilateral_backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, li
     ],
     formula="F = A sin(k q + phi), k >= 2.5",
     family=("cubic_spring", "quadratic_spring", "position_dependent_friction", "periodic_disturbance",
-            "eccentric_load"),
+            "eccentric_load", "torque_ripple"),
     limits={
         "eccentric_load": "for one period per turn (excluded: k >= 2.5)",
         "quadratic_spring": "if the motion covers less than half a period about a crest",

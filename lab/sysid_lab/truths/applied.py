@@ -45,7 +45,6 @@ FORCES = (
     "periodic_disturbance",
     "even_drag",
     "position_dependent_damping",
-    "torque_ripple",
     "force_step",
     "maxwell_element",
     "cubic_drag",

@@ -32,7 +32,7 @@ STRUCTURES = {
 """How the nominal structure is a little wrong: what is in every such truth and in no model."""
 TRUTH_ONLY = ("heavy-rod",)
 """Structures that only our own truth can have."""
-UNNAMED = ("tiring-drive", "rippling-drive")
+UNNAMED = ("tiring-drive",)
 """Structures that no model holds and the dictionary has no name for."""
 _NAMED = {
     "eccentric-encoder": "sensor_cyclic_error@theta",
@@ -41,6 +41,7 @@ _NAMED = {
     "uneven-damping": "position_dependent_damping",
     "warming-damper": "drifting_damping",
     "sagging-supply": "drifting_gain@u",
+    "rippling-drive": "torque_ripple",
 }
 
 

@@ -27,12 +27,13 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray
+from sysid_lab.truths import machines
 from sysid_lab.truths.context import PRE, Context, Hidden, Sensor, rms
 from sysid_lab.truths.simulation import DT, GRAVITY, SUBSTEPS
 
 __all__ = ["OUTSIDE", "falling_damping", "force_size", "hide", "hide_outside", "sagging_gain"]
 
-OUTSIDE = ("even_drag", "cubic_drag", "torque_ripple", "force_step", "magnet", "tiring_drive")
+OUTSIDE = ("even_drag", "cubic_drag", "force_step", "magnet", "tiring_drive")
 """Laws that the dictionary does not have."""
 _LEVEL = {"nominal": 1.0, "quarter": 0.25}
 
@@ -387,6 +388,13 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "sensor_quantisation": _quantisation,
     "sensor_rectification": _rectification,
     "sensor_saturation": _sensor_saturation,
+    "gear_loss": machines.lossy_gear,
+    "torque_ripple": machines.ripple,
+    "supply_sag": machines.supply_sag,
+    "power_sag": machines.power_sag,
+    "propeller_thrust": machines.propeller,
+    "counterbalance": machines.counterbalanced,
+    "wobbling_base": machines.swaying_base,
 }
 
 
@@ -410,7 +418,6 @@ def hide_outside(name: str, at: str, level: str, context: Context, rng: np.rando
         truth, shape = {
             "even_drag": ("even", v**2),
             "cubic_drag": ("drag3", v**3),
-            "torque_ripple": ("ripple", context.u * np.cos(5 * q)),
             "tiring_drive": ("tire", context.u * np.abs(v)),
         }.get(name, ("", v))
         if not truth:

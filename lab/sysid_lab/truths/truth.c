@@ -12,10 +12,14 @@
    is the same without damping and Stribeck) instead of a standstill, slip elements in parallel (Iwan 1966) as the
    hysteresis of a gear, a logarithmic law (Eyring 1936) as sub-linear friction, contacts after Hunt & Crossley 1975, a
    flexible joint that hardens, a motor with inductance, back-EMF, current and voltage limits under a current
-   controller, a command that is sampled and held by a slower clock, a payload that is taken up in a while. */
+   controller, a command that is sampled and held by a slower clock, a payload that is taken up in a while.
+
+   Machines around it: a gear whose friction follows from its efficiency (as Modelica's LossyGear), a commutation that
+   ripples, a supply whose voltage falls with the current that was drawn, or with the power, a propeller, a spring over
+   a lever arm, a base that sways on a spring (pendulum). */
 #include <math.h>
 
-enum { SLIPS = 4, NX = 20, MOTOR = 4, RATE = 5, HYST = 6, MAXWELL = 8, BRISTLE = 10, SLIP = 12 };
+enum { SLIPS = 4, NX = 22, MOTOR = 4, RATE = 5, HYST = 6, MAXWELL = 8, BRISTLE = 10, SLIP = 12, BASE = 20 };
 #define SOONEST 5000.0 /* 1/s: a fine step is 0.2 ms */
 #define AT(name, i) p[name##0 + (i) * (P_b1 - P_b0)]
 
@@ -46,6 +50,16 @@ static double carried(const double *p, int i, const double *x)
     return ml * g * cos(x[1]) + ml * p[P_l] * x[3] * x[3];
 }
 
+/* What a gear loses of the force that it transmits, by its efficiency and by who drives. */
+static double lost(const double *p, double side, double transmitted)
+{
+    const double size = fabs(transmitted);
+    if (p[P_eta] >= 1) return 0;
+    return side * transmitted > 0 ? (1 - p[P_eta]) * size : (1 / p[P_eta] - 1) * size;
+}
+
+static double transmitted; /* by the gear, now */
+
 /* Level of the dry friction of coordinate i for motion in one direction. */
 static double level(const double *p, int i, double side, const double *x)
 {
@@ -54,6 +68,7 @@ static double level(const double *p, int i, double side, const double *x)
     value += AT(P_Fst, i) + (AT(P_Fss, i) - AT(P_Fst, i)) * exp(-ratio * ratio);
     value += (1 + AT(P_pa, i) * cos(x[i] + AT(P_pphi, i))) * AT(P_Fpos, i);
     value += AT(P_mu, i) * fabs(carried(p, i, x));
+    if (i == 0) value += lost(p, side, transmitted);
     return value > 0 ? value : 0;
 }
 
@@ -119,6 +134,9 @@ static void equations(const double *p, const double *x, double *dx, double u, do
 {
     const int two = p[P_dof] > 1.5;
     const double g = p[P_g], tilt = p[P_tilt];
+    u *= 1 + p[P_rip] * sin(p[P_ripk] * x[0] + p[P_ripphi]);
+    u *= 1 - p[P_power] * fmax(u * x[2], 0);
+    transmitted = u;
     double drive = u;
     if (p[P_kt] > 0) {
         const double e = x[MOTOR] - x[0], contact = play(e, p[P_gap]);
@@ -133,6 +151,11 @@ static void equations(const double *p, const double *x, double *dx, double u, do
     if (!two) {
         f[0] -= p[P_mgl] * sin(x[0] + tilt);
         m[0] = p[P_J], m[1] = 0, m[2] = 1;
+        if (p[P_bm] > 0) { /* the base's acceleration put into the joint's equation */
+            const double ml = p[P_mgl] / g, share = ml * cos(x[0]) / p[P_bm];
+            f[0] += share * (p[P_bk] * x[BASE] + p[P_bc] * x[BASE + 1] - ml * sin(x[0]) * x[2] * x[2]);
+            m[0] -= share * ml * cos(x[0]);
+        }
         dx[HYST + 1] = dx[MAXWELL + 1] = dx[BRISTLE + 1] = 0;
         for (int j = 0; j < SLIPS; j++) dx[SLIP + SLIPS + j] = 0;
     } else {
@@ -141,6 +164,11 @@ static void equations(const double *p, const double *x, double *dx, double u, do
         f[1] = force(p, 1, x, dx, u, t) - ml * g * sin(x[1] + tilt);
         m[0] = p[P_mc] + p[P_mp], m[1] = ml * cos(x[1]), m[2] = ml * p[P_l] * (1 + p[P_rod]);
         m[2] += p[P_dJ1] * taken(t - p[P_t01], p[P_ramp]);
+    }
+    if (p[P_arm] > 0) { /* spring between the end of an arm and an anchor at the distance and angle from the axis */
+        const double angle = x[two] - p[P_place], a = p[P_arm], b = p[P_anchor];
+        const double length = sqrt(a * a + b * b - 2 * a * b * cos(angle));
+        f[two] -= p[P_kc] * (1 - p[P_free] / length) * a * b * sin(angle);
     }
     m[0] += p[P_dJ0] * taken(t - p[P_t00], p[P_ramp]);
 }
@@ -165,6 +193,12 @@ static void rates(const double *p, const double *x, double *dx, double u, double
         a1 = (m[0] * f[1] - m[1] * f[0]) / determinant;
     }
     dx[0] = x[2], dx[1] = x[3], dx[2] = a0, dx[3] = a1;
+    dx[BASE] = dx[BASE + 1] = 0;
+    if (p[P_bm] > 0) {
+        const double ml = p[P_mgl] / p[P_g], pull = ml * (a0 * cos(x[0]) - x[2] * x[2] * sin(x[0]));
+        dx[BASE] = x[BASE + 1];
+        dx[BASE + 1] = -(p[P_bk] * x[BASE] + p[P_bc] * x[BASE + 1] + pull) / p[P_bm];
+    }
 }
 
 static void runge_kutta(const double *p, double *x, double u, double t, double h, const int *mode)
@@ -234,6 +268,7 @@ __attribute__((visibility("default"))) int simulate(const double *p, const doubl
 {
     double x[NX] = {start[0], start[1], start[2], start[3], start[0], start[2]};
     double current = u[0], integral = u[0]; /* of the motor, in units of its torque */
+    double drawn = 0; /* of the supply, as it sags */
     const long held = p[P_hold] > h ? lround(p[P_hold] / h) : 1;
     const long late = lround(p[P_delay] / h), sensor[2] = {lround(p[P_sdelay0] / h), lround(p[P_sdelay1] / h)};
     const double share = p[P_tau] > 0 ? 1 - exp(-h / p[P_tau]) : 1;
@@ -248,6 +283,12 @@ __attribute__((visibility("default"))) int simulate(const double *p, const doubl
         }
         double f = play(u[command], p[P_width]);
         f *= 1 - p[P_droop] * fabs(f);
+        if (p[P_sagtau] > 0) {
+            const double old = drawn;
+            drawn += (1 - exp(-h / p[P_sagtau])) * (fabs(f) - drawn);
+            f *= 1 - p[P_sagc] * 0.5 * (old + drawn);
+        }
+        if (p[P_square] > 0) f *= fabs(f) / p[P_square];
         f *= 1 - p[P_sag] * (s * h - p[P_sagt]);
         if (fabs(f) > p[P_limit]) f = copysign(p[P_limit], f);
         if (p[P_te] == 0 && p[P_volt] < 1e29) /* no inductance: the back-EMF leaves less voltage at speed */
