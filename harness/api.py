@@ -721,7 +721,8 @@ def identify(
     force : bool
         Overwrite ``out`` if it exists.
     **signals : Signals
-        ``input``, ``output``, ``column``, ``unit``, ``sample_time`` and ``run``, as for :func:`harness.load_dataset`.
+        ``input``, ``output``, ``column``, ``unit``, ``sample_time``, ``gaps`` and ``run``, as for
+        :func:`harness.load_dataset`.
 
     Raises
     ------

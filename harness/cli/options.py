@@ -93,7 +93,13 @@ Units = Annotated[
     list[str] | None,
     typer.Option("--unit", metavar="NAME=UNIT", help="of a table: unit of a signal or of time, repeatable"),
 ]
-SampleTime = Annotated[float | None, typer.Option("--sample-time", help="of a table without a time column [s]")]
+SampleTime = Annotated[
+    float | None,
+    typer.Option("--sample-time", help="of a table without a time column, or with rough stamps [s]"),
+]
+Gaps = Annotated[
+    str | None, typer.Option("--gaps", help="of a table with holes: split makes a record of every piece between them")
+]
 FailOn = Annotated[
     str | None,
     typer.Option(
@@ -139,7 +145,15 @@ def judged(suite: str, checks: Sequence[Check], junit: Path | None) -> None:
         raise typer.Exit(1)
 
 
-TABLE = {"input": Inputs, "output": Outputs, "column": Columns, "unit": Units, "sample_time": SampleTime, "run": Runs}
+TABLE = {
+    "input": Inputs,
+    "output": Outputs,
+    "column": Columns,
+    "unit": Units,
+    "sample_time": SampleTime,
+    "gaps": Gaps,
+    "run": Runs,
+}
 """Options that say which columns of a table are which signals, by name."""
 
 
@@ -159,8 +173,8 @@ def of_table(command: Callable[..., None]) -> Callable[..., None]:
     def called(**given: Any) -> None:
         said = {name: given.pop(name) for name in TABLE}
         pairs = {name: text_pairs(said.pop(name), f"--{name}") for name in ("column", "unit")}
-        seconds = said.pop("sample_time")
-        signals = {name: names or None for name, names in said.items()} | pairs | {"sample_time": seconds}
+        plain = {name: said.pop(name) for name in ("sample_time", "gaps")}
+        signals = {name: names or None for name, names in said.items()} | pairs | plain
         command(**given, signals=signals)
 
     called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}

@@ -250,3 +250,18 @@ def test_records_in_memory_are_examined_as_files_are() -> None:
         found = load_dataset(data).dataset
         assert np.isnan(found.runs[0].trajectory.readings[200, 0])
         assert any("9999" in text for text in found.warnings)
+
+
+def test_holes_of_a_bare_table_are_split_where_that_is_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    time = np.delete(np.arange(400) * 0.01, [1, 2, 3, 180])  # a logger that begins late, and a lost row
+    file = tmp_path / "log.csv"
+    u, y = rng.normal(size=(2, time.size))
+    write(file, {"time [s]": time, "u [V]": u, "y [rad]": y})
+    with pytest.raises(InputError, match="of a bare table: --gaps split"):
+        load_dataset(file, input="u", output="y")
+    found = load_dataset(file, input="u", output="y", gaps="split").dataset
+    assert sum(len(run.trajectory) for run in found.runs) == 395  # the first row stands alone: no piece of a record
+    assert {run.use for run in found.runs} == {"estimation", "validation"}
+    with pytest.raises(InputError, match="--gaps: gaps: expected one of refuse, split"):
+        load_dataset(file, input="u", output="y", gaps="bridge")  # type: ignore[arg-type]

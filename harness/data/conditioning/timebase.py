@@ -221,7 +221,8 @@ def pieces_of(
             f"time is not uniform ({int(jumps.sum())} gaps)",
             expected=f"a step of {dt:g} s between rows",
             got=f"{steps[k]:g} s between {where(k)} and {where(k + 1)} (t = {stamps[k]:g} s)",
-            remedy=f"declare {_remedy(inputs, rules, True)} in a dataset.toml, or cut the run by rows = [start, stop]",
+            remedy=f"declare {_remedy(inputs, rules, True)} in a dataset.toml (of a bare table: --gaps split), or cut "
+            "the run by rows = [start, stop]",
             place=where(k + 1),
         )
     cuts = np.flatnonzero(~present[:-1] | ~present[1:] | jumps) + 1

@@ -60,6 +60,7 @@ def describe_bare(
         nominal=NominalSection(model=model) if model is not None else None,
         time=_time(table, found, chosen),
         sample_time=chosen.sample_time,
+        gaps=chosen.gaps,
     )
     return described, known
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypedDict, get_args
 
 from harness.data.recipe.ports import Ports
-from harness.data.sections import SignalSection
+from harness.data.sections import Gaps, SignalSection
 from harness.data.tables.headers import REFERENCE
 from harness.data.tables.table import Table
 from harness.errors import InputError
@@ -34,7 +34,9 @@ class Signals(TypedDict, total=False):
     unit: Mapping[str, str] | None
     """Unit by name of a signal, where its title states none: ``{"theta": "deg"}``."""
     sample_time: float | None
-    """Sample time [s] of a table without a time column."""
+    """Sample time [s] of a table without a time column, or whose clock is one of this rate with rough stamps."""
+    gaps: Gaps | None
+    """``"split"``: pieces between holes of a table are records of their own."""
     run: Any
     """Further records with the same columns: a file (or a table), ``(use, file)``, or a list of such; those without
     a use are for estimation."""
@@ -52,6 +54,8 @@ class Chosen:
         By name of a signal (``time`` is the clock).
     sample_time : float, optional
         [s]
+    gaps : str
+        ``"split"`` or ``"refuse"``.
     runs : tuple of (use, file or table)
     whole : bool
         True where the table is one record, and no part of it validates.
@@ -62,6 +66,7 @@ class Chosen:
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     sample_time: float | None = None
+    gaps: Gaps = "refuse"
     runs: tuple[tuple[Use, Any], ...] = ()
     whole: bool = False
 
@@ -96,6 +101,12 @@ class Chosen:
                 "sample time", expected="seconds, more than 0", got=repr(step), remedy="correct it",
                 place="--sample-time",
             )  # fmt: skip
+        gaps = signals.get("gaps") or "refuse"
+        if gaps not in get_args(Gaps):
+            raise InputError(
+                "gaps", expected=f"one of {', '.join(get_args(Gaps))}", got=repr(gaps), remedy="correct it",
+                place="--gaps",
+            )  # fmt: skip
         given = signals.get("run")
         runs = [] if given is None else given if isinstance(given, list) else [given]
         return cls(
@@ -104,6 +115,7 @@ class Chosen:
             dict(signals.get("column") or {}),
             dict(signals.get("unit") or {}),
             step,
+            gaps,
             tuple(_run(one) for one in runs),
         )
 

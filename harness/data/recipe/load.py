@@ -67,7 +67,7 @@ def load_dataset(
         What is said of the columns of a table without a ``dataset.toml``: ``input`` and ``output`` name its signals
         where no model does, ``column={"theta": "Winkel"}`` says where one stands, ``unit={"theta": "deg"}`` its unit
         (a column without any holds plain numbers where no model asks for a unit), ``sample_time`` [s] where there is
-        no time column, ``run`` further records with the same columns: files, or ``("validation", file)``.
+        no time column, ``gaps="split"`` makes a record of every piece between holes, ``run`` further records with the same columns: files, or ``("validation", file)``.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def _load(
             raise InputError(
                 "columns chosen beside a dataset.toml",
                 expected="the dataset.toml alone, which says it itself",
-                got="input, output, column, unit, sample_time or run",
+                got="input, output, column, unit, sample_time, gaps or run",
                 remedy="leave them out, or give the table itself",
                 file=path,
             )

@@ -1,0 +1,6 @@
+"""Controllers that learn from the plant they drive: motions that are repeated, balance while parameters are learned.
+
+May import every other family of identifiers. An analysis here closes a loop over a plant and says what it costs; add
+one as one file with a frozen dataclass that has ``takes`` and ``of`` (:class:`harness.models.analysis.Analysis`), and
+its entry point ``sysid_harness.analyses`` in ``pyproject.toml``.
+"""
