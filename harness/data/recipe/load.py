@@ -67,7 +67,8 @@ def load_dataset(
         What is said of the columns of a table without a ``dataset.toml``: ``input`` and ``output`` name its signals
         where no model does, ``column={"theta": "Winkel"}`` says where one stands, ``unit={"theta": "deg"}`` its unit
         (a column without any holds plain numbers where no model asks for a unit), ``sample_time`` [s] where there is
-        no time column, ``gaps="split"`` makes a record of every piece between holes, ``run`` further records with the same columns: files, or ``("validation", file)``.
+        no time column, ``gaps="split"`` makes a record of every piece between holes, ``run`` names further records with
+        the same columns: files, or ``("validation", file)``.
 
     Returns
     -------
