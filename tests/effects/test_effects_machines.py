@@ -105,8 +105,8 @@ def test_they_are_tried_where_they_make_sense() -> None:
 
     single, cart = there(load_model("pendulum")), there(load_model("cart-pole"))
     assert {"gear_loss@theta", "torque_ripple@theta", "wobbling_base@theta", "counterbalance@theta"} <= single
-    assert {"gear_loss@x", "torque_ripple@x", "power_sag@x"} <= cart
-    assert not {name for name in cart if name.startswith(("gear", "torque", "power")) and name.endswith("theta")}
+    assert {"gear_loss@x", "torque_ripple@x"} <= cart
+    assert not {name for name in cart if name.startswith(("gear", "torque")) and name.endswith("theta")}
     assert not {name for name in cart if name.startswith("wobbling")}, "the pole moves as well"
     assert not {name for name in single | cart if name.startswith("thermal")}, "no temperature is measured"
     level = load_model("oscillator")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import effect, par
-from harness.effects.functions import absolute, clip, dead_band, exp, larger, tanh
+from harness.effects.functions import absolute, clip, dead_band, exp, tanh
 
 __all__ = [
     "actuator_lag",
@@ -14,7 +14,6 @@ __all__ = [
     "input_compression",
     "input_delay",
     "input_gain",
-    "power_sag",
     "propeller_thrust",
     "rate_limit",
     "saturation",
@@ -151,7 +150,7 @@ def input_compression(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     ],
     states={"z": "u"},
     formula="u' = [1 - c (z + z0 exp(-t/tau))] u, z' = (|u| - z)/tau: the current that was drawn, as the supply sags",
-    family=("input_compression", "drifting_gain", "saturation", "input_gain", "power_sag"),
+    family=("input_compression", "drifting_gain", "saturation", "input_gain"),
     limits={
         "input_compression": "for a supply that sags at once",
         "drifting_gain": "for a supply that recovers in no time of the record",
@@ -162,22 +161,6 @@ def input_compression(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def supply_sag(u: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> tuple[Any, list[Any]]:
     """Supply that sags with the current drawn, and recovers in a while: a battery, a capacitor behind a long line."""
     return (1.0 - p.c * (s.z + p.z0 * exp(-t / p.tau))) * u, [(absolute(u) - s.z) / p.tau]
-
-
-@effect(
-    "coordinate",
-    [par("c", "1/(F v)", scale="0.1 F^-1 v^-1", ceiling="0.3 F^-1 v^-1", sign="+", neutral=0.0, main=True, linear=True,
-         meaning="share of the gain that is lost at a power of 1")],
-    formula="F = -c f P, P = max(f v, 0) the power that the force f of the input gives to the motion",
-    family=("input_compression", "saturation", "viscous_friction", "quadratic_drag", "supply_sag", "gear_loss"),
-    limits={"input_compression": "at constant speed", "input_gain": "at constant power"},
-    needs=("drive",),
-    experiment="the same command with the motion and against it, at several speeds: the gain falls with the power",
-    told_by=("fast swing",),
-)  # fmt: skip
-def power_sag(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
-    """Gain of a drive that falls with the power drawn: a supply with a resistance, under a motor at speed."""
-    return -p.c * f * larger(f * v, 0.0)
 
 
 @effect(

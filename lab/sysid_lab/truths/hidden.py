@@ -391,7 +391,6 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "gear_loss": machines.lossy_gear,
     "torque_ripple": machines.ripple,
     "supply_sag": machines.supply_sag,
-    "power_sag": machines.power_sag,
     "propeller_thrust": machines.propeller,
     "counterbalance": machines.counterbalanced,
     "wobbling_base": machines.swaying_base,

@@ -14,7 +14,7 @@ from harness.signals import FloatArray
 from sysid_lab.truths.context import Context, Hidden, rms
 from sysid_lab.truths.simulation import DT, GRAVITY
 
-__all__ = ["counterbalanced", "lossy_gear", "power_sag", "propeller", "ripple", "supply_sag", "swaying_base"]
+__all__ = ["counterbalanced", "lossy_gear", "propeller", "ripple", "supply_sag", "swaying_base"]
 
 
 def lossy_gear(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
@@ -27,13 +27,6 @@ def ripple(context: Context, at: str, scale: float, size: float, rng: np.random.
     k = max(3.0, float(rng.integers(3, 9)) / (1.0 if at == "theta" else max(1.0, rms(context.q(at)))))
     a, phi = math.sqrt(2) * size, float(rng.uniform(-math.pi, math.pi))
     return Hidden("torque_ripple", at, {"rip": a, "ripk": k, "ripphi": phi}, {"a": a, "k": k, "phi": phi})
-
-
-def power_sag(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
-    """Return a gain that falls with the power."""
-    u, v = context.u, context.v(at)
-    c = size * rms(u) / rms(u * np.maximum(u * v, 0.0))
-    return Hidden("power_sag", at, {"power": c}, {"c": c})
 
 
 def supply_sag(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:

@@ -59,7 +59,6 @@ _COMMON = {
     "rip": 0.0,
     "ripk": 0.0,
     "ripphi": 0.0,
-    "power": 0.0,
     "sagc": 0.0,
     "sagtau": 0.0,
     "square": 0.0,

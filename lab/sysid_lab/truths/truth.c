@@ -15,7 +15,7 @@
    controller, a command that is sampled and held by a slower clock, a payload that is taken up in a while.
 
    Machines around it: a gear whose friction follows from its efficiency (as Modelica's LossyGear), a commutation that
-   ripples, a supply whose voltage falls with the current that was drawn, or with the power, a propeller, a spring over
+   ripples, a supply whose voltage falls with the current that was drawn, a propeller, a spring over
    a lever arm, a base that sways on a spring (pendulum). */
 #include <math.h>
 
@@ -135,7 +135,6 @@ static void equations(const double *p, const double *x, double *dx, double u, do
     const int two = p[P_dof] > 1.5;
     const double g = p[P_g], tilt = p[P_tilt];
     u *= 1 + p[P_rip] * sin(p[P_ripk] * x[0] + p[P_ripphi]);
-    u *= 1 - p[P_power] * fmax(u * x[2], 0);
     transmitted = u;
     double drive = u;
     if (p[P_kt] > 0) {
