@@ -47,6 +47,11 @@ def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
         "pushed-object",
         "glider-functions",
         "redesign",
+        "learned-motion",
+        "adaptive-balance",
+        "offset-bound",
+        "record-length",
+        "finite-sample",
     }
     assert all(listed.values())
     for entry in entries("analyses"):
