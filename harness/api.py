@@ -1600,6 +1600,13 @@ def _subject(takes: Takes, subject: Any, more: dict[str, Any], signals: Signals)
     if takes == "records" and not _planned_for(subject):
         return _subject("data", subject, more, signals)
     if not isinstance(subject, str | Path):
+        if takes == "maker" and not callable(subject):
+            raise InputError(
+                "subject of the analysis",
+                expected="the name of a plant, or what makes one: a function of its options",
+                got=type(subject).__name__,
+                remedy="give a name from sysid list plants",
+            )
         return getattr(subject, "model", subject) if takes == "records" else subject
     if takes == "records":
         found = load_model(subject, **more)

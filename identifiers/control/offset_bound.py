@@ -110,6 +110,13 @@ class _Bench:
         import casadi as ca
         from scipy.linalg import LinAlgError, solve_continuous_are
 
+        if not hasattr(system, "coordinates"):
+            raise InputError(
+                "offset-bound",
+                expected="a mechanism whose equations are known",
+                got=type(system).__name__,
+                remedy="give a model by its name, such as acrobot",
+            )
         names = [channel.name for channel in system.states]
         coordinates = [one.name for one in system.coordinates]
         unknown = sorted((set(options.target) - set(names)) | (set(options.error) - set(coordinates)))
