@@ -18,6 +18,7 @@ from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noi
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
 from harness.diagnosis.records.controller_check import check_controller
 from harness.diagnosis.records.prepare import checked
+from harness.diagnosis.records.starts import with_known_starts
 from harness.diagnosis.search.rounding import with_rounding
 from harness.diagnosis.search.search import search
 from harness.diagnosis.steps import (
@@ -83,7 +84,7 @@ def diagnose(
     kind = kind or Equations()
     with one_thread():
         # fit
-        dataset, doubts = kind.prepared(checked(dataset, system), system)
+        dataset, doubts = kind.prepared(with_known_starts(checked(dataset, system), system), system)
         doubts = [*check_controller(dataset, system), *doubts]
         laws = laws_of(dictionary)
         thinned = kind.thinned(dataset)

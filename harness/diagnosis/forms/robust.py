@@ -27,7 +27,7 @@ def robust_covariance(
     Parameters
     ----------
     errors : sequence of array (K, ny)
-        By record.
+        By record; NaN where a reading is missing, which then counts nowhere.
     jacobians : sequence of array (K, ny, p)
         Their derivatives.
     order : int
@@ -53,11 +53,12 @@ def robust_covariance(
 
     size = jacobians[0].shape[2]
     bread, meat = np.zeros((size, size)), np.zeros((size, size))
-    before = [Before.of(np.ones(len(record)), order) for record in errors]
     for k, least in enumerate(floor):
-        error = fitted_error([record[:, k] for record in errors], before, order, float(least))
-        for j in jacobians:
-            column = j[:, k] / error.deviation
+        told = [np.isfinite(record[:, k]) for record in errors]
+        before = [Before.of(rows.astype(float), order) for rows in told]
+        error = fitted_error([np.nan_to_num(record[:, k]) for record in errors], before, order, float(least))
+        for j, rows in zip(jacobians, told, strict=True):
+            column = np.where(rows[:, None], j[:, k], 0.0) / error.deviation
             most = min(len(j) - 1, LONGEST)
             rho = error.correlation(most)
             spread = fftconvolve(column, np.concatenate([rho[:0:-1], rho])[:, None], axes=0)

@@ -188,11 +188,13 @@ def _output_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
         axes += _driven(found, record)
         axes.append(("time", "s", record.t))
         sd = float(final.detail.points["estimation"].noise.r[j])
-        for name, unit, values in axes:
-            views.append(
-                ResidualView(name, unit, values, before[:, j], after[:, j] if changed else None, None, channel.unit,
-                             f"error of {channel.name}", deviation=sd)
-            )  # fmt: skip
+        told = np.isfinite(before[:, j])  # the others are missing readings
+        left = after[told, j] if changed else None
+        views += [
+            ResidualView(name, unit, values[told], before[told, j], left, None, channel.unit,
+                         f"error of {channel.name}", deviation=sd)
+            for name, unit, values in axes
+        ]  # fmt: skip
     return views
 
 

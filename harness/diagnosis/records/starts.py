@@ -1,0 +1,126 @@
+"""The start of a record cut from a running plant with a dead time: what acted before its first row is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from harness.diagnosis.systems import AnySystem
+from harness.signals import Dataset, FloatArray, Run, Trajectory
+
+__all__ = ["dead_times", "with_known_starts"]
+
+LONGEST = 200
+"""Samples of dead time that are looked for, and a tenth of the record at most: beyond it there is little to compare."""
+LAGS = 2
+"""Lags of every output and input beside the dead time: a linear plant of second order, or slower ones nearly."""
+RESTING = 2.0
+"""Scatter of the first readings over the noise, up to which a plant is at rest."""
+CLEARER = 0.8
+"""Least-squares loss with the dead time over that without, at most: noise alone changes a loss of so many rows by far
+less."""
+
+
+def with_known_starts(dataset: Dataset, system: AnySystem) -> Dataset:
+    """Return the data set with the readings left out that inputs before a record still decide, and say so.
+
+    Asked of models that are no mechanisms: a force acts at once. A record that begins at rest is left whole, as its
+    input was what it is in the first row.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    system : System
+        The nominal model.
+
+    Notes
+    -----
+    The initial state is fitted, so a plant without dead time has no such readings.
+    """
+    if system.coordinates or not dataset.spec.nu:
+        return dataset
+    dead = max(dead_times(dataset.estimation), default=0)
+    if dead < 2:  # one sample is that of a held input
+        return dataset
+    runs = tuple(_cut(run, dead) for run in dataset)
+    cut = sum(before is not after for before, after in zip(dataset.runs, runs, strict=True))
+    note = (
+        f"a dead time of about {dead} samples, and {cut} of {len(runs)} records do not begin at rest: what the inputs "
+        f"were before them is unknown, and their first {dead} readings count as missing"
+    )
+    return replace(dataset, runs=runs, warnings=(*dataset.warnings, note)) if cut else dataset
+
+
+def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
+    """Return for every input after how many samples the outputs answer, by least squares over dead times.
+
+    An ARX model of two lags beside every dead time of one input, the others without, is fitted to all outputs; the one
+    with the least loss counts where the loss is clearly less than without dead time (Ljung 1999, sec. 4.2 and 16.4).
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> rng = np.random.default_rng(0)
+    >>> u, y = rng.normal(size=400), np.zeros(400)
+    >>> for k in range(8, 400):
+    ...     y[k] = 0.8 * y[k - 1] + u[k - 8]
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> dead_times([Trajectory(np.arange(400.0), u[:, None], y[:, None], spec)])
+    (8,)
+    """
+    spec = records[0].spec
+    most = min(LONGEST, min(map(len, records)) // 10)
+    rows = [np.arange(most + LAGS, len(record)) for record in records]
+    target = np.concatenate([record.y[k] for record, k in zip(records, rows, strict=True)])
+    past = np.concatenate(
+        [
+            np.hstack([np.ones((len(k), 1)), *(record.y[k - lag] for lag in range(1, LAGS + 1))])
+            for record, k in zip(records, rows, strict=True)
+        ]
+    )
+
+    def inputs(column: int, dead: int) -> FloatArray:
+        parts = [
+            np.stack([record.u[k - dead - lag, column] for lag in range(LAGS)], axis=1)
+            for record, k in zip(records, rows, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    size = np.where(target.std(axis=0) > 0, target.std(axis=0), 1.0)
+    found = []
+    for column in range(spec.nu):
+        others = [inputs(other, 1) for other in range(spec.nu) if other != column]
+        known, _ = np.linalg.qr(np.hstack([past, *others]))
+        left = (target - known @ (known.T @ target)) / size
+        losses = []
+        for dead in range(1, most + 1):
+            own = inputs(column, dead)
+            own = own - known @ (known.T @ own)
+            answer = own @ np.linalg.lstsq(own, left, rcond=None)[0]
+            losses.append(float(np.sum((left - answer) ** 2)))
+        best = int(np.argmin(losses))
+        found.append(best + 1 if losses[best] < CLEARER * losses[0] else 1)
+    return tuple(found)
+
+
+def _cut(run: Run, dead: int) -> Run:
+    """Return a run whose first readings are missing; itself where it begins at rest."""
+    record = run.trajectory
+    if len(record) <= 2 * dead or _rests(record, dead):
+        return run
+    missing = record.missing.copy() if record.missing is not None else np.zeros(record.y.shape, dtype=bool)
+    missing[:dead] = True
+    return replace(run, trajectory=replace(record, missing=missing))
+
+
+def _rests(record: Trajectory, dead: int) -> bool:
+    """Return True if the outputs of the first rows scatter no more than the noise of their neighbours."""
+    first = record.y[:dead]
+    noise = np.median(np.abs(np.diff(record.y, n=2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
+    return bool((first.std(axis=0) <= RESTING * noise).all())

@@ -1,0 +1,79 @@
+"""Records cut from a running plant with a dead time, and readings that are missing, under a linear nominal model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import harness
+from harness.diagnosis.close import close_loop
+from harness.diagnosis.records.starts import dead_times, with_known_starts
+from harness.physics import load_model
+from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
+
+SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+
+
+def plant(dead: int, seed: int, *, pole: float = 0.9, hold: int = 5, cut: int = 300, samples: int = 1500) -> Trajectory:
+    """Return readings of a lag with a dead time, the rows before ``cut`` left out."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], size=(cut + samples) // hold + 1), hold)[: cut + samples]
+    y = np.zeros(cut + samples)
+    for k in range(1, len(y)):
+        y[k] = pole * y[k - 1] + 2.0 * (1.0 - pole) * (u[k - 1 - dead] if k > dead else 0.0)
+    y += 0.02 * rng.standard_normal(len(y))
+    return Trajectory(np.arange(samples, dtype=float), u[cut:, None], y[cut:, None], SPEC)
+
+
+def pair(dead: int, *, cut: int = 300) -> Dataset:
+    """Return an estimation and a validation record."""
+    return Dataset("cut", (Run(plant(dead, 1, cut=cut)), Run(plant(dead, 2, cut=cut), "validation")))
+
+
+@settings(max_examples=25, deadline=None)
+@given(dead=st.integers(0, 40), pole=st.floats(0.5, 0.97), hold=st.integers(1, 8), seed=st.integers(0, 10_000))
+def test_the_dead_time_is_that_of_the_plant(dead: int, pole: float, hold: int, seed: int) -> None:
+    (found,) = dead_times([plant(dead, seed, pole=pole, hold=hold)])
+    assert found == (dead + 1 if dead else 1) or (found == 1 and dead < 4)  # a short one may hide in a slow lag
+
+
+def test_only_what_inputs_before_the_record_decide_is_left_out() -> None:
+    linear = load_model("linear", order=1)
+    cut = with_known_starts(pair(10), linear)
+    for run in cut:
+        missing = run.trajectory.missing
+        assert missing is not None
+        assert missing[:11].all()
+        assert not missing[11:].any()
+    assert "do not begin at rest" in cut.warnings[-1]
+    for data, model in ((pair(0), linear), (pair(10, cut=0), linear), (pair(10), load_model("oscillator"))):
+        assert with_known_starts(data, model) is data  # no dead time; from rest; a mechanism
+
+
+@pytest.mark.parametrize("dead", [10, 20])
+def test_the_dead_time_alone_is_found(dead: int, tmp_path: Path) -> None:
+    report = close_loop(pair(dead), load_model("linear", order=1), out=tmp_path / "out")
+    assert [effect["name"] for effect in report.data["effects"]] == ["input_delay"]
+    tau = report.data["parameters"]["after"]["input_delay@u.tau"]
+    assert tau["low"] < dead < tau["high"]
+
+
+def test_missing_readings_end_no_linear_loop(tmp_path: Path) -> None:
+    records: list[FloatArray] = []
+    for role, seed in (("estimation", 1), ("validation", 2)):
+        record = plant(0, seed, cut=0)
+        y = record.y[:, 0].copy()
+        y[[200, 700, 701]] = 50.0  # spikes: they count as missing
+        records.append(y)
+        rows = np.column_stack([record.t, record.u[:, 0], y])
+        np.savetxt(tmp_path / f"{role}.csv", rows, delimiter=",", header="time [s],u [1],y [1]", comments="")
+    report = harness.close_loop(
+        tmp_path / "estimation.csv", model="linear", validation=tmp_path / "validation.csv", input="u", output="y",
+        out=tmp_path / "out",
+    )  # fmt: skip
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+    assert report.data["verdict"] == "nothing_missing"
