@@ -16,8 +16,6 @@ LONGEST = 200
 """Samples of dead time that are looked for, and a tenth of the record at most: beyond it there is little to compare."""
 LAGS = 2
 """Lags of every output and input beside the dead time: a linear plant of second order, or slower ones nearly."""
-RESTING = 2.0
-"""Scatter of the first readings over the noise, up to which a plant is at rest."""
 CLEARER = 0.8
 """Least-squares loss with the dead time over that without, at most: noise alone changes a loss of so many rows by far
 less."""
@@ -26,8 +24,8 @@ less."""
 def with_known_starts(dataset: Dataset, system: AnySystem) -> Dataset:
     """Return the data set with the readings left out that inputs before a record still decide, and say so.
 
-    Asked of models that are no mechanisms: a force acts at once. A record that begins at rest is left whole, as its
-    input was what it is in the first row.
+    Asked of models that are no mechanisms: a force acts at once. A plant at rest is no exception: its input was 0, or
+    what holds it there, and not what stands in the first row.
 
     Parameters
     ----------
@@ -45,12 +43,11 @@ def with_known_starts(dataset: Dataset, system: AnySystem) -> Dataset:
     if dead < 2:  # one sample is that of a held input
         return dataset
     runs = tuple(_cut(run, dead) for run in dataset)
-    cut = sum(before is not after for before, after in zip(dataset.runs, runs, strict=True))
     note = (
-        f"a dead time of about {dead} samples, and {cut} of {len(runs)} records do not begin at rest: what the inputs "
-        f"were before them is unknown, and their first {dead} readings count as missing"
+        f"a dead time of about {dead} samples: what the inputs were before a record is unknown, and its first {dead} "
+        "readings count as missing"
     )
-    return replace(dataset, runs=runs, warnings=(*dataset.warnings, note)) if cut else dataset
+    return replace(dataset, runs=runs, warnings=(*dataset.warnings, note))
 
 
 def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
@@ -110,17 +107,10 @@ def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
 
 
 def _cut(run: Run, dead: int) -> Run:
-    """Return a run whose first readings are missing; itself where it begins at rest."""
+    """Return a run whose first readings are missing; itself where hardly more would be left."""
     record = run.trajectory
-    if len(record) <= 2 * dead or _rests(record, dead):
+    if len(record) <= 2 * dead:
         return run
     missing = record.missing.copy() if record.missing is not None else np.zeros(record.y.shape, dtype=bool)
     missing[:dead] = True
     return replace(run, trajectory=replace(record, missing=missing))
-
-
-def _rests(record: Trajectory, dead: int) -> bool:
-    """Return True if the outputs of the first rows scatter no more than the noise of their neighbours."""
-    first = record.y[:dead]
-    noise = np.median(np.abs(np.diff(record.y, n=2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
-    return bool((first.std(axis=0) <= RESTING * noise).all())
