@@ -34,9 +34,9 @@ a command held by a slower clock), `fmu` (C behind FMI: the formulas of `laws`, 
 `laws` (the dictionary's formulas in C, steps of 0.2 ms, friction with a true standstill, sharp corners). Sizes: nominal
 is 6 to 10 % of the rms torque, quarter a fourth; noise: low 1e-4, high 1e-3 (rad, m); disturbance: unknown torque of 2
 % of the rms torque, Gauss-Markov or not. A third of the records have a nominal structure that is a little wrong:
-{structures}. Six of these have a name in the dictionary (damping that depends on the position, damping and gain that
-drift along a record, a drive whose gain falls with its command, a cyclic error and a bent scale of the sensor), and an
-answer that names it beside what is hidden is right; a heavy rod, a drive that tires at speed and one that ripples have
+{structures}. Seven of these have a name in the dictionary (damping that depends on the position, damping and gain that
+drift along a record, a drive whose gain falls with its command or ripples, a cyclic error and a bent scale of the
+sensor), and an answer that names it beside what is hidden is right; a heavy rod and a drive that tires at speed have
 none. Both models have viscous friction: it is not hidden."""
 PART = " (the order is balanced within every part, so what is done is a fair sample)"
 NAMED = ("payload_step", "backlash", "sensor_offset", "end_stop")
