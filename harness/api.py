@@ -746,15 +746,7 @@ def identify(
     from harness.scoring.predictive import probability_score
 
     if y is not None:
-        from harness.data.tables.memory import input_and_output
-
-        dataset, names, others = input_and_output(dataset, y)
-        if "input" in signals or "output" in signals:
-            raise InputError(
-                "input and output", expected="arrays u and y, or a table with input= and output=", got="both",
-                remedy="leave out one",
-            )  # fmt: skip
-        signals = {**signals, "input": names, "output": others}
+        dataset, signals = _table_of(dataset, y, signals)
     if identifier is None and model is not None:
         raise InputError(
             "no identifier for a physical model",
@@ -803,6 +795,19 @@ def identify(
         next(iter((*data.validation, *data.estimation)), None),
         _bounds_beside(fitted, records, identifier, seed) if bounds else None,
     )
+
+
+def _table_of(u: Any, y: Any, signals: Signals) -> tuple[Any, Signals]:
+    """Return inputs and outputs that were given apart as a table, and what is said of its columns."""
+    from harness.data.tables.memory import input_and_output
+
+    table, names, others = input_and_output(u, y)
+    if "input" in signals or "output" in signals:
+        raise InputError(
+            "input and output", expected="arrays u and y, or a table with input= and output=", got="both",
+            remedy="leave out one",
+        )  # fmt: skip
+    return table, {**signals, "input": names, "output": others}
 
 
 def _bounds_beside(model: Model, records: Sequence[Trajectory], identifier: str, seed: int) -> Findings:

@@ -260,23 +260,32 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
     for column in range(spec.nu):
         if not np.ptp(np.concatenate([record.u[:, column] for record in some])) > 0:
             continue  # a constant is no answer
-        sure = chances[column] < _DOUBT and shares[column] > 0.01
-        if not sure and alone[column] > _FORETOLD:
-            continue
-        exact = _EXACT * alone[column]
-        for form in _FORMS:
-            departure, probability, text = _tested(some, column, form)
-            noise = probability > _DOUBT and departure < (_SLOW if form.filtered else _HALF)
-            least = max(exact, _ROUNDED) if form == _PLAIN[0] else exact
-            if (noise or departure < least) and (sure or form == _PLAIN[0]):
-                return Law(column, text, departure, probability)
-            if not sure and departure < _ROUNDED and form.coefficients(spec.ny) < _dimension(some):
-                return Law(column, text, departure, probability)
-        if not sure and (found := _weakly_told(some, column)) is not None:
+        found = _law_of_input(some, column, (shares[column], chances[column], alone[column]))
+        if found is not None:
             return found
-        if sure and shares[column] > 1.0 - _EXACT**2 and _granger(_before(some), 4)[0][column] > 1.0 - _EXACT**2:
-            left = float(alone[column] * np.sqrt(max(1.0 - shares[column], 0.0)))
-            return Law(column, f"{spec.inputs[column].name} follows from the last 4 samples", left, 1.0)
+    return None
+
+
+def _law_of_input(records: Sequence[Trajectory], column: int, told: tuple[float, float, float]) -> Law | None:
+    """Return the law that one input follows; ``told`` is what outputs and its own past foretell of it."""
+    (share, chance, alone), spec = told, records[0].spec
+    sure = chance < _DOUBT and share > 0.01
+    if not sure and alone > _FORETOLD:
+        return None
+    exact = _EXACT * alone
+    for form in _FORMS:
+        departure, probability, text = _tested(records, column, form)
+        noise = probability > _DOUBT and departure < (_SLOW if form.filtered else _HALF)
+        least = max(exact, _ROUNDED) if form == _PLAIN[0] else exact
+        if (noise or departure < least) and (sure or form == _PLAIN[0]):
+            return Law(column, text, departure, probability)
+        if not sure and departure < _ROUNDED and form.coefficients(spec.ny) < _dimension(records):
+            return Law(column, text, departure, probability)
+    if not sure and (found := _weakly_told(records, column)) is not None:
+        return found
+    if sure and share > 1.0 - _EXACT**2 and _granger(_before(records), 4)[0][column] > 1.0 - _EXACT**2:
+        left = float(alone * np.sqrt(max(1.0 - share, 0.0)))
+        return Law(column, f"{spec.inputs[column].name} follows from the last 4 samples", left, 1.0)
     return None
 
 

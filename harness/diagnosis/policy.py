@@ -458,6 +458,18 @@ class ArmPolicy:
     rounded: float = _number(
         1e-4, "share of a rotor's torque below which what bodies leave of it is rounding", "as for a direction"
     )
+    below: float = _number(
+        5.0,
+        "standard errors below nothing, in every use, from which on an inertia is impossible",
+        "one in three million of one use",
+    )
+    untold: float = _number(
+        0.05, "share of the inertia's own direction that the motion may leave untold", "it moves the mean by as much"
+    )
+    told: float = _number(
+        1e-6, "singular value, over the largest, from which on the motion tells a direction", "half of the digits"
+    )
+    rows: int = _number(4000, "samples of a use that are asked for an inertia", "cost: there are five columns")
 
 
 ARM_POLICY = ArmPolicy()
@@ -494,6 +506,15 @@ PLAN_POLICY = PlanPolicy()
 class DataPolicy:
     """What the data must be like, and how they are cut, before they are judged."""
 
+    longest_dead: int = _number(
+        200, "samples of dead time that are looked for, a tenth of a record at most", "cost; little is left beyond it"
+    )
+    dead_lags: int = _number(
+        2, "lags of every signal beside a dead time", "a plant of second order: Ljung 1999, sec. 4.2"
+    )
+    clearer: float = _number(
+        0.8, "least-squares loss with a dead time over that without, at most", "noise changes it by some percent"
+    )
     unexplained: float = _number(
         0.5,
         "error over the motion within a window above which a rough fit explains next to nothing",

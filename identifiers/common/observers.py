@@ -13,7 +13,15 @@ from harness.protocols import Model
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.linear_model import LinearModel
 
-__all__ = ["alpha_beta_gains", "best_gain", "fitted_start", "innovation_form", "riccati_gains", "run_in_steps"]
+__all__ = [
+    "alpha_beta_gains",
+    "best_gain",
+    "fitted_start",
+    "innovation_form",
+    "riccati_gains",
+    "run_in_steps",
+    "stationary_gain",
+]
 
 Step = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -207,3 +215,30 @@ def innovation_form(
         output_offset,
         **more,
     )
+
+
+def stationary_gain(a: FloatArray, c: FloatArray) -> FloatArray:
+    """Return the filter gain of a stationary Kalman filter with equal noise on states and outputs.
+
+    Parameters
+    ----------
+    a, c : array (nx, nx), (ny, nx)
+
+    Returns
+    -------
+    array (nx, ny)
+        ``L`` of ``x + L (y - C x)``; zeros where the Riccati equation has no solution.
+
+    Examples
+    --------
+    >>> stationary_gain(np.array([[0.5]]), np.array([[1.0]])).round(4)
+    array([[0.5311]])
+    """
+    from scipy.linalg import LinAlgError, solve_discrete_are
+
+    try:
+        p = solve_discrete_are(a.T, c.T, np.eye(a.shape[0]), np.eye(c.shape[0]))
+    except (LinAlgError, ValueError):
+        return np.zeros((a.shape[0], c.shape[0]))
+    gain: FloatArray = p @ c.T @ np.linalg.inv(c @ p @ c.T + np.eye(c.shape[0]))
+    return gain

@@ -17,10 +17,10 @@ from harness.models.spread import Matrices
 from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
-from identifiers.common.filters import stationary_gain
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import coefficients_without, spread_of
 from identifiers.common.normal import scaled_equations, solved
+from identifiers.common.observers import stationary_gain
 from identifiers.common.records import (
     filled,
     lagged_blocks,

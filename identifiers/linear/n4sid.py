@@ -16,10 +16,9 @@ from harness.models.spread import Matrices
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
-from identifiers.common.filters import stationary_gain
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import spread_of, stacked, triangles_without
-from identifiers.common.observers import innovation_form
+from identifiers.common.observers import innovation_form, stationary_gain
 from identifiers.common.records import missing_notes, moving, real_signals, usable
 from identifiers.common.ridge import ridge_by_cross_validation
 from identifiers.common.scaling import Scaling, scaled

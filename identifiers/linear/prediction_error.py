@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import FitError
-from harness.judgement import feedback_of, refuse_undetermined
+from harness.judgement import Feedback, feedback_of, refuse_undetermined
 from harness.models.arx_orders import Delay, input_delays
 from harness.models.determined import KEY, determined_bands
 from harness.scoring import equation_error, simulation_error
@@ -18,10 +18,10 @@ from identifiers.common.excitation import excited_lags, refuse_feedback_of_recor
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import spread_of, steps_without
 from identifiers.common.observers import innovation_form
+from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable, without_holes
 from identifiers.common.scaling import scaled
 from identifiers.common.stability import RADIUS
-from identifiers.common.whiteness import whiteness
 from identifiers.linear.hidden_by_load import hidden_by_load
 from identifiers.linear.polynomials.estimate import Fitted, in_units, prediction_error_estimate
 from identifiers.linear.polynomials.holes import in_pieces
@@ -115,14 +115,7 @@ class PredictionError:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form; an output-error model has no filter gain."""
         what = "prediction-error"
-        fine = self.structure in LETTERS and self.delay >= 0
-        if not fine or (self.order is not None and self.order < 1) or (isinstance(self.nk, str) and self.nk != "auto"):
-            raise FitError(
-                f"{what}: options",
-                expected="structure oe, arx, armax or bj, order >= 1, delay >= 0, nk a number, a list or auto",
-                got=f"structure={self.structure}, order={self.order}, delay={self.delay}, nk={self.nk}",
-                remedy="correct the options",
-            )
+        self._check(what)
         records, spec = usable(trajectories, samples=4 * (self.order or 1) + 4, what=what, holes="kept")
         real_signals(spec, what)
         if spec.nu == 0:
@@ -151,17 +144,8 @@ class PredictionError:
         notes = {**notes, **model.notes, "order": order, "residual_rms": rms}
         notes["polynomials"] = [polynomials.to_dict() for polynomials, _ in told]
         notes["standard_errors"] = [errors.tolist() for _, errors in told]
-        if feedback.found and "warning" not in notes:
-            try:
-                refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
-            except FitError as error:  # noise models can tell a loop that n4sid refuses, or take its controller for it
-                notes["warning"] = f"the model may be that of the controller: {error}"
-            else:
-                if feedback.share > _ANSWERED and min(fit.whiteness for fit in fits) < _COLOURED / spec.ny:
-                    notes["warning"] = (
-                        "residuals are correlated in time, which in a loop (past outputs foretell the input) biases "
-                        "what the inputs do: raise the order, or move the set-point more"
-                    )
+        if feedback.found and "warning" not in notes and (doubt := self._looped(records, feedback, fits, what)):
+            notes["warning"] = doubt
         estimate = prediction_error_estimate(spec, fits, scaling)
         # about a biased answer, or one on the edge of what is allowed, the spread of the fit says nothing
         if estimate is not None and "warning" not in notes and "stabilized" not in notes:
@@ -171,6 +155,30 @@ class PredictionError:
         model = (model if "stabilized" in notes else self._with_spread(model, fits)).in_units(scaling)
         hidden_by_load(model, measured, feedback, notes)
         return model
+
+    def _check(self, what: str) -> None:
+        """Refuse options that mean nothing."""
+        fine = self.structure in LETTERS and self.delay >= 0
+        if not fine or (self.order is not None and self.order < 1) or (isinstance(self.nk, str) and self.nk != "auto"):
+            raise FitError(
+                f"{what}: options",
+                expected="structure oe, arx, armax or bj, order >= 1, delay >= 0, nk a number, a list or auto",
+                got=f"structure={self.structure}, order={self.order}, delay={self.delay}, nk={self.nk}",
+                remedy="correct the options",
+            )
+
+    def _looped(self, records: Sequence[Trajectory], feedback: Feedback, fits: Sequence[Fitted], what: str) -> str:
+        """Return a warning where the model may be that of the controller, or the loop biases it; empty if neither."""
+        try:
+            refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
+        except FitError as error:  # noise models can tell a loop that n4sid refuses, or take its controller for it
+            return f"the model may be that of the controller: {error}"
+        if feedback.share > _ANSWERED and min(fit.whiteness for fit in fits) < _COLOURED / records[0].spec.ny:
+            return (
+                "residuals are correlated in time, which in a loop (past outputs foretell the input) biases "
+                "what the inputs do: raise the order, or move the set-point more"
+            )
+        return ""
 
     def _unexcited(self, records: Sequence[Trajectory], order: int) -> str | None:
         """Return a warning where the inputs excite fewer lags than their polynomials have numbers, else None."""

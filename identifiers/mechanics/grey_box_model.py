@@ -13,8 +13,7 @@ from harness.errors import InputError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.common.filters import stationary_gain
-from identifiers.common.observers import best_gain, riccati_gains, run_in_steps
+from identifiers.common.observers import best_gain, riccati_gains, run_in_steps, stationary_gain
 from identifiers.mechanics.physical import Recipe, recipe_for
 
 if TYPE_CHECKING:

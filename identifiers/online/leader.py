@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from harness.errors import FitError, InputError
 from harness.protocols import Hindsight, Identifier, Model
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from identifiers.common.named import named
 from identifiers.common.records import real_signals
 
 __all__ = ["FollowTheLeader", "LeaderState"]
@@ -171,15 +171,7 @@ class FollowTheLeader:
         """Return the batch identifier."""
         if not isinstance(self.identifier, str):
             return self.identifier
-        found = [e for e in entry_points(group="sysid_harness.identifiers") if e.name == self.identifier]
-        if not found:
-            raise InputError(
-                "identifier of follow-the-leader",
-                expected="the id of a registered batch identifier",
-                got=repr(self.identifier),
-                remedy="see 'sysid list identifiers'",
-            )
-        made = found[0].load()(**dict(self.options))
+        made = named("identifiers", self.identifier, self.options)
         if not hasattr(made, "fit"):
             raise InputError(
                 "identifier of follow-the-leader",

@@ -19,18 +19,8 @@ class ExcelFile(MemoryTable):
     """A sheet of an Excel workbook, by default the first: a header, perhaps a row of units, and rows of numbers."""
 
     def __init__(self, path: Path, sheet: str | None = None) -> None:
-        sheets, rows = _read(path, sheet)
-        read = sheets[0] if sheet is None else sheet
-        if sheet is None and len(sheets) > 1 and not _has_numbers(rows):
-            others = {name: _read(path, name)[1] for name in sheets[1:]}
-            tables = [name for name, content in others.items() if _has_numbers(content)]
-            if len(tables) == 1:
-                read, rows = tables[0], others[tables[0]]
-        skipped = 0
-        while rows and not any(cell is not None for cell in rows[0]):
-            rows, skipped = rows[1:], skipped + 1
-        while rows and not any(cell is not None for cell in rows[-1]):
-            rows.pop()
+        sheets, read, rows = _chosen(path, sheet)
+        rows, skipped = _without_empty(rows)
         above = _above(rows)
         rows, skipped = rows[above:], skipped + above
         said = [f"what stands above the table, to row {skipped}, is left aside"] if above else []
@@ -41,15 +31,7 @@ class ExcelFile(MemoryTable):
         named = units_below(titles, below)
         body = rows[1:] if named is None else rows[2:]
         titles = titles if named is None else named
-        twice = sorted({title for title in titles if title and titles.count(title) > 1})
-        if twice:
-            raise InputError(
-                f"two columns {twice[0]!r}",
-                expected="titles of their own",
-                got=", ".join(titles[:12]),
-                remedy="rename one",
-                file=path,
-            )
+        _refuse_twins(titles, path)
         columns = {title: [row[k] for row in body] for k, title in enumerate(titles) if title}
         first = len(rows) - len(body) + skipped + 1
         _refuse_truths(columns, first, path)
@@ -62,6 +44,38 @@ class ExcelFile(MemoryTable):
                 f"the workbook has {len(sheets)} sheets: {read!r}, {why}; sheet = ... names another "
                 f"({', '.join(others_named[:5])}{' ...' if len(others_named) > 5 else ''})"
             )
+
+
+def _chosen(path: Path, sheet: str | None) -> tuple[list[str], str, list[list[Any]]]:
+    """Return all sheets, the one that is read and its rows: the first, or the only one that has rows of numbers."""
+    sheets, rows = _read(path, sheet)
+    if sheet is not None:
+        return sheets, sheet, rows
+    if len(sheets) > 1 and not _has_numbers(rows):
+        others = {name: _read(path, name)[1] for name in sheets[1:]}
+        tables = [name for name, content in others.items() if _has_numbers(content)]
+        if len(tables) == 1:
+            return sheets, tables[0], others[tables[0]]
+    return sheets, sheets[0], rows
+
+
+def _without_empty(rows: list[list[Any]]) -> tuple[list[list[Any]], int]:
+    """Return rows without the empty ones before and after them, and how many stood before."""
+    filled = [k for k, row in enumerate(rows) if any(cell is not None for cell in row)]
+    return (rows[filled[0] : filled[-1] + 1], filled[0]) if filled else ([], len(rows))
+
+
+def _refuse_twins(titles: list[str], path: Path) -> None:
+    """Refuse two columns of one title."""
+    twice = sorted({title for title in titles if title and titles.count(title) > 1})
+    if twice:
+        raise InputError(
+            f"two columns {twice[0]!r}",
+            expected="titles of their own",
+            got=", ".join(titles[:12]),
+            remedy="rename one",
+            file=path,
+        )
 
 
 def _has_numbers(rows: list[list[Any]]) -> bool:

@@ -13,16 +13,8 @@ from harness.signals import FloatArray
 
 __all__ = ["apparent_inertia", "inertia_below_nothing"]
 
-SURE = 5.0
-"""Standard errors below nothing, in every use, from which on it is no chance: one in three million of one use."""
-LEAST = 1e-6
-"""Singular value of the columns, over the largest, from which on the motion tells a direction of them."""
 NONE = (0.0, 0.0, 0.0)
 """No gravity."""
-TOLD = 0.05
-"""Share of the inertia's own direction that the motion may leave untold."""
-ROWS = 4000
-"""Samples of a use that are asked: far more than there are columns."""
 
 
 def inertia_below_nothing(
@@ -41,7 +33,7 @@ def inertia_below_nothing(
     found = []
     for joint in moving:
         told = [apparent_inertia(arm, runs[use], joint) for use in ("estimation", "validation")]
-        if all(value < -SURE * deviation for value, deviation in told):
+        if all(value < -ARM_POLICY.below * deviation for value, deviation in told):
             drive, position = arm.inputs[joint], arm.positions[joint]
             found.append(
                 f"the torque {drive.name} asks for an inertia of {told[0][0]:.3g} {drive.unit} s^2/{position.unit} at "
@@ -67,7 +59,7 @@ def apparent_inertia(arm: ArmModel, runs: Sequence[ArmRun], joint: int) -> tuple
     columns, torques, wanted, independent = [], [], [], 0.0
     for run in runs:
         calm, dt = run.calm, run.motion.sample_time
-        rows = slice(None, None, max(len(calm.q) * len(runs) // ROWS, 1))
+        rows = slice(None, None, max(len(calm.q) * len(runs) // ARM_POLICY.rows, 1))
         q, v, a = calm.q[rows], calm.v[rows], calm.a[rows]
         unit = np.zeros_like(a)
         unit[:, joint] = 1.0
@@ -83,10 +75,10 @@ def apparent_inertia(arm: ArmModel, runs: Sequence[ArmRun], joint: int) -> tuple
     size = np.linalg.norm(x, axis=0)
     size[size == 0.0] = 1.0
     left, singular, right = np.linalg.svd(x / size, full_matrices=False)
-    keep = singular > LEAST * singular[0]
+    keep = singular > ARM_POLICY.told * singular[0]
     direction = np.mean(wanted, axis=0) / size
     told = right[keep] @ direction
-    if np.linalg.norm(direction - right[keep].T @ told) > TOLD * np.linalg.norm(direction):
+    if np.linalg.norm(direction - right[keep].T @ told) > ARM_POLICY.untold * np.linalg.norm(direction):
         return 0.0, np.inf
     spread = max(independent - keep.sum(), 1.0)
     along = left[:, keep].T @ u

@@ -7,18 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = ["dead_times", "with_known_starts"]
-
-LONGEST = 200
-"""Samples of dead time that are looked for, and a tenth of the record at most: beyond it there is little to compare."""
-LAGS = 2
-"""Lags of every output and input beside the dead time: a linear plant of second order, or slower ones nearly."""
-CLEARER = 0.8
-"""Least-squares loss with the dead time over that without, at most: noise alone changes a loss of so many rows by far
-less."""
 
 
 def with_known_starts(dataset: Dataset, system: AnySystem) -> Dataset:
@@ -71,20 +64,20 @@ def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
     >>> dead_times([Trajectory(np.arange(400.0), u[:, None], y[:, None], spec)])
     (8,)
     """
-    spec = records[0].spec
-    most = min(LONGEST, min(map(len, records)) // 10)
-    rows = [np.arange(most + LAGS, len(record)) for record in records]
+    spec, lags = records[0].spec, DATA_POLICY.dead_lags
+    most = min(DATA_POLICY.longest_dead, min(map(len, records)) // 10)
+    rows = [np.arange(most + lags, len(record)) for record in records]
     target = np.concatenate([record.y[k] for record, k in zip(records, rows, strict=True)])
     past = np.concatenate(
         [
-            np.hstack([np.ones((len(k), 1)), *(record.y[k - lag] for lag in range(1, LAGS + 1))])
+            np.hstack([np.ones((len(k), 1)), *(record.y[k - lag] for lag in range(1, lags + 1))])
             for record, k in zip(records, rows, strict=True)
         ]
     )
 
     def inputs(column: int, dead: int) -> FloatArray:
         parts = [
-            np.stack([record.u[k - dead - lag, column] for lag in range(LAGS)], axis=1)
+            np.stack([record.u[k - dead - lag, column] for lag in range(lags)], axis=1)
             for record, k in zip(records, rows, strict=True)
         ]
         return np.concatenate(parts)
@@ -102,7 +95,7 @@ def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
             answer = own @ np.linalg.lstsq(own, left, rcond=None)[0]
             losses.append(float(np.sum((left - answer) ** 2)))
         best = int(np.argmin(losses))
-        found.append(best + 1 if losses[best] < CLEARER * losses[0] else 1)
+        found.append(best + 1 if losses[best] < DATA_POLICY.clearer * losses[0] else 1)
     return tuple(found)
 
 

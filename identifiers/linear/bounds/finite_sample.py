@@ -16,8 +16,8 @@ from harness.signals import Dataset, FloatArray, Trajectory
 from identifiers.common.excitation import Columns
 from identifiers.common.named import named
 from identifiers.common.neighbours import GROUPS
+from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import lagged, usable, without_holes
-from identifiers.common.whiteness import whiteness
 from identifiers.linear.bounds.regressions import ellipsoids, small_ball
 from identifiers.linear.bounds.responses import (
     Responses,

@@ -13,10 +13,9 @@ from harness.judgement import feedback_of, refuse_undetermined
 from harness.models.estimate import Estimate
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.one_step_estimate import LARGEST, quotient
+from identifiers.common.one_step_estimate import LARGEST, quotient, whiteness
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable
 from identifiers.common.scaling import sizes
-from identifiers.common.whiteness import whiteness
 from identifiers.linear.impulse.kernels import (
     KERNELS,
     Evidence,
