@@ -149,6 +149,19 @@ def unilateral_backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, li
     return _through(passed, f, s, p, v)
 
 
+def _wave(meaning: str) -> list[EffectParameter]:
+    """Return wave number and phase of what repeats along the motion.
+
+    k times the travel (2 sqrt(2) rms) reaches pi/2: over less than a quarter of a period nothing repeats.
+    """
+    return [
+        par("k", "rad/q", scale="6", floor="0.56 q^-1", minimum=2.5, maximum=1000.0,
+            grid=(1.0, 0.5, 0.6666666666666666, 1.3333333333333333, 2.0, 3.0, 4.0),
+            role="wave number", meaning=meaning),
+        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), role="phase", meaning="phase"),
+    ]  # fmt: skip
+
+
 @effect(
     "coordinate",
     [
@@ -185,11 +198,7 @@ def gear_loss(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     "coordinate",
     [
         par("a", "1", scale="0.1", neutral=0.0, main=True, linear=True, meaning="share of the force that ripples"),
-        # as for cogging: over less than a quarter of a period nothing repeats
-        par("k", "rad/q", scale="6", floor="0.56 q^-1", minimum=2.5, maximum=1000.0,
-            grid=(1.0, 0.5, 0.6666666666666666, 1.3333333333333333, 2.0, 3.0, 4.0),
-            role="wave number", meaning="periods per turn: pole pairs or commutations times the gear ratio"),
-        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), role="phase", meaning="phase"),
+        *_wave("periods per turn: pole pairs or commutations times the gear ratio"),
     ],
     formula="F = a sin(k q + phi) f, f the force of the input, k >= 2.5",
     family=("cogging", "gear_loss", "position_dependent_friction", "input_gain"),
@@ -211,11 +220,7 @@ def torque_ripple(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     "coordinate",
     [
         par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
-        # k times the travel (2 sqrt(2) rms) reaches pi/2: over less than a quarter of a period nothing repeats
-        par("k", "rad/q", scale="6", floor="0.56 q^-1", minimum=2.5, maximum=1000.0,
-            grid=(1.0, 0.5, 0.6666666666666666, 1.3333333333333333, 2.0, 3.0, 4.0),
-            role="wave number", meaning="periods per turn"),
-        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), role="phase", meaning="phase"),
+        *_wave("periods per turn"),
     ],
     formula="F = A sin(k q + phi), k >= 2.5",
     family=("cubic_spring", "quadratic_spring", "position_dependent_friction", "periodic_disturbance",
