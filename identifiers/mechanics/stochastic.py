@@ -15,7 +15,7 @@ from identifiers.mechanics.physical import PhysicalFit
 
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
-    from harness.physics.fitting.likelihood import LikelihoodFit
+    from harness.physics.fitting.maximum import LikelihoodFit
 
 __all__ = ["MaximumLikelihood"]
 

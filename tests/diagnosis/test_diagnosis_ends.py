@@ -19,7 +19,9 @@ from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.physics.compiled.kalman_pass import Filtered, Pass
-from harness.physics.fitting.likelihood import Likelihood, NoiseModel, _FisherScoring, _Quadratic
+from harness.physics.fitting.fisher_scoring import FisherScoring, Quadratic
+from harness.physics.fitting.likelihood import Likelihood
+from harness.physics.fitting.maximum import NoiseModel
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 pytestmark = pytest.mark.slow  # whole loops
@@ -84,9 +86,9 @@ class Cornered(Likelihood):
     def ended(self, z: FloatArray) -> tuple[bool, float | None]:
         """Return whether a place is a maximum, and the value of a likelier one beside it."""
         slope = np.array([5.0 if z[0] >= self.corner else -5.0, z[1] - self.top])
-        search = _FisherScoring(self, self._place(z), np.arange(2), damping=1.0, exact=False, near=True)
+        search = FisherScoring(self, self.place(z), np.arange(2), damping=1.0, exact=False, near=True)
         live = np.ones(2, dtype=bool)
-        told, better = search._at_corner(_Quadratic(np.zeros((2, 0)), slope, np.diag([4.0, 1.0]), live))
+        told, better = search._at_corner(Quadratic(np.zeros((2, 0)), slope, np.diag([4.0, 1.0]), live))
         return told, None if better is None else better.value - search.at.value
 
 

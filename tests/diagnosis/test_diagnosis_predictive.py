@@ -15,7 +15,8 @@ from harness.diagnosis.forms.predictive import predictive, spread_of
 from harness.physics import load_model
 from harness.physics.compiled.kalman_pass import KalmanPass, Noise
 from harness.physics.compiled.latent import without_latent_forces
-from harness.physics.fitting.likelihood import Likelihood, NoiseModel, Point
+from harness.physics.fitting.likelihood import Likelihood
+from harness.physics.fitting.maximum import NoiseModel, Point
 from harness.signals import Channel, PlantSpec, Trajectory
 
 R = 1e-3

@@ -30,7 +30,7 @@ from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.physics.fitting.likelihood import _damped
+from harness.physics.fitting.fisher_scoring import damped
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 pytestmark = pytest.mark.slow  # whole loops
@@ -194,7 +194,7 @@ def test_a_step_within_bounds_is_the_best_of_all_that_keep_what_went_beyond(n: i
     matrix, gradient = root.T @ root, rng.normal(size=n)
     low, high = -rng.uniform(0.05, 2.0, n), rng.uniform(0.05, 2.0, n)
     live = rng.random(n) < 0.9
-    step = _damped(matrix, gradient, 1e-9, live, low, high)
+    step = damped(matrix, gradient, 1e-9, live, low, high)
     assert (step[~live] == 0).all()
     assert (step >= low - 1e-12).all()
     assert (step <= high + 1e-12).all()

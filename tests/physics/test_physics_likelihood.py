@@ -16,8 +16,10 @@ from harness.physics import fit_output_error
 from harness.physics.compiled.kalman_pass import KalmanPass, Noise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.physics.compiled.smoother import innovation_response, smoothed
-from harness.physics.fitting.likelihood import Likelihood, NoiseModel, Point, _scored
+from harness.physics.fitting.fisher_scoring import scored
+from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.likelihood_fit import fit_likelihood
+from harness.physics.fitting.maximum import NoiseModel, Point
 from harness.physics.models import cart_pole, linear, oscillator, pendulum
 from harness.signals import PlantSpec, Trajectory
 
@@ -241,7 +243,7 @@ def test_the_gradient_is_that_of_the_exact_likelihood(make, s, tau, seed) -> Non
     z = likelihood._pack(point)
     _, found = likelihood._value(z)
     entries = np.arange(len(z))
-    gradient, matrix = _scored(found, *likelihood._jacobians(z, found, entries, True))
+    gradient, matrix = scored(found, *likelihood.jacobians(z, found, entries, True))
     for k in entries:
         h = 1e-5
         ends = []
@@ -507,7 +509,7 @@ def test_gradients_of_several_records_are_the_sum_over_records() -> None:
     def derivatives(likelihood, point) -> tuple[np.ndarray, np.ndarray]:
         z = likelihood._pack(point)
         found = likelihood.filtered(point)
-        return _scored(found, *likelihood._jacobians(z, found, np.arange(len(z)), False))
+        return scored(found, *likelihood.jacobians(z, found, np.arange(len(z)), False))
 
     gradient, matrix = derivatives(both, point)
     for number, one in enumerate(records):

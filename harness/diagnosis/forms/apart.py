@@ -11,7 +11,8 @@ from harness.diagnosis.forms.predictive import predictive, spread_of
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError
-from harness.physics.fitting.likelihood import Likelihood, LikelihoodFit
+from harness.physics.fitting.likelihood import Likelihood
+from harness.physics.fitting.maximum import LikelihoodFit
 from harness.signals import FloatArray
 
 __all__ = ["Apart", "apart"]

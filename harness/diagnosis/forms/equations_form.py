@@ -29,8 +29,8 @@ from harness.physics.compiled.latent import with_latent_forces, without_latent_f
 from harness.physics.compiled.simulator import default_substeps
 from harness.physics.compiled.smoother import Smoothed, smoothed
 from harness.physics.compiled.system import System
-from harness.physics.fitting.likelihood import Point
 from harness.physics.fitting.likelihood_fit import first_state, force_scale
+from harness.physics.fitting.maximum import Point
 from harness.physics.fitting.start import first_values
 from harness.signals import FloatArray, Trajectory
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from harness.physics.compiled.kalman_pass import Filtered, Noise
-from harness.physics.fitting.likelihood import Likelihood, LikelihoodFit, Point
+from harness.physics.fitting.likelihood import Likelihood
+from harness.physics.fitting.maximum import LikelihoodFit, Point
 
 __all__ = ["fit_from_record", "fit_record", "point_from_record", "point_record"]
 

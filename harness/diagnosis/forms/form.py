@@ -11,7 +11,7 @@ from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
 from harness.physics.compiled.kalman_pass import Filtered
 from harness.physics.compiled.smoother import Smoothed
-from harness.physics.fitting.likelihood import NoiseModel
+from harness.physics.fitting.maximum import NoiseModel
 from harness.signals import Dataset, Trajectory
 
 __all__ = ["WholeForm"]

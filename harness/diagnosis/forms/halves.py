@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from harness.physics.compiled.kalman_pass import Filtered, Pass
-from harness.physics.fitting.likelihood import Likelihood, Point
+from harness.physics.fitting.likelihood import Likelihood
+from harness.physics.fitting.maximum import Point
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["judged_by_halves", "told_by_halves"]

@@ -25,8 +25,9 @@ from harness.effects.parameter import Role
 from harness.errors import FitError, HarnessError
 from harness.physics.compiled.kalman_pass import Filtered, Noise, Pass
 from harness.physics.compiled.smoother import Smoothed
-from harness.physics.fitting.likelihood import Likelihood, LikelihoodFit, NoiseModel, Point
+from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.likelihood_fit import LONGEST, first_noises, sensor_noise
+from harness.physics.fitting.maximum import LikelihoodFit, NoiseModel, Point
 from harness.signals import Dataset, FloatArray, Trajectory
 
 if TYPE_CHECKING:

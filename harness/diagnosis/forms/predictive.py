@@ -13,7 +13,8 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.physics.compiled.kalman_pass import Filtered
-from harness.physics.fitting.likelihood import Likelihood, LikelihoodFit, Point
+from harness.physics.fitting.likelihood import Likelihood
+from harness.physics.fitting.maximum import LikelihoodFit, Point
 from harness.signals import FloatArray
 
 __all__ = ["Predictive", "predictive", "spread_of", "whitened"]

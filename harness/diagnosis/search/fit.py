@@ -11,7 +11,7 @@ import numpy as np
 from harness.diagnosis.systems import AnySystem, Parametrised
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
-from harness.physics.fitting.likelihood import interval
+from harness.physics.fitting.maximum import interval
 from harness.signals import FloatArray
 
 __all__ = ["WAVE", "Begun", "Column", "ColumnKind", "Fit", "Form", "InOneGo", "Linearised", "Suspect"]

@@ -11,7 +11,8 @@ import numpy as np
 from harness.errors import FitError
 from harness.physics.compiled.kalman_pass import Noise
 from harness.physics.compiled.windows import data_states
-from harness.physics.fitting.likelihood import Likelihood, LikelihoodFit, NoiseModel, Point
+from harness.physics.fitting.likelihood import Likelihood
+from harness.physics.fitting.maximum import LikelihoodFit, NoiseModel, Point
 from harness.physics.fitting.start import first_values
 from harness.signals import FloatArray, Trajectory
 

@@ -1,0 +1,159 @@
+"""What a likelihood is maximised over, and its maximum: noise, a place, a fit with its intervals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.physics.compiled.kalman_pass import Filtered, Noise
+from harness.signals import FloatArray
+
+if TYPE_CHECKING:
+    from harness.physics.compiled.system import System
+
+__all__ = ["FIRST_DAMPING", "LikelihoodFit", "NoiseModel", "Point", "interval"]
+
+FIRST_DAMPING = 1e-3
+"""Of the first step of a search, over the diagonal."""
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Which noise is estimated, and within what.
+
+    Parameters
+    ----------
+    force_scale : array (nl,)
+        Typical size of each latent force [its unit].
+    output_scale : array (ny,)
+        Typical size of each output.
+    latent : bool
+        False for no latent forces: the free run, output error.
+    white : bool
+        Whether each has a white part too.
+    shortest, longest : float
+        Bounds of the time constants [s].
+    least : array (ny,), optional
+        Smallest standard deviation of the noise of each output: that of its resolution.
+    """
+
+    force_scale: FloatArray
+    output_scale: FloatArray
+    latent: bool = True
+    white: bool = True
+    shortest: float = 1e-3
+    longest: float = 10.0
+    least: FloatArray | None = None
+
+    @property
+    def smallest(self) -> FloatArray:
+        """Lower bounds of the noise of the outputs (ny,): what they resolve, or the last digits of a number."""
+        exact = 1e-7 * self.output_scale
+        return exact if self.least is None else np.maximum(exact, self.least)
+
+
+@dataclass(eq=False)
+class Point:
+    """A place in the space of everything unknown.
+
+    Attributes
+    ----------
+    p : array (np,)
+    x0 : list of array (start_size,)
+        By record.
+    noise : Noise
+    """
+
+    p: FloatArray
+    x0: list[FloatArray]
+    noise: Noise
+
+
+@dataclass(eq=False)
+class LikelihoodFit:
+    """Maximum of the likelihood.
+
+    Attributes
+    ----------
+    system : System
+        Without the latent forces.
+    point : Point
+    nll : float
+        Minus the log-likelihood of all records.
+    terms : list of array (K,)
+        The same by record and sample.
+    names : tuple of str
+        What was estimated: parameters, ``x0[record].state``, noise.
+    covariance : array
+        Of these, in the units of ``scaled``: logarithms for what cannot be negative.
+    logarithmic : array of bool
+    converged : bool
+    on_bound : tuple of str
+        Parameters on a bound, and noise on its upper one.
+    iterations : int
+    message : str
+    beyond : bool
+        True if it was left because its steps would not have brought it within reach.
+    pace : float
+        Log-likelihood that its last step gained; 0 where it converged.
+    damping : float
+        Of its last step: a search that goes on from here begins with it.
+    undetermined : tuple of str
+        What the records tell in combinations only: it can move along with others and nothing changes. ``covariance``
+        is that of the combinations.
+    """
+
+    system: System
+    point: Point
+    nll: float
+    terms: list[FloatArray]
+    names: tuple[str, ...]
+    covariance: FloatArray
+    logarithmic: npt.NDArray[np.bool_]
+    converged: bool
+    on_bound: tuple[str, ...]
+    iterations: int
+    message: str = ""
+    filtered: list[Filtered] = field(default_factory=list, repr=False)
+    beyond: bool = False
+    pace: float = 0.0
+    damping: float = FIRST_DAMPING
+    undetermined: tuple[str, ...] = ()
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Values of all parameters by name."""
+        return dict(zip(self.system.parameter_names, (float(value) for value in self.point.p), strict=True))
+
+    def deviation(self, name: str) -> float:
+        """Return the standard deviation of an estimate, from the curvature; of its logarithm where that was fitted.
+
+        Infinite where the records do not determine it.
+        """
+        if name in self.undetermined:
+            return float("inf")
+        k = self.names.index(name)
+        return float(np.sqrt(max(self.covariance[k, k], 0.0)))
+
+    def interval(self, name: str, level: float = 1.96) -> tuple[float, float]:
+        """Return the 95 % interval of a parameter."""
+        k = self.names.index(name)
+        return interval(self.parameters[name], level * self.deviation(name), bool(self.logarithmic[k]))
+
+
+def interval(value: float, half: float, logarithmic: bool) -> tuple[float, float]:
+    """Return an interval about a value, or about its logarithm; without ends where the half width is infinite.
+
+    Examples
+    --------
+    >>> interval(2.0, float("inf"), True), interval(2.0, 0.5, False)
+    ((0.0, inf), (1.5, 2.5))
+    """
+    if not logarithmic:
+        return value - half, value + half
+    if not np.isfinite(half):
+        return 0.0, float("inf")
+    return float(value * np.exp(-min(half, 50.0))), float(value * np.exp(min(half, 50.0)))
