@@ -150,6 +150,8 @@ class Diagnosis:
         )
         if self.outcome.accepted and self.form.latent and self._explains_nothing():
             reasons = (*reasons, "free runs come no nearer, and the force that nobody measured gets no smaller")
+        for name, share in self.outcome.denied(self.policy):
+            reasons = (*reasons, f"the validation records want {100 * share:.0f} % of the size of {name}")
         unlawful = self.outcome.unlawful(self.policy) if self.outcome.accepted else None
         if unlawful is None:
             return reasons

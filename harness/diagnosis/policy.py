@@ -64,6 +64,14 @@ class Policy:
         "what was fitted must help where it was not: 84 %, as one use has half of what both together say",
         "base 220000; a magnet at one angle in the tests",
     )
+    sized: float = _number(
+        0.5,
+        "share of the gain that the size of an effect promises of the validation records, below which, by more than "
+        "their errors, they deny that size",
+        "there the size that they want is three quarters of what was fitted: Sum d (2 e - d) over Sum d d",
+        "base 300000: of 13 right effects .84 or more; .15 of a bent scale of a circuit that has none, .36 of a cyclic "
+        "sensor error beside a magnet (base 310000)",
+    )
     blocks: int = _number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
     second_share: float = _number(
         0.03,

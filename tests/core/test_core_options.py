@@ -14,6 +14,7 @@ from harness.cli.terminal import option_pairs, seed_range
 from harness.errors import InputError
 from harness.options import meant_options
 from harness.physics.definition.parameters import Parameter, said_far
+from harness.physics.models import linear
 
 
 def made(
@@ -97,3 +98,12 @@ def test_sizes_are_held_against_both_sides_of_every_declaration() -> None:
     told = said_far(declared, small, {"J": (0.9e-4, 1.1e-4), "b": (-1e-3, 1e-3)}) or ""
     assert "J = 0.0001 kg m^2 is 0.001 times" in told  # b may be 0: a friction that is not there
     assert "b =" not in told
+
+
+def test_a_place_to_start_from_declares_no_size() -> None:
+    """The coefficients of a black box at 1 kHz are 1e5 times the 1 that its fit starts from: no unit is wrong."""
+    black_box = linear(2).system()
+    values = dict.fromkeys(black_box.parameter_names, 1e6)
+    assert said_far(black_box.parameters, values) is None
+    given = black_box.with_parameters({"a1_1": 2.0})
+    assert "a1_1 = 1e+06 is 5e+05 times the declared 2" in (said_far(given.parameters, values) or "")

@@ -10,6 +10,7 @@ from harness.diagnosis.search.compare import (
     Judged,
     compared,
     difference,
+    expected_difference,
     violations,
     wrong_signs,
 )
@@ -77,6 +78,23 @@ class Outcome:
         if best is None or best.fit is None or self.form.change(best.fit, best.added[0]) < policy.least:
             return None
         return best
+
+    def denied(self, policy: Policy = POLICY) -> tuple[tuple[str, float], ...]:
+        """Return the accepted effects whose size the validation records deny, and the share of it that they want.
+
+        Of a true law they gain what its prediction differs by from that of the model without it, but for chance. Where
+        they gain less than ``policy.sized`` of that, it is no constant of the plant that was fitted.
+        """
+        found = {str(accepted.placed) for accepted in self.accepted}
+        denied = {}
+        for base, row in ((past.base, row) for past in self.rounds for row in past.candidates):
+            if row.name not in found or not row.passed or row.fit is None or row.comparison is None:
+                continue
+            expected = expected_difference(row.fit, base, ("validation",))
+            most = row.comparison.validation + policy.gain_z * row.comparison.error
+            if expected > 2 * policy.evidence and most < policy.sized * expected:
+                denied[row.name] = 0.5 * (1.0 + row.comparison.validation / expected)
+        return tuple(denied.items())
 
     def _asked_for(self, rival: Judged, base: Fit, forbidden: Sequence[Refusal], policy: Policy) -> bool:
         """Return True for a candidate beside the whole answer that would be accepted if its law allowed its values.

@@ -251,7 +251,7 @@ class System(Equations):
         changed = []
         for old in self.parameters:
             new = parameters.get(old.name, old)
-            changed.append(new if isinstance(new, Parameter) else replace(old, value=float(new)))
+            changed.append(new if isinstance(new, Parameter) else replace(old, value=float(new), declared=True))
         return replace(self, parameters=tuple(changed))
 
     def simulator(

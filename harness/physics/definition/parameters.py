@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,8 @@ class Parameter:
         Physical bounds, in ``unit``. A parameter with ``minimum >= 0`` is fitted through its logarithm.
     fixed : bool
         True for a value that is known (measured with a ruler or a scale) and not fitted.
+    declared : bool
+        False for a value that is a place to start from and says nothing of the size: coefficients of a black box.
 
     Raises
     ------
@@ -51,12 +53,13 @@ class Parameter:
     minimum: float = -np.inf
     maximum: float = np.inf
     fixed: bool = False
+    declared: bool = field(default=True, repr=False)
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.strip():
             raise InputError("a parameter without a name", expected="a name", got=repr(self.name), remedy="name it")
-        for field in ("value", "minimum", "maximum"):
-            object.__setattr__(self, field, float(getattr(self, field)))
+        for what in ("value", "minimum", "maximum"):
+            object.__setattr__(self, what, float(getattr(self, what)))
         if not (np.isfinite(self.value) and self.minimum <= self.value <= self.maximum):
             raise InputError(
                 f"value of parameter {self.name!r}",
@@ -147,7 +150,7 @@ def said_far(
     """
     parts = []
     for one in parameters:
-        if one.fixed or not one.value or one.name not in values:
+        if one.fixed or not one.declared or not one.value or one.name not in values:
             continue
         ratio = abs(values[one.name] / one.value)
         low, high = (intervals or {}).get(one.name, (0.0, 0.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +14,11 @@ from harness.physics.fitting.maximum import FIRST_DAMPING, LikelihoodFit
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.fitting.likelihood import Likelihood
+    from harness.physics.compiled.kalman_pass import Pass
+    from harness.physics.compiled.system import System
+    from harness.physics.fitting.maximum import NoiseModel, Point
 
-__all__ = ["FisherScoring", "Place", "Quadratic", "Step", "damped", "joined", "scored"]
+__all__ = ["FisherScoring", "Maximised", "Place", "Quadratic", "Step", "damped", "joined", "scored"]
 
 _ENOUGH = 0.02
 """A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth."""
@@ -53,6 +55,37 @@ class Place:
     z: FloatArray
     value: float
     passes: list[Filtered]
+
+
+class Maximised(Protocol):
+    """What is maximised: a likelihood over one vector of parameters, initial states and logarithms of the noise."""
+
+    system: System
+    noise_model: NoiseModel
+    filter: Pass
+
+    def layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray]:
+        """Return names, whether logarithmic, lower and upper bounds of the vector."""
+        ...
+
+    def place(self, z: FloatArray) -> Place:
+        """Return a vector with its value and its passes."""
+        ...
+
+    def unpack(self, z: FloatArray) -> Point:
+        """Return the point of a vector."""
+        ...
+
+    def jacobians(
+        self,
+        z: FloatArray,
+        found: list[Filtered],
+        which: npt.NDArray[np.intp],
+        exact: bool,
+        deviations: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what chosen entries do to innovations, over their deviations, and to logarithms of variances."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +175,7 @@ class FisherScoring:
     """
 
     def __init__(
-        self, likelihood: Likelihood, begin: Place, entries: npt.NDArray[np.intp], *, damping: float, exact: bool,
+        self, likelihood: Maximised, begin: Place, entries: npt.NDArray[np.intp], *, damping: float, exact: bool,
         near: bool,
     ) -> None:  # fmt: skip
         names, log, low, high = likelihood.layout()

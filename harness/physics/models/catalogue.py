@@ -220,7 +220,7 @@ def linear(
         x=" ".join(states),
         u=" ".join(input_names),
         p=" ".join(start),
-        parameters={name: Parameter(name, value=value) for name, value in start.items()},
+        parameters={name: Parameter(name, value=value, declared=False) for name, value in start.items()},
     )
     symbols = {str(symbol): symbol for symbol in o.p}
     T = sp.Float(time_scale)

@@ -182,7 +182,7 @@ class Mechanism:
     def parameter_list(self) -> tuple[Parameter, ...]:
         """Return the parameters, in the order of ``p``."""
         return tuple(
-            self._parameters.get(str(symbol), Parameter(str(symbol), value=1.0, minimum=0.0)) for symbol in self.p
+            self._parameters.get(str(symbol), Parameter(str(symbol), minimum=0.0, declared=False)) for symbol in self.p
         )
 
     def forces(self) -> list[Any]:

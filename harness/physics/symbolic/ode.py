@@ -126,7 +126,7 @@ class Ode:
 
     def parameter_list(self) -> tuple[Parameter, ...]:
         """Return the parameters, in the order of ``p``."""
-        return tuple(self._parameters.get(str(symbol), Parameter(str(symbol))) for symbol in self.p)
+        return tuple(self._parameters.get(str(symbol), Parameter(str(symbol), declared=False)) for symbol in self.p)
 
     def system(self) -> System:
         """Return the equations as a :class:`System`."""
