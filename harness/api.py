@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 import numpy as np
 
 from harness import registry
+from harness.bounds import say_beyond
 from harness.errors import HarnessError, InputError, PlantError, PluginError, as_written, refuse_no_file
 from harness.fitted import FittedModel, Usable, load_model
 from harness.options import meant_options
@@ -312,6 +313,12 @@ def simulate(
         If an id, an option or the output file cannot be used.
     PlantError
         If the plant breaks or diverges.
+
+    Warns
+    -----
+    harness.bounds.BoundsWarning
+        If a parameter is given a value outside the bounds that its model or FMU declares and ``note`` is not given
+        (which gets the sentence otherwise). The run goes on with that value.
     """
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
@@ -345,6 +352,7 @@ def simulate(
     with _make_plant(plant, options, hide) as made:
         from harness.rollout import perform
 
+        say_beyond(getattr(made, "beyond", ()), note)
         if note is not None and (held := getattr(made, "held", ())):
             note(
                 f"{', '.join(held)}: from outside the plant, held over each sample of {made.spec.sample_time:g} s; "
@@ -1880,6 +1888,7 @@ def _said_once(note: Callable[[str], None] | None) -> Iterator[None]:
 
 def _told(run: FreeRun, note: Callable[[str], None] | None, broke: Callable[[PlantError], None] | None) -> Trajectory:
     """Say what a run has to say; returns its record."""
+    say_beyond(run.beyond, note)
     for text in run.notes if note is not None else ():
         cast(Any, note)(text)
     if run.ended is not None and run.ended.status != "terminated" and broke is not None:

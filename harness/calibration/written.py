@@ -17,6 +17,7 @@ from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.export.describe import xml_text
 from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitions
+from harness.export.system_structure import OPEN_ENDS
 from harness.fmi.archive import STARTS
 from harness.parts.files import describe_fmu
 
@@ -103,7 +104,7 @@ def _copied(source: Path, target: Path, name: str, change: Callable[[Any], None]
         with zipfile.ZipFile(source) as old, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as new:
             for entry in old.infolist():
                 content = old.read(entry)
-                if entry.filename in added:
+                if entry.filename in added or entry.filename == OPEN_ENDS:  # it would keep the values of before
                     continue
                 if entry.filename == name:
                     root = etree.fromstring(content, parser)

@@ -113,33 +113,36 @@ def simulate(
                 say(f"wrote {path}")
         return
     broken: list[PlantError] = []
-    with progress_bar("simulating") as bar:
-        task = bar.add_task(plant, total=None)
-        trajectory = api.simulate(
-            plant,
-            scenario=scenario,
-            seed=seed,
-            out=out,
-            options=option_pairs(option, "--option"),
-            scenario_options=option_pairs(scenario_option, "--scenario-option"),
-            hide=[hidden_effect(text) for text in hide or ()],
-            role=role,
-            start=start,
-            stop=stop,
-            step=step,
-            tolerance=tolerance,
-            exchange=exchange,
-            force=force,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-            note=notes.append,
-            broke=broken.append,
-        )
-    for text in notes:
-        noted(text)
+    try:
+        with progress_bar("simulating") as bar:
+            task = bar.add_task(plant, total=None)
+            trajectory = api.simulate(
+                plant,
+                scenario=scenario,
+                seed=seed,
+                out=out,
+                options=option_pairs(option, "--option"),
+                scenario_options=option_pairs(scenario_option, "--scenario-option"),
+                hide=[hidden_effect(text) for text in hide or ()],
+                role=role,
+                start=start,
+                stop=stop,
+                step=step,
+                tolerance=tolerance,
+                exchange=exchange,
+                force=force,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+                note=notes.append,
+                broke=broken.append,
+            )
+    finally:  # what was said before a run broke may be why
+        for text in notes:
+            noted(text)
     if as_json:
         from harness.specs import spec_to_dict
 
-        print_json({"spec": spec_to_dict(trajectory.spec), "samples": len(trajectory), "written": out and str(out)})
+        said = {"samples": len(trajectory), "written": out and str(out), "notes": notes}
+        print_json({"spec": spec_to_dict(trajectory.spec), **said})
         return
     say(str(trajectory))
     if out is not None:

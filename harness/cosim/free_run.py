@@ -52,11 +52,14 @@ class FreeRun:
         What was taken where the file suggests nothing, and what is odd.
     ended : PlantError or None
         Why the run is shorter than asked for.
+    beyond : tuple of str
+        Parameters that were given values outside their bounds.
     """
 
     trajectory: Trajectory
     notes: tuple[str, ...]
     ended: PlantError | None
+    beyond: tuple[str, ...] = ()
 
     @property
     def start(self) -> float:
@@ -169,7 +172,8 @@ def free_run(plant: Plant, u: FloatArray, span: Window, progress: Callable[[int,
         kept = f"{len(rows)} of {span.count} samples are kept"
         notes.append(f"the run ends at t = {at:g} s of {span.end:g} s ({kept}): {ended}")
     held: FloatArray = np.tile(np.asarray(u, dtype=np.float64), (len(rows), 1))
-    return FreeRun(Trajectory(span.instants[: len(rows)], held, rows, plant.spec), tuple(notes), ended)
+    record = Trajectory(span.instants[: len(rows)], held, rows, plant.spec)
+    return FreeRun(record, tuple(notes), ended, tuple(getattr(plant, "beyond", ())))
 
 
 def _given(*values: float | None) -> float | None:

@@ -13,6 +13,7 @@ import numpy as np
 from harness.cosim.controlled import Controlled, Hold, Lines
 from harness.cosim.graph import followers, reached_at_once, strong_components
 from harness.cosim.loops import newton
+from harness.cosim.texts import split
 from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
@@ -39,7 +40,8 @@ class Coupled:
     parts : mapping of str to Plant
         The names are used in connections; the parts are owned (closed) by the coupled plant.
     connections : sequence of Connection or (source, target)
-        Unit-checked; a unit that converts is converted.
+        Unit-checked; a unit that converts is converted. Texts and bytes of FMUs are carried as they are, at
+        communication instants.
     inputs : mapping of str to str or Channel, or sequence of str
         External inputs: name of the new input -> its channel, or the part's input that lends it; a sequence of
         ``"part.input"`` connects them as well, under the same names.
@@ -88,6 +90,8 @@ class Coupled:
 
     snapshot_tolerance: float
     """Sum of the parts' tolerances; not there where every part repeats bit for bit."""
+    beyond: tuple[str, ...]
+    """Parameters of parts that were given values outside their bounds."""
     warnings: tuple[str, ...] = ()
     """What is odd about the system that the plant was built from."""
     input_starts: tuple[float, ...] = ()
@@ -113,6 +117,7 @@ class Coupled:
         _check_asked(parts, order)
         step = sample_time if sample_time is not None else min(plant.spec.sample_time for plant in parts.values())
         self._parts = place(parts, step)
+        self.beyond = tuple(f"{name}.{text}" for name, part in parts.items() for text in getattr(part, "beyond", ()))
         self._order: Order = order
         self._iterations = iterations
         self._tolerance = tolerance
@@ -120,7 +125,8 @@ class Coupled:
         self._checked_states(self._initial)
         external, led_in = self._external_inputs(inputs)
         self._ny = sum(part.plant.spec.ny for part in self._parts)
-        wanted = [c if isinstance(c, Connection) else Connection(*c) for c in connections]
+        given = [c if isinstance(c, Connection) else Connection(*c) for c in connections]
+        wanted, self._texts = split(parts, given)
         self._wires = check_wires(self._parts, [*wanted, *led_in], external)
         self._late = [wire for wire in self._wires if wire.delay]
         shown, seen = self._outputs_seen(outputs, external)
@@ -247,6 +253,8 @@ class Coupled:
         self._fill_lines()
         for wire in self._late:
             wire.memory = deque([signals[wire.source]] * wire.delay)
+        if self._texts is not None:
+            self._texts.move()
         self._evaluate(self._direct)
         return self._shown_outputs()
 
@@ -292,6 +300,8 @@ class Coupled:
         self._tick += 1
         if self._direct:
             self._evaluate(self._direct)
+        if self._texts is not None:
+            self._texts.move()
         return self._shown_outputs()
 
     def truth(self) -> FloatArray:

@@ -99,6 +99,11 @@ class WrappedPlant:
         return float(getattr(self.plant, "snapshot_tolerance", 0.0))
 
     @property
+    def beyond(self) -> tuple[str, ...]:
+        """Parameters of the plant inside that were given values outside their bounds."""
+        return tuple(getattr(self.plant, "beyond", ()))
+
+    @property
     def held(self) -> tuple[str, ...]:
         """Effects that are forces: they are held over each sample."""
         outputs = self.spec.outputs

@@ -30,11 +30,12 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
     ----------
     source : path or str
         A folder that ``sysid close-loop`` wrote, the ``model.json`` of ``sysid identify`` or of such a folder, or the
-        name of a built-in model (``sysid list models``; its nominal parameters, sample time 0.01 s).
+        name of a built-in model (``sysid list models``; its nominal parameters, sample time 0.01 s); or a coupling of
+        FMUs in TOML.
     out : path
         ``model.fmu``. With ``fmi="both"`` this is FMI 2.0 and ``model-fmi3.fmu`` beside it is FMI 3.0. For a loop
-        closed around an FMU ``model.ssp``: a package of that FMU and of one with the effects. For an arm
-        ``arm.urdf`` or ``arm.xml``, as the file that it was read from.
+        closed around an FMU ``model.ssp``: a package of that FMU and of one with the effects; also for a coupling.
+        For an arm ``arm.urdf`` or ``arm.xml``, as the file that it was read from.
     fmi : {"2", "3", "both"}
         Version.
 
@@ -49,6 +50,8 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
         If the source is missing or is neither a grey-box nor a linear model, or there is no C compiler.
     """
     target = Path(out)
+    if Path(source).suffix.lower() == ".toml":
+        return [_coupling(Path(source), target)]
     other = _other_kind(source, target, fmi)
     if other is not None:
         return [other]
@@ -58,6 +61,16 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
     names = {"2": [(2, target)], "3": [(3, target)]}
     both = [(2, target), (3, target.with_name(f"{target.stem}-fmi3.fmu"))]
     return [write(path, version=version) for version, path in names.get(fmi, both)]
+
+
+def _coupling(path: Path, target: Path) -> Path:
+    """Write a coupling as an SSP package."""
+    from harness.export.coupling import write_coupling
+
+    if target.suffix != ".ssp":
+        remedy = f"--out {target.stem}.ssp"
+        raise InputError("output", expected="a name that ends in .ssp for a coupling", got=target.name, remedy=remedy)
+    return write_coupling(path, target)
 
 
 def _other_kind(source: str | Path, target: Path, fmi: str) -> Path | None:

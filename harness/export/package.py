@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 
-from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.export.c_model import DELAY
 from harness.export.describe import Variable, describe, xml_text
 from harness.export.packed import packed
-from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitions
+from harness.export.system_structure import Component, Outer, Port, Structure, Wire, ports_of, write_structure
+from harness.parts.files import describe_fmu
 
 if TYPE_CHECKING:
     from harness.blackbox.system import FmuSystem
@@ -56,18 +55,11 @@ def write_package(content: Mapping[str, Any], folder: Path, target: Path, *, ver
         If the FMU is missing or another one, or there is no C compiler.
     """
     system, sample_time = _stored(content, folder)
-    with (
-        tempfile.TemporaryDirectory(prefix="sysid-package-") as scratch,
-        whole_file(target) as part,
-        zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
-    ):
-        if system.effects:
-            made = Path(scratch) / "effects.fmu"
+    with tempfile.TemporaryDirectory(prefix="sysid-package-") as scratch:
+        made = Path(scratch) / "effects.fmu" if system.effects else None
+        if made is not None:
             packed(effects_source(system, sample_time), effects_description(system, sample_time), made, version)
-            archive.write(made, f"resources/{EFFECTS}.fmu")
-        archive.write(system.path, f"resources/{NOMINAL}.fmu")
-        archive.writestr("SystemStructure.ssd", _structure(system, sample_time))
-    return target
+        return write_structure(_structure(system, sample_time, made), target)
 
 
 def effects_source(system: FmuSystem, sample_time: float) -> str:
@@ -168,98 +160,43 @@ def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]
     return (surround(system, effects) if effects else system).with_parameters(values), spec.sample_time
 
 
-def _structure(system: FmuSystem, sample_time: float) -> str:
-    """Return SystemStructure.ssd."""
-    for prefix, space in SPACES.items():
-        ElementTree.register_namespace(prefix, space)
-    root = child(None, "ssd:SystemStructureDescription", version="1.0", name=system.name)
-    top = child(root, "ssd:System", name=system.name)
-    outside = child(top, "ssd:Connectors")
-    for kind, channels in (("input", system.inputs), ("output", system.outputs)):
-        for channel in channels:
-            _connector(outside, channel.name, kind, channel.unit)
-    elements = child(top, "ssd:Elements")
-    positions = list(dict.fromkeys(coordinate.position for coordinate in system.coordinates))
-    rates = list(dict.fromkeys(coordinate.rate for coordinate in system.coordinates if coordinate.rate is not None))
-    measured = [channel.name for channel in system.outputs]
-    shown = list(dict.fromkeys([*measured, *positions, *rates]))
-    inner = {parameter.name: (parameter.value, parameter.unit) for parameter in system.parameters[: system.inner_count]}
-    own = _own_units(system.path)
-    _component(elements, NOMINAL, {channel.name: own.get(channel.name) for channel in system.inputs},
-               {name: own.get(name) for name in shown}, inner)  # fmt: skip
-    wires = child(top, "ssd:Connections")
-    if not system.effects:
-        for channel in system.inputs:
-            _wire(wires, "", channel.name, NOMINAL, channel.name)
-        for name in measured:
-            _wire(wires, NOMINAL, name, "", name)
-    else:
-        ins, outs = (
-            {port.name: port.unit for port in _ports(system) if port.role == role} for role in ("input", "output")
+def _structure(system: FmuSystem, sample_time: float, effects: Path | None) -> Structure:
+    """Return the nominal FMU and its effects as a system; without effects the FMU alone."""
+    described = describe_fmu(system.path)
+    moved = [name for one in system.coordinates for name in (one.position, one.rate) if name is not None]
+    measured, driven = [[one.name for one in channels] for channels in (system.outputs, system.inputs)]
+    inner = {one.name: (one.value, one.unit) for one in system.parameters[: system.inner_count]}
+    ports = ports_of(described, list(dict.fromkeys([*driven, *measured, *moved, *inner])))
+    for name, port in ports.items():  # what is only looked at leaves the FMU, whatever it is inside
+        kind = "input" if name in driven else "parameter" if name in inner else "output"
+        ports[name] = replace(port, kind=kind)
+    components = [Component(NOMINAL, Path(system.path), ports, inner)]
+    outer = [
+        Outer(channel.name, kind, channel.unit)
+        for kind, channels in (("input", system.inputs), ("output", system.outputs))
+        for channel in channels
+    ]
+    if effects is None:
+        wires = [Wire(("", name), (NOMINAL, name)) for name in driven]
+        wires += [Wire((NOMINAL, name), ("", name)) for name in measured]
+        return Structure(system.name, components, wires, outer, sample_time)
+    components.append(
+        Component(
+            EFFECTS, effects, {port.name: Port(port.name, port.role, "Real", port.unit) for port in _ports(system)}
         )
-        _component(elements, EFFECTS, ins, outs, {})
-        for channel in system.inputs:
-            _wire(wires, "", channel.name, EFFECTS, channel.name)
-            _wire(wires, EFFECTS, f"driven.{channel.name}", NOMINAL, channel.name)
-        for moved in system.coordinates:
-            _wire(wires, NOMINAL, moved.position, EFFECTS, f"position.{moved.name}")
-            if moved.rate is not None:
-                _wire(wires, NOMINAL, moved.rate, EFFECTS, f"rate.{moved.name}")
-        for name in measured:
-            _wire(wires, NOMINAL, name, EFFECTS, f"raw.{name}")
-            _wire(wires, EFFECTS, f"reading.{name}", "", name)
-    unit_definitions(root, "ssd:Units")
-    child(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(1000 * sample_time))
-    return xml_text(root)
-
-
-def _component(
-    parent: Any,
-    name: str,
-    inputs: Mapping[str, str | None],
-    outputs: Mapping[str, str | None],
-    values: Mapping[str, tuple[float, str]],
-) -> None:
-    """Add a component with its connectors (units by name) and parameter values (SI, with their units)."""
-    node = child(
-        parent, "ssd:Component", name=name, type="application/x-fmu-sharedlibrary", source=f"resources/{name}.fmu"
     )
-    connectors = child(node, "ssd:Connectors")
-    for kind, units in (("input", inputs), ("output", outputs)):
-        for port, unit in units.items():
-            _connector(connectors, port, kind, unit)
-    if values:
-        binding = child(child(node, "ssd:ParameterBindings"), "ssd:ParameterBinding")
-        given = child(child(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="calibrated")
-        listed = child(given, "ssv:Parameters")
-        for key, (value, unit) in values.items():
-            stated = {} if base_unit(unit) is None else {"unit": unit}
-            child(child(listed, "ssv:Parameter", name=key), "ssv:Real", value=repr(float(value)), **stated)
-        unit_definitions(given, "ssv:Units")
-
-
-def _connector(parent: Any, name: str, kind: str, unit: str | None) -> None:
-    """Add a real connector; without a unit that of the FMU's variable counts."""
-    stated = {} if unit is None or base_unit(unit) is None else {"unit": unit}
-    child(child(parent, "ssd:Connector", name=name, kind=kind), "ssc:Real", **stated)
-
-
-def _own_units(path: Path) -> dict[str, str]:
-    """Return the units that an FMU states for its variables, by name."""
-    from fmpy import read_model_description
-
-    described = read_model_description(str(path), validate=False)
-    declared = {
-        variable.name: variable.unit or getattr(variable.declaredType, "unit", None)
-        for variable in described.modelVariables
-    }
-    return {name: unit for name, unit in declared.items() if unit is not None}
-
-
-def _wire(parent: Any, source: str, output: str, target: str, connector: str) -> None:
-    """Add a connection; an empty component is the system itself."""
-    ends = {"startElement": source, "startConnector": output, "endElement": target, "endConnector": connector}
-    child(parent, "ssd:Connection", **{key: value for key, value in ends.items() if value})
+    wires = []
+    for name in driven:
+        wires.append(Wire(("", name), (EFFECTS, name)))
+        wires.append(Wire((EFFECTS, f"driven.{name}"), (NOMINAL, name)))
+    for one in system.coordinates:
+        wires.append(Wire((NOMINAL, one.position), (EFFECTS, f"position.{one.name}")))
+        if one.rate is not None:
+            wires.append(Wire((NOMINAL, one.rate), (EFFECTS, f"rate.{one.name}")))
+    for name in measured:
+        wires.append(Wire((NOMINAL, name), (EFFECTS, f"raw.{name}")))
+        wires.append(Wire((EFFECTS, f"reading.{name}"), ("", name)))
+    return Structure(system.name, components, wires, outer, sample_time)
 
 
 _GLUE = """

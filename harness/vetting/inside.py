@@ -157,8 +157,8 @@ class _Twin:
         return fmu
 
 
-def direct(options: Mapping[str, Any], *, progress: Callable[..., None]) -> tuple[bool, list[str]]:
-    """Return whether direct feedthrough is declared, and the outputs that move with an input while no time passes."""
+def direct(options: Mapping[str, Any], *, progress: Callable[..., None]) -> tuple[bool, bool, list[str]]:
+    """Return whether feedthrough is declared, whether the outputs tell, and those that move while no time passes."""
     with _made(options) as plant:
         _begun(plant)
         pair = inputs_for(plant.spec, 9)[[0, -1]]
@@ -166,7 +166,7 @@ def direct(options: Mapping[str, Any], *, progress: Callable[..., None]) -> tupl
         before, after = np.array(plant.output(pair[0])), np.array(plant.output(pair[1]))
         moved = np.abs(after - before) > 1e-9 * np.maximum(np.abs(before), 1e-6)
         names = [channel.name for channel, yes in zip(plant.spec.outputs, moved, strict=True) if yes]
-        return bool(plant.spec.feedthrough), names
+        return bool(plant.spec.feedthrough), bool(plant.tells_feedthrough), names
 
 
 def probed(options: Mapping[str, Any], samples: int, *, progress: Callable[..., None]) -> list[dict[str, Any]]:

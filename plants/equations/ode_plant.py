@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
 
+from harness.bounds import outside
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
@@ -25,6 +26,7 @@ from plants.equations.ode_engine import (
 
 if TYPE_CHECKING:
     from harness.effects import Effect
+    from harness.physics.compiled.system import System
 
 __all__ = ["OdePlant"]
 
@@ -67,6 +69,8 @@ class OdePlant:
         Without them: what an engineer would believe.
     true_parameters : dict
         Every parameter by name, those of effects included.
+    beyond : tuple of str
+        What is to be said of given parameters outside the model's bounds.
 
     Raises
     ------
@@ -119,6 +123,7 @@ class OdePlant:
         self.system = with_effects(system, effects, dt)
         known = self.system.values(parameters)
         self.true_parameters = known
+        self.beyond = _beyond(self.system, parameters or {})
         self.system = self.system.with_parameters({name: with_value(self.system, name, known[name]) for name in known})
         self._p = self.system.vector()
         self._initial = dict(initial or {})
@@ -376,6 +381,13 @@ class OdePlant:
         for column, step in self._rounding:
             y[column] = step * np.round(y[column] / step) if step else y[column]
         return y
+
+
+def _beyond(system: System, given: Mapping[str, float]) -> tuple[str, ...]:
+    """Return what is to be said of values outside the bounds that the model itself declares."""
+    named = [system.parameter(name) for name in given]
+    found = [outside(one.name, given[one.name], one.minimum, one.maximum, one.unit) for one in named]
+    return tuple(text for text in found if text is not None)
 
 
 def _rebuilt(kind: type[OdePlant], options: dict[str, Any]) -> OdePlant:

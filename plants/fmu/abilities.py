@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.protocols import Ability
 from harness.signals import FloatArray
-from plants.fmu.archive import FmuFile
+from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.engine import Engine
 from plants.fmu.instance import Instance
 from plants.fmu.options import encoded, refused
@@ -31,6 +31,7 @@ class Beyond:
     """The part of :class:`plants.fmu.plant.FmuPlant` that is about the FMU's state, derivatives and parameters."""
 
     file: FmuFile
+    kind: Kind
     abilities: frozenset[Ability]
     _instance: Instance
     _engine: Engine
@@ -42,6 +43,55 @@ class Beyond:
     input_starts: Any
     output: Callable[[FloatArray], FloatArray]
     step: Callable[[FloatArray], FloatArray]
+
+    @property
+    def text_inputs(self) -> dict[str, str]:
+        """Types (String, Binary) of the inputs that are no numbers, by name; of co-simulation, arrays left out."""
+        return self._texts_of("input")
+
+    @property
+    def text_outputs(self) -> dict[str, str]:
+        """The same of outputs and local variables."""
+        return {**self._texts_of("local"), **self._texts_of("output")}
+
+    def _texts_of(self, causality: str) -> dict[str, str]:
+        if self.kind != "cs" or self._instance.event_mode:
+            return {}
+        found = [v for v in self.file.description.modelVariables if v.causality == causality and not v.shape]
+        return {v.name: v.type for v in found if v.type in ("String", "Binary")}
+
+    def texts(self, names: Sequence[str]) -> list[str | bytes]:
+        """Return the present values of variables that are texts or bytes.
+
+        Raises
+        ------
+        PlantError
+            If the FMU does not tell.
+        """
+        found: list[str | bytes] = []
+        for name in names:
+            variable = self.file.variables[name]
+            try:
+                value = getattr(self._instance.fmu, f"get{variable.type}")([variable.valueReference])[0]
+            except Exception as error:
+                raise self._instance.failure(f"{name!r} cannot be read", error) from error
+            if variable.type == "Binary":
+                found.append(bytes(value or b""))
+            else:
+                found.append(value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value or ""))
+        return found
+
+    def put_texts(self, values: Mapping[str, str | bytes]) -> None:
+        """Set inputs that are texts or bytes for the step to come.
+
+        Raises
+        ------
+        PlantError
+            If the FMU refuses one.
+        """
+        for name, value in values.items():
+            self._instance.set_now(name, value)
+            self._leave_record()
 
     def get_state(self) -> Snapshot:
         """Return a state of the FMU that stays valid until the plant is closed."""

@@ -81,7 +81,7 @@ def run_as_is(
     span = window(suggested, start=start_time, stop=stop_time, step=sample_time, file=path, who="the FMU")
     wanted = tolerance if tolerance is not None else default(file, "tolerance")
     chosen = {"start_time": span.first, "sample_time": span.step, "tolerance": wanted, **options}
-    notes = list(file.renamed)
+    notes = [*file.renamed, *_left_out(file)]
     if "outputs" not in chosen:
         chosen["outputs"], said = _shown(file)
         notes += said
@@ -120,6 +120,19 @@ def _shown(file: FmuFile) -> tuple[list[str], list[str]]:
             file=file.path,
         )
     return names, [f"the FMU declares no outputs: its {len(names)} states and local variables are recorded"]
+
+
+def _left_out(file: FmuFile) -> list[str]:
+    """Say which inputs and outputs no record can hold."""
+    names = [
+        v.name
+        for v in file.description.modelVariables
+        if v.causality in ("input", "output") and v.type in ("String", "Binary")
+    ]
+    if not names:
+        return []
+    listed = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+    return [f"texts and bytes are not recorded: {listed} (inputs keep their start values; -O start.NAME=TEXT)"]
 
 
 def _fixed(file: FmuFile, name: str) -> bool:

@@ -7,14 +7,26 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from harness.bounds import outside
 from harness.errors import InputError
 from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.values import encode
-from plants.fmu.variables import port, unknown
+from plants.fmu.variables import INTEGERS, REALS, port, unknown
 
-__all__ = ["check_event_mode", "chosen_kind", "complaints", "count_substeps", "default", "encoded", "refused"]
+__all__ = [
+    "check_event_mode",
+    "chosen_kind",
+    "complaints",
+    "count_substeps",
+    "default",
+    "encoded",
+    "out_of_bounds",
+    "refused",
+]
 
 log = logging.getLogger("plants.fmu.plant")
+BOUNDED = REALS | (INTEGERS - {"Enumeration"})
+"""Types of variables that may declare min and max."""
 
 
 def refused(file: FmuFile, what: str, expected: str, got: str, remedy: str, place: str | None = None) -> InputError:
@@ -105,6 +117,19 @@ def encoded(file: FmuFile, values: object, what: str, causalities: Sequence[str]
         scale, offset = _to_si(file, name)
         found[name] = encode(file, variable, value, scale, offset)
     return found
+
+
+def out_of_bounds(file: FmuFile, values: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what is to be said of values (SI, by name) outside the min and max that the FMU declares for them."""
+    found = []
+    for name, value in values.items():
+        variable = file.variables[name]
+        if variable.type not in BOUNDED:
+            continue
+        channel = next(iter(port(file, variable).channels), None)
+        if channel is not None:
+            found.append(outside(name, value, channel.minimum, channel.maximum, channel.unit))
+    return tuple(text for text in found if text is not None)
 
 
 @functools.lru_cache(maxsize=16)

@@ -18,7 +18,16 @@ from plants.fmu.abilities import Beyond, idle
 from plants.fmu.archive import FmuFile, Kind, read_fmu
 from plants.fmu.engine import INPUT_NOT_FINITE, Engine, NativeStep, Timing
 from plants.fmu.instance import Instance
-from plants.fmu.options import check_event_mode, chosen_kind, complaints, count_substeps, default, encoded, refused
+from plants.fmu.options import (
+    check_event_mode,
+    chosen_kind,
+    complaints,
+    count_substeps,
+    default,
+    encoded,
+    out_of_bounds,
+    refused,
+)
 from plants.fmu.stops import finish, stopped
 from plants.fmu.trust import FirstRun
 from plants.fmu.variables import Port, channels, choose, describe, feeds_through, resize, starts, states_of
@@ -74,7 +83,8 @@ class FmuPlant(Beyond):
     Notes
     -----
     The input is held over ``[t_k, t_k + sample_time)`` and ``t_k = start_time + k sample_time`` is never accumulated.
-    One instance is kept and reset between runs. ``warnings`` lists what is odd about the FMU.
+    One instance is kept and reset between runs. ``warnings`` lists what is odd about the FMU, ``beyond`` what was given
+    a value outside the bounds that the FMU declares.
 
     Examples
     --------
@@ -136,11 +146,12 @@ class FmuPlant(Beyond):
         self.spec = PlantSpec(channels(self._inputs), channels(self._outputs), float(dt), channels(self._truth), direct)
         self._substeps = count_substeps(self.file, self.spec.sample_time, step)
         step_size = self.spec.sample_time / self._substeps
-        told = told or feedthrough is not None
+        told = self.tells_feedthrough = told or feedthrough is not None
         self.warnings = complaints(self.file, self.kind, step_size, self.unit_complaints, told=told)
         self._start = dict[str, Any](self.file.changed_starts)
         self._start |= encoded(self.file, parameters or {}, "parameters", ("parameter", "structuralParameter"))
         self._start.update(encoded(self.file, start or {}, "start", None))
+        self.beyond = out_of_bounds(self.file, {**(parameters or {}), **(start or {})})
         self._t0 = float(start_time)
         interface = self.file.interface(self.kind)
         rollback = bool(interface.canGetAndSetFMUstate) and self.file.version > 1

@@ -33,7 +33,7 @@ def encode(file: FmuFile, variable: Any, value: Any, scale: float = 1.0, offset:
         items = np.asarray(value, dtype=object).ravel().tolist()
         if len(items) == 1 and wanted > 1:
             items = items * wanted
-        if len(items) != wanted and variable.dimensions and all(d.start is not None for d in variable.dimensions):
+        if len(items) != wanted and variable.dimensions:
             raise _unfit(file, variable, f"{wanted} values", f"{len(items)}")
         return [_scalar(file, variable, item, scale, offset) for item in items]
     return _scalar(file, variable, value, scale, offset)

@@ -59,7 +59,8 @@ def serve() -> None:
                 tolerance = getattr(plant, "snapshot_tolerance", None)
                 abilities = tuple(sorted(plant.abilities))
                 starts = tuple(map(float, getattr(plant, "input_starts", ())))
-                made = Made(plant.spec, abilities, None if tolerance is None else float(tolerance), starts)
+                beyond = tuple(map(str, getattr(plant, "beyond", ())))
+                made = Made(plant.spec, abilities, None if tolerance is None else float(tolerance), starts, beyond)
                 answer = Answer(made=made)
             elif plant is None:
                 raise PlantError("no plant was made")

@@ -17,7 +17,7 @@ from harness.errors import FitError, HarnessError, InputError, PlantError, Plugi
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["Answer", "Made", "Trouble", "array_of", "raised", "receive", "send", "trouble"]
+__all__ = ["Answer", "Made", "Trouble", "array_of", "plain", "raised", "receive", "send", "trouble"]
 
 _LENGTH = struct.Struct("<Q")
 _STATUSES = ("diverged", "crashed", "timeout", "terminated")
@@ -44,6 +44,7 @@ class Made(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     abilities: tuple[Ability, ...]
     snapshot_tolerance: float | None = None
     input_starts: tuple[float, ...] = ()
+    beyond: tuple[str, ...] = ()
 
 
 class Answer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -152,19 +153,19 @@ def raised(content: Trouble) -> HarnessError:
     """
     if content.kind in ("InputError", "FitError"):
         return (FitError if content.kind == "FitError" else InputError)(
-            _plain(content.text),
-            expected=_plain(content.expected),
-            got=_plain(content.got),
-            remedy=_plain(content.remedy),
-            file=None if content.file is None else _plain(content.file),
-            place=None if content.place is None else _plain(content.place),
+            plain(content.text),
+            expected=plain(content.expected),
+            got=plain(content.got),
+            remedy=plain(content.remedy),
+            file=None if content.file is None else plain(content.file),
+            place=None if content.place is None else plain(content.place),
         )
     if content.kind == "PluginError":
-        return PluginError(_plain(content.text))
+        return PluginError(plain(content.text))
     status = content.status if content.status in _STATUSES else "crashed"
-    return PlantError(_plain(content.text), status=status)
+    return PlantError(plain(content.text), status=status)
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Return a text that is safe to print on a terminal."""
     return "".join(c if c.isprintable() else " " * c.isspace() for c in text[:_LONGEST])

@@ -82,6 +82,7 @@ class IsolatedPlant:
     abilities: frozenset[Ability]
     snapshot_tolerance: float
     input_starts: tuple[float, ...]
+    beyond: tuple[str, ...]
 
     def __init__(
         self,
@@ -242,6 +243,7 @@ class IsolatedPlant:
             raise self._nonsense("make")
         self.spec, self.abilities = made.spec, frozenset(made.abilities) | {"batch"}
         self.input_starts = made.input_starts
+        self.beyond = tuple(frames.plain(text) for text in made.beyond)
         if "truth" in self.abilities:
             self.abilities |= {"batch-truth"}
         if made.snapshot_tolerance is not None:  # only where the plant inside declares one

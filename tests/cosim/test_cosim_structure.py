@@ -214,7 +214,7 @@ def test_what_a_connection_does_to_a_number(tmp_path: Path, text: str, given: fl
         (pair("j", "i", LINEAR), r"LinearTransformation.*real numbers.*'j': Integer"),
         (pair("y", "u", mapped("Integer", (1, 7))), r"IntegerMappingTransformation.*'y': Real"),
         (pair("f", "e", mapped("Enumeration", ("blue", "off"))), r"red, green.*'blue'"),
-        (pair("text", "u"), r"numbers, booleans or enumerations.*'text' of String"),
+        (pair("text", "u"), r"a text or bytes at both ends.*'text' of String"),
         (system(part("one") + part("two"), wire("one.y", "two.u") + wire("one.z", "two.u")), "driven twice"),
         (system(part("one") + part("two"), wire("one.u", "two.u")), "one source and one sink"),
         (system(part("one") + part("two"), wire("one.y", "two.k")), r"parameter 'two.k'.*known at the start"),

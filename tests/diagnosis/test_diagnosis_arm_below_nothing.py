@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from harness.diagnosis.arm.below_nothing import apparent_inertia, inertia_below_nothing
+from harness.diagnosis.arm.misfit import apparent_inertia, inertia_below_nothing
 from harness.diagnosis.arm.motion import arm_runs
 from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import ArmModel, load_arm

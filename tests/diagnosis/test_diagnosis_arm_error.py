@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.diagnosis.arm.regression import RegressionForm
-from harness.diagnosis.arm.wide import Linear, LinearEquation
+from harness.diagnosis.arm.wide_regression import Linear, LinearEquation
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray

@@ -252,6 +252,14 @@ def test_a_package_around_an_fmu_in_degrees_leaves_the_conversion_to_the_units(t
     }
     assert stated["nominal", "theta"] == "deg"
     assert stated["effects", "raw.theta"] == "rad"
+    with zipfile.ZipFile(package) as archive:
+        free = ElementTree.fromstring(archive.read("OpenEnds.ssd"))
+    wires = free.findall("ssd:System/ssd:Connections/ssd:Connection", space)
+    change = next(one for one in wires if one.get("endConnector") == "raw.theta").find(
+        "ssc:LinearTransformation", space
+    )
+    assert float(change.get("factor")) == pytest.approx(np.pi / 180), "the FMU's degrees become the effects' radians"
+    assert all(one.get("startElement") and one.get("endElement") for one in wires), "none is to the system itself"
     degree = root.find("ssd:Units/ssc:Unit[@name='deg']/ssc:BaseUnit", space)
     assert (degree.get("rad"), float(degree.get("factor"))) == ("1", pytest.approx(np.pi / 180))
 

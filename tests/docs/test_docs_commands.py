@@ -300,13 +300,7 @@ def arrange(folder: Path, line: str) -> None:
         (folder / "dataset.toml").unlink()
     if given[:2] == ["bench", "public"] and "--resume" not in given:
         shutil.rmtree(folder / "results" / "public")
-    if "dog.csv" in given and given[0] == "analyse":
-        sysid(next(line for _, line in COMMANDS if line.endswith("-o dog.csv")))
-    if "wind.csv" in given and given[0] == "modes":
-        sysid(next(line for _, line in COMMANDS if line.endswith("-o wind.csv")))
-    if "repaired.ssp" in given and given[0] == "simulate":
-        sysid("sysid export box --trust box --out repaired.ssp")
-    if "iiwa" in given:
+    if any(word in ("iiwa", "model=iiwa") for word in given):
         (folder / "run.csv").unlink()
         sysid("sysid simulate iiwa-bullet --scenario arm-designed -S duration=5 -S noise=1e-4 -o run.csv")
     for flag, target in itertools.pairwise(given):

@@ -40,7 +40,8 @@ SOURCES = {"output", "local", "calculatedParameter", "constant"}
 SINKS = {"input", "parameter", "structuralParameter"}
 FIXED = {"parameter", "structuralParameter"}
 REALS = {"Real", "Float64", "Float32"}
-NO_SIGNAL = {"String", "Binary", "Clock"}
+TEXTS = {"String", "Binary"}
+NO_SIGNAL = {*TEXTS, "Clock"}
 DICTIONARY = "\0dictionary:"
 
 
@@ -288,9 +289,7 @@ class _Flattening:
             raise self._refused("connection", "one source and one sink", f"two {both}, {first.name} and {second.name}")
         if not drives:
             start, first, end, second = end, second, start, first
-        for one in (first, second):
-            if one.type in NO_SIGNAL:
-                raise self._refused("connection", "numbers, booleans or enumerations", f"{one.name!r} of {one.type}")
+        self._refuse_no_signals(first, second, wire)
         if end in self.from_of and end not in self.sums:
             raise self._refused("input driven twice", "one source", _dotted(*end))
         before, after = self.connectors[start].unit, self.connectors[end].unit
@@ -305,6 +304,15 @@ class _Flattening:
                 (first, second),
             )
         )
+
+    def _refuse_no_signals(self, first: Connector, second: Connector, wire: Wire) -> None:
+        """Refuse clocks, and texts that become something else on their way."""
+        kinds = {one.type for one in (first, second)} & NO_SIGNAL
+        alike = kinds <= TEXTS and len({first.type, second.type} - {None}) == 1
+        if kinds and (not alike or wire.change is not None):
+            one = first if first.type in kinds else second
+            expected = "a text or bytes at both ends, as they are" if alike or kinds <= TEXTS else "no clocks"
+            raise self._refused("connection", expected, f"{one.name!r} of {one.type}")
 
     # what arrives where
 
@@ -410,6 +418,8 @@ class _Flattening:
         unit = self.connectors[place].unit
         found: list[FlatWire] = []
         terms = [term for term in self._arriving(place) if term.origin != place]
+        if row["type"] in TEXTS:
+            return self._texts_to(place, terms)
         for term in terms:
             chain = term.chain
             if self.physical[place] and unit is not None:
@@ -429,6 +439,22 @@ class _Flattening:
                     found.append(FlatWire(source, target, chain, len(terms) > 1))
                 if origin_way in self.components and origin_name not in self.components[origin_way].outputs:
                     self.components[origin_way].outputs.append(origin_name)
+        return found
+
+    def _texts_to(self, place: Place, terms: Sequence[_Term]) -> list[FlatWire]:
+        """Return the wires that carry texts to a variable of an FMU; what comes from outside is its start value."""
+        way, name = place
+        component, found = self.components[way], []
+        if component.rows[name]["shape"]:
+            raise self._refused("connection of a text", "one text", f"the array {_dotted(*place)}")
+        for term in terms:
+            origin_way, origin_name = term.origin
+            if origin_way in self.components:
+                found.append(
+                    FlatWire(f"{self.components[origin_way].name}.{origin_name}", f"{component.name}.{name}", Chain())
+                )
+            elif term.origin in self.values:
+                self._set(component, component.rows[name], self.values[term.origin][0])
         return found
 
     def _is_fixed(self, origin: Place) -> bool:
@@ -459,7 +485,7 @@ class _Flattening:
         ways = {term.origin for place in self.from_of if not place[0] for term in self._arriving(place)}
         found = []
         for (way, name), connector in self.connectors.items():
-            if way or connector.kind in (*FIXED, *SOURCES) or ((), name) in self.from_of:
+            if way or connector.kind in (*FIXED, *SOURCES) or ((), name) in self.from_of or connector.type in TEXTS:
                 continue
             members = [one for one in used if one == name or one.startswith(f"{name}[")]
             if not members and ((), name) in ways:
@@ -526,7 +552,7 @@ class _Flattening:
 
     def _outputs(self) -> list[FlatOutput]:
         """Return the outputs of the outermost system."""
-        found, silent = [], []
+        found, silent, texts = [], [], []
         for (way, name), connector in self.connectors.items():
             if way or ((), name) not in self.from_of:
                 if not way and connector.kind == "output":
@@ -539,6 +565,9 @@ class _Flattening:
                 continue
             term = moving[0]
             origin_way, origin_name = term.origin
+            if connector.type in TEXTS or self.connectors[term.origin].type in TEXTS:
+                texts.append(name)
+                continue
             unit = connector.unit or term.unit
             chain = term.chain if unit is None else self._step(term, unit.to_si).chain
             if origin_way in self.components:
@@ -551,6 +580,8 @@ class _Flattening:
                 sources, plain = [origin_name], False
             for label, source in zip(_members(name, len(sources)), sources, strict=True):
                 found.append(FlatOutput(label, source, chain, None if plain else "1" if unit is None else unit.si))
+        if texts:
+            self.notes.append(f"texts and bytes are carried but not recorded: {', '.join(texts)}")
         if silent:
             self.notes.append(f"outputs of the system that nothing drives: {', '.join(silent)}")
         return found

@@ -16,7 +16,8 @@ from harness.diagnosis.arm.joint import CLOCK, JointRegression
 from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.rotor import ROTOR
-from harness.diagnosis.arm.wide import WideRegression, WideResult
+from harness.diagnosis.arm.wide import WideResult
+from harness.diagnosis.arm.wide_regression import WideRegression
 from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError

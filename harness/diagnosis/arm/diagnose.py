@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.diagnosis.arm.below_nothing import inertia_below_nothing
 from harness.diagnosis.arm.bodies import ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.joint import JointRegression, joint_dictionary, white_noise
-from harness.diagnosis.arm.misfit import likely_mistake, misfit_reasons
+from harness.diagnosis.arm.misfit import inertia_below_nothing, likely_mistake, misfit_reasons
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
 from harness.diagnosis.arm.other_arm import (
     caution,

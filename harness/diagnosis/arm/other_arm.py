@@ -17,7 +17,8 @@ from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.geometry import runs_of_another_arm
 from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm
-from harness.diagnosis.arm.wide import WideRegression, WideResult
+from harness.diagnosis.arm.wide import WideResult
+from harness.diagnosis.arm.wide_regression import WideRegression
 from harness.diagnosis.policy import ArmPolicy, Policy
 from harness.physics.arms.arm import ArmModel
 from harness.signals import FloatArray

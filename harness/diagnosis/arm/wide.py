@@ -13,171 +13,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from harness.diagnosis.arm.effects import GAIN, Wide, wide_effects
-from harness.diagnosis.arm.motion import ArmRun, moving_rows
-from harness.diagnosis.arm.regression import USES, Change, RegressionForm
+from harness.diagnosis.arm.effects import GAIN, Wide
+from harness.diagnosis.arm.links import CAD, LINK, LinkSet, exchanged
+from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
+from harness.diagnosis.search.compare import compared, impossible
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.search import search
-from harness.diagnosis.search.table import Accepted
+from harness.diagnosis.search.table import Accepted, named, value
 from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.arms.arm import ArmModel
-from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
-__all__ = ["WideRegression", "WideResult", "own_columns", "wide_search"]
-
-ROTOR = "rotor"
-OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
-"""Columns of each joint in :func:`own_columns`."""
-FRICTION = ("dry", "load")
-
-
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """What has the parameters of a linear regression."""
-
-    parameters: tuple[Parameter, ...]
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Their names, in order."""
-        return tuple(parameter.name for parameter in self.parameters)
-
-    def parameter(self, name: str) -> Parameter:
-        """Return one by name."""
-        return self.parameters[self.parameter_names.index(name)]
-
-    def values(self) -> dict[str, float]:
-        """Return where a fit starts."""
-        return {parameter.name: parameter.value for parameter in self.parameters}
-
-    def vector(self) -> FloatArray:
-        """Return the same as an array."""
-        return np.array([parameter.value for parameter in self.parameters])
-
-
-@dataclass(frozen=True, eq=False)
-class LinearEquation:
-    """Columns times parameters minus the torque; see :class:`harness.diagnosis.arm.regression.Equation`."""
-
-    system: Linear
-    target: Mapping[str, Sequence[FloatArray]]
-    columns: Mapping[str, Sequence[FloatArray]]
-
-    def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
-        """Return for every record the residual torque (rows, n) and the columns (rows, n, np)."""
-        return [(x @ p - y, x) for x, y in zip(self.columns[use], self.target[use], strict=True)]
-
-
-class WideRegression:
-    """Residual torques of the joints that move; see :class:`harness.diagnosis.arm.regression.TorqueRegression`.
-
-    Parameters
-    ----------
-    arm : ArmModel
-    runs : mapping
-        From :func:`harness.diagnosis.arm.motion.arm_runs`.
-    joints : sequence of int
-        Those that move: while a joint sticks, its torque says nothing.
-    calibrated : sequence of array (10 * bodies,)
-        Directions in which inertial parameters are free.
-    policy : ArmPolicy
-    rotors : sequence of int, optional
-        Joints that may have a rotor; all if not given.
-    """
-
-    def __init__(
-        self,
-        arm: ArmModel,
-        runs: Mapping[str, Sequence[ArmRun]],
-        joints: Sequence[int],
-        calibrated: Sequence[FloatArray] = (),
-        policy: ArmPolicy = ARM_POLICY,
-        rotors: Sequence[int] | None = None,
-    ) -> None:
-        self.runs, self.joints = runs, list(joints)
-        self.counts = {use: [moving_rows(run.motion)[:, self.joints] for run in runs[use]] for use in USES}
-        speeds = np.sqrt(np.mean(runs["estimation"][0].motion.v ** 2, axis=0))
-        level = np.maximum(policy.turning * speeds, 1e-6)
-        self._target = {use: [self._slim(run, run.motion.u - run.rigid) for run in runs[use]] for use in USES}
-        self._base: dict[str, list[FloatArray]] = {}
-        own_of = [
-            (k, c) for k in joints for c, word in enumerate(OWN) if word != ROTOR or rotors is None or k in rotors
-        ]
-        for use in USES:
-            self._base[use] = []
-            for run in runs[use]:
-                m = run.calm
-                own = own_columns(run, level)[:, :, [len(OWN) * k + c for k, c in own_of]]
-                if len(calibrated):
-                    free = arm.arm.regressor(m.q, m.v, m.a) @ np.stack(calibrated, axis=1)
-                    own = np.concatenate([own, free.reshape(*m.q.shape, -1)], axis=2)
-                self._base[use].append(self._slim(run, own))
-        names = [f"{arm.positions[k].name} {OWN[c]}" for k, c in own_of]
-        self.own = frozenset(f"inertia{k + 1}" for k in range(len(calibrated)))
-        names += [f"inertia{k + 1}" for k in range(len(calibrated))]
-        self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
-        torques = np.sqrt(np.mean(np.concatenate([run.calm.u for run in runs["estimation"]]) ** 2, axis=0))
-        self.size = torques[self.joints]
-        self.effects = {str(effect): effect for effect in wide_effects(arm, torques, policy)}
-        self._columns: dict[str, dict[str, list[FloatArray]]] = {}
-
-    def _slim(self, run: ArmRun, columns: FloatArray) -> FloatArray:
-        """Return columns (N, n) or (N, n, k) of the joints, decimated."""
-        return run.slim(columns[:, self.joints], self.joints)
-
-    def columns(self, effect: Wide) -> dict[str, list[FloatArray]]:
-        """Return the columns (rows, n, k) of an effect by use, made once; 0 where it cannot show."""
-        key = str(effect)
-        if key not in self._columns:
-            made = {use: [self._slim(run, effect.columns(run)) for run in self.runs[use]] for use in USES}
-            most = [parameter.maximum for parameter in effect.placed.effect.parameters]
-            size = np.sqrt(np.mean(np.concatenate(made["estimation"]) ** 2, axis=0)) * most
-            left = np.sqrt(np.mean(np.concatenate(self._target["estimation"]) ** 2, axis=0))
-            shows = (size >= ARM_POLICY.silent * left[:, None]).any(axis=0)
-            self._columns[key] = {use: [part * shows for part in parts] for use, parts in made.items()}
-        return self._columns[key]
-
-    def equation(self, effects: Sequence[Placed]) -> LinearEquation:
-        """Return the equation with effects, the parameters of the effects last."""
-        parameters = list(self.nominal.parameters)
-        columns = {use: [[part] for part in parts] for use, parts in self._base.items()}
-        for placed in effects:
-            parameters += [
-                Parameter(placed.name(parameter.name), parameter.unit, 0.0, parameter.minimum, parameter.maximum)
-                for parameter in placed.effect.parameters
-            ]
-            for use, parts in self.columns(self.effects[str(placed)]).items():
-                for whole, part in zip(columns[use], parts, strict=True):
-                    whole.append(part)
-        joined = {use: [np.concatenate(parts, axis=2) for parts in each] for use, each in columns.items()}
-        return LinearEquation(Linear(tuple(parameters)), self._target, joined)
-
-    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
-        """Return the columns of candidates."""
-        del values
-        return [
-            Change(placed, {}, placed.effect.parameter_names, self.columns(self.effects[str(placed)]))
-            for placed in candidates
-        ]
-
-    def free_torques(self) -> list[Change]:
-        """Return nothing: what is left is asked joint by joint."""
-        return []
-
-    def beside_friction(self, placed: Placed, fit: Fit) -> float:
-        """Return the torque of an effect over that of the dry friction at the joint where it weighs most."""
-        own = np.array([fit.values[placed.name(parameter.name)] for parameter in placed.effect.parameters])
-        torque = np.concatenate(self.columns(self.effects[str(placed)])["estimation"]) @ own
-        size = np.sqrt(np.mean(torque**2, axis=0))
-        joint = int(np.argmax(size))
-        places = [len(OWN) * joint + OWN.index(word) for word in FRICTION]
-        values = np.array([fit.values[self.nominal.parameter_names[k]] for k in places])
-        friction = np.concatenate(self._base["estimation"])[:, joint, places] @ values
-        return float(size[joint] / max(np.sqrt(np.mean(friction**2)), 1e-300))
+__all__ = ["WideResult", "wide_search"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,31 +74,6 @@ class WideResult:
             )
             result += self.effects[str(accepted.placed)].columns(run.sharp) @ values
         return result
-
-
-def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
-    """Return what every joint could do by itself (N, n, 6 n).
-
-    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque, acceleration.
-
-    The rate stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
-    step by which an integrator is late.
-
-    Parameters
-    ----------
-    run : ArmRun
-    level : sequence of float
-        Width of the sign of each joint.
-    """
-    rows, n = run.motion.u.shape
-    result = np.zeros((rows, n, len(OWN) * n))
-    for k in range(n):
-        v = run.motion.v[:, k]
-        sign = np.tanh(v / level[k])
-        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k], run.calm.a[:, k])
-        for place, column in enumerate(parts):
-            result[:, k, len(OWN) * k + place] = column
-    return result
 
 
 def wide_search(
@@ -311,6 +138,19 @@ def wide_search(
             f"{names} left out: less than {100 * arm_policy.detail:g} % of the friction beside it, whose law is not "
             "known so well"
         )
+    beside: Sequence[int] | None = None
+    sets = [] if len(calibrated) else exchanged(form, outcome, policy)
+    if sets:
+        fitted = []
+        for chosen in sets:
+            lean = RegressionForm(WideRegression(arm, runs, joints, calibrated, arm_policy, chosen.rotors), arm_policy)
+            if (one := _by_exchange(lean, outcome, chosen, own)) is not None:
+                fitted.append((one, chosen.rotors))
+        most = max((value(one.model) for one, _ in fitted), default=0.0)
+        alike = [pair for pair in fitted if value(pair[0].model) >= most - policy.tie]
+        better, turning = min(alike, key=lambda pair: len(pair[0].accepted), default=(outcome, ()))
+        if named(better.model.effects) != named(outcome.model.effects):
+            outcome, beside = better, turning
     gains = {
         accepted.placed.at: tuple(other for group in accepted.tie[1:] for other in group)
         for accepted in outcome.accepted
@@ -318,12 +158,60 @@ def wide_search(
     }
     kept = tuple(accepted for accepted in outcome.accepted if accepted.placed.effect.name != GAIN)
     fit = outcome.model
+    if beside is not None:
+        rotors = {k: fit.values[regression.own_name(k, ROTOR)] for k in beside}
+        return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
     rotors = {k: fit.values[name] for k in joints if _seen(fit, name := f"{arm.positions[k].name} {ROTOR}", policy)}
     if outcome.accepted:  # a rotor that is not there would take a part of what is, a few grams of a payload
         there = list(rotors)
         lean = RegressionForm(WideRegression(arm, runs, joints, calibrated, arm_policy, there), arm_policy)
         fit = lean.fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
     return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
+
+
+def _by_exchange(form: RegressionForm, outcome: Outcome, chosen: LinkSet, policy: Policy) -> Outcome | None:
+    """Return the outcome with a set that exchange found; None if it cannot be fitted or is against its own law.
+
+    Every effect of it has to bring as much as is asked of one, beside all others.
+    """
+    old = {str(accepted.placed): accepted for accepted in outcome.accepted}
+    effects = list(chosen.effects)
+    while True:
+        fit = form.fit(effects, [outcome.model.values], None)
+        if fit is None or not effects:
+            return None
+        without = [form.fit([one for one in effects if one is not out], [fit.values], fit) for out in effects]
+        gains = [None if less is None else compared(fit, less, policy) for less in without]
+        weak = [
+            (gain.total, at)
+            for at, (gain, placed) in enumerate(zip(gains, effects, strict=True))
+            if gain is not None
+            and (
+                gain.evidence < policy.evidence
+                or form.change(fit, placed) < policy.least
+                or (placed.effect.name == LINK and abs(fit.values[placed.name("scale")]) < CAD)
+            )
+        ]
+        if not weak:
+            break
+        effects.pop(min(weak)[1])
+    if any(impossible(form, placed, fit) for placed in effects):
+        return None
+    beside = named(effects)
+    accepted = tuple(
+        replace(old[str(placed)], evidence=gain.evidence, validation=gain.validation)
+        if str(placed) in old and gain is not None
+        else Accepted(
+            placed,
+            ((placed,), *((rival,) for rival in chosen.rivals.get(str(placed), ()))),
+            0.0 if gain is None else gain.evidence,
+            0.0 if gain is None else gain.validation,
+            beside - {str(placed)},
+            len(outcome.rounds) - 1,
+        )
+        for placed, gain in zip(effects, gains, strict=True)
+    )
+    return replace(outcome, accepted=accepted, model=fit)
 
 
 def _seen(fit: Fit, name: str, policy: Policy) -> bool:

@@ -29,6 +29,14 @@ __all__ = [
     "interval_of",
 ]
 
+_CAREFUL: tuple[dict[str, Any], ...] = (
+    {},
+    {"iterative_refinement_max_iter": 50, "iterative_refinement_reltol": 1e-15, "iterative_refinement_abstol": 1e-15},
+    {"static_regularization_constant": 1e-7},
+    {"equilibrate_enable": False},
+)
+"""Options of the solver, tried in turn: now and then it fails by rounding where a program has no bound (1 of 62 for the
+masses of a 7-axis arm), and solves it with more refinement of its linear systems."""
 LEAST = 1e-6
 """Smallest eigenvalue of K in the semidefinite program: a body a millionth of its prior in some direction."""
 NO_PRIOR = 1e-6
@@ -159,15 +167,19 @@ class _Program:
 
     def solved(self, cost: Any, *limits: Any, linear: FloatArray | None = None) -> FloatArray:
         """Return where a cost is least; of a ``linear`` one that has no least value, its infinite terms."""
-        cp = self.cp
-        task = cp.Problem(cp.Minimize(cost), [*self.limits, *limits])
-        try:
-            with warnings.catch_warnings():
-                # "may be inaccurate": judged below by what the answer costs, not by a warning
-                warnings.simplefilter("ignore", UserWarning)
-                task.solve(solver=cp.CLARABEL)
-        except cp.error.SolverError as error:
-            raise _unsolved(str(error)) from error
+        cp, failed = self.cp, None
+        for options in _CAREFUL:
+            task = cp.Problem(cp.Minimize(cost), [*self.limits, *limits])
+            try:
+                with warnings.catch_warnings():
+                    # "may be inaccurate": judged below by what the answer costs, not by a warning
+                    warnings.simplefilter("ignore", UserWarning)
+                    task.solve(solver=cp.CLARABEL, **options)
+                break
+            except cp.error.SolverError as error:
+                failed = error
+        else:
+            raise _unsolved(str(failed)) from failed
         if linear is not None and task.status in ("unbounded", "unbounded_inaccurate"):
             return np.array(
                 [-np.inf if coefficient > 0 else np.inf if coefficient < 0 else 0.0 for coefficient in linear]

@@ -1,0 +1,200 @@
+"""The torques of all joints of an arm as one linear regression: what joints have by themselves, and what is wide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.diagnosis.arm.effects import Wide, wide_effects
+from harness.diagnosis.arm.motion import ArmRun, moving_rows
+from harness.diagnosis.arm.regression import USES, Change
+from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
+from harness.diagnosis.search.fit import Fit
+from harness.effects.effect import Placed
+from harness.physics.arms.arm import ArmModel
+from harness.physics.definition.parameters import Parameter
+from harness.signals import FloatArray
+
+__all__ = ["OWN", "ROTOR", "Linear", "LinearEquation", "WideRegression", "own_columns"]
+
+ROTOR = "rotor"
+OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
+"""Columns of each joint in :func:`own_columns`."""
+FRICTION = ("dry", "load")
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """What has the parameters of a linear regression."""
+
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Their names, in order."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return one by name."""
+        return self.parameters[self.parameter_names.index(name)]
+
+    def values(self) -> dict[str, float]:
+        """Return where a fit starts."""
+        return {parameter.name: parameter.value for parameter in self.parameters}
+
+    def vector(self) -> FloatArray:
+        """Return the same as an array."""
+        return np.array([parameter.value for parameter in self.parameters])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearEquation:
+    """Columns times parameters minus the torque; see :class:`harness.diagnosis.arm.regression.Equation`."""
+
+    system: Linear
+    target: Mapping[str, Sequence[FloatArray]]
+    columns: Mapping[str, Sequence[FloatArray]]
+
+    def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
+        """Return for every record the residual torque (rows, n) and the columns (rows, n, np)."""
+        return [(x @ p - y, x) for x, y in zip(self.columns[use], self.target[use], strict=True)]
+
+
+class WideRegression:
+    """Residual torques of the joints that move; see :class:`harness.diagnosis.arm.regression.TorqueRegression`.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    runs : mapping
+        From :func:`harness.diagnosis.arm.motion.arm_runs`.
+    joints : sequence of int
+        Those that move: while a joint sticks, its torque says nothing.
+    calibrated : sequence of array (10 * bodies,)
+        Directions in which inertial parameters are free.
+    policy : ArmPolicy
+    rotors : sequence of int, optional
+        Joints that may have a rotor; all if not given.
+    """
+
+    def __init__(
+        self,
+        arm: ArmModel,
+        runs: Mapping[str, Sequence[ArmRun]],
+        joints: Sequence[int],
+        calibrated: Sequence[FloatArray] = (),
+        policy: ArmPolicy = ARM_POLICY,
+        rotors: Sequence[int] | None = None,
+    ) -> None:
+        self.runs, self.joints = runs, list(joints)
+        self._positions = [channel.name for channel in arm.positions]
+        self.counts = {use: [moving_rows(run.motion)[:, self.joints] for run in runs[use]] for use in USES}
+        speeds = np.sqrt(np.mean(runs["estimation"][0].motion.v ** 2, axis=0))
+        level = np.maximum(policy.turning * speeds, 1e-6)
+        self._target = {use: [self._slim(run, run.motion.u - run.rigid) for run in runs[use]] for use in USES}
+        self._base: dict[str, list[FloatArray]] = {}
+        own_of = [
+            (k, c) for k in joints for c, word in enumerate(OWN) if word != ROTOR or rotors is None or k in rotors
+        ]
+        for use in USES:
+            self._base[use] = []
+            for run in runs[use]:
+                m = run.calm
+                own = own_columns(run, level)[:, :, [len(OWN) * k + c for k, c in own_of]]
+                if len(calibrated):
+                    free = arm.arm.regressor(m.q, m.v, m.a) @ np.stack(calibrated, axis=1)
+                    own = np.concatenate([own, free.reshape(*m.q.shape, -1)], axis=2)
+                self._base[use].append(self._slim(run, own))
+        names = [f"{arm.positions[k].name} {OWN[c]}" for k, c in own_of]
+        self.own = frozenset(f"inertia{k + 1}" for k in range(len(calibrated)))
+        names += [f"inertia{k + 1}" for k in range(len(calibrated))]
+        self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
+        torques = np.sqrt(np.mean(np.concatenate([run.calm.u for run in runs["estimation"]]) ** 2, axis=0))
+        self.size = torques[self.joints]
+        self.effects = {str(effect): effect for effect in wide_effects(arm, torques, policy)}
+        self._columns: dict[str, dict[str, list[FloatArray]]] = {}
+
+    def _slim(self, run: ArmRun, columns: FloatArray) -> FloatArray:
+        """Return columns (N, n) or (N, n, k) of the joints, decimated."""
+        return run.slim(columns[:, self.joints], self.joints)
+
+    def columns(self, effect: Wide) -> dict[str, list[FloatArray]]:
+        """Return the columns (rows, n, k) of an effect by use, made once; 0 where it cannot show."""
+        key = str(effect)
+        if key not in self._columns:
+            made = {use: [self._slim(run, effect.columns(run)) for run in self.runs[use]] for use in USES}
+            most = [parameter.maximum for parameter in effect.placed.effect.parameters]
+            size = np.sqrt(np.mean(np.concatenate(made["estimation"]) ** 2, axis=0)) * most
+            left = np.sqrt(np.mean(np.concatenate(self._target["estimation"]) ** 2, axis=0))
+            shows = (size >= ARM_POLICY.silent * left[:, None]).any(axis=0)
+            self._columns[key] = {use: [part * shows for part in parts] for use, parts in made.items()}
+        return self._columns[key]
+
+    def equation(self, effects: Sequence[Placed]) -> LinearEquation:
+        """Return the equation with effects, the parameters of the effects last."""
+        parameters = list(self.nominal.parameters)
+        columns = {use: [[part] for part in parts] for use, parts in self._base.items()}
+        for placed in effects:
+            parameters += [
+                Parameter(placed.name(parameter.name), parameter.unit, 0.0, parameter.minimum, parameter.maximum)
+                for parameter in placed.effect.parameters
+            ]
+            for use, parts in self.columns(self.effects[str(placed)]).items():
+                for whole, part in zip(columns[use], parts, strict=True):
+                    whole.append(part)
+        joined = {use: [np.concatenate(parts, axis=2) for parts in each] for use, each in columns.items()}
+        return LinearEquation(Linear(tuple(parameters)), self._target, joined)
+
+    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
+        """Return the columns of candidates."""
+        del values
+        return [
+            Change(placed, {}, placed.effect.parameter_names, self.columns(self.effects[str(placed)]))
+            for placed in candidates
+        ]
+
+    def free_torques(self) -> list[Change]:
+        """Return nothing: what is left is asked joint by joint."""
+        return []
+
+    def own_name(self, joint: int, word: str) -> str:
+        """Return the name of a column of :func:`own_columns` of a joint."""
+        return f"{self._positions[joint]} {word}"
+
+    def beside_friction(self, placed: Placed, fit: Fit) -> float:
+        """Return the torque of an effect over that of the dry friction at the joint where it weighs most."""
+        own = np.array([fit.values[placed.name(parameter.name)] for parameter in placed.effect.parameters])
+        torque = np.concatenate(self.columns(self.effects[str(placed)])["estimation"]) @ own
+        size = np.sqrt(np.mean(torque**2, axis=0))
+        joint = int(np.argmax(size))
+        places = [len(OWN) * joint + OWN.index(word) for word in FRICTION]
+        values = np.array([fit.values[self.nominal.parameter_names[k]] for k in places])
+        friction = np.concatenate(self._base["estimation"])[:, joint, places] @ values
+        return float(size[joint] / max(np.sqrt(np.mean(friction**2)), 1e-300))
+
+
+def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
+    """Return what every joint could do by itself (N, n, 6 n).
+
+    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque, acceleration.
+
+    The rate stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
+    step by which an integrator is late.
+
+    Parameters
+    ----------
+    run : ArmRun
+    level : sequence of float
+        Width of the sign of each joint.
+    """
+    rows, n = run.motion.u.shape
+    result = np.zeros((rows, n, len(OWN) * n))
+    for k in range(n):
+        v = run.motion.v[:, k]
+        sign = np.tanh(v / level[k])
+        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k], run.calm.a[:, k])
+        for place, column in enumerate(parts):
+            result[:, k, len(OWN) * k + place] = column
+    return result
