@@ -9,7 +9,8 @@ from typing import Any
 
 from harness.cosim.description import CHANGEABLE, Make
 from harness.cosim.master import Coupled
-from harness.cosim.structure.flatten import Describe, FlatComponent, FlatSystem, flatten, named
+from harness.cosim.structure.flat import Describe, FlatComponent, FlatSystem, named
+from harness.cosim.structure.flatten import flatten
 from harness.cosim.structure.model import Description
 from harness.cosim.structure.open import open_structure
 from harness.cosim.wiring import Connection, Shown

@@ -11,7 +11,8 @@ import pytest
 from harness import api
 from harness.cosim import own_steps
 from harness.cosim.structure import opened
-from harness.cosim.structure.flatten import FlatSystem, flatten, named
+from harness.cosim.structure.flat import FlatSystem, named
+from harness.cosim.structure.flatten import flatten
 from harness.cosim.structure.package import on_this_machine
 from harness.errors import InputError
 from plants.mockups import mockup

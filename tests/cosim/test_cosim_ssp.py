@@ -14,7 +14,8 @@ import pytest
 from harness import api, registry
 from harness.cosim import Connection, Coupled, couple_ssp
 from harness.cosim.structure import opened
-from harness.cosim.structure.flatten import FlatSystem, flatten
+from harness.cosim.structure.flat import FlatSystem
+from harness.cosim.structure.flatten import flatten
 from harness.errors import InputError
 from harness.parts.files import describe_fmu
 from harness.protocols import Plant

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from harness.command import main
 from harness.cosim.structure import opened
 from harness.cosim.structure.conversion import Chain, Linear, Table, change_of_unit, unit_of
-from harness.cosim.structure.flatten import FlatSystem, flatten
+from harness.cosim.structure.flat import FlatSystem
+from harness.cosim.structure.flatten import flatten
 from harness.errors import InputError
 from plants.mockups import mockup
 

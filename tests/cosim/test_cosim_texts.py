@@ -11,7 +11,8 @@ import pytest
 from harness.cosim import Connection, Coupled
 from harness.cosim.structure import opened
 from harness.cosim.structure.conversion import Chain
-from harness.cosim.structure.flatten import FlatSystem, FlatWire, flatten
+from harness.cosim.structure.flat import FlatSystem, FlatWire
+from harness.cosim.structure.flatten import flatten
 from harness.errors import InputError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from harness.cosim.structure.flatten import Describe, flatten
+from harness.cosim.structure.flat import Describe
+from harness.cosim.structure.flatten import flatten
 from harness.cosim.structure.open import opened
 
 __all__ = ["Describe", "describe_structure"]

@@ -6,14 +6,30 @@ Sections are those of the SSP 2.0.1 text.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from harness.cosim.structure.conversion import Chain, Linear, Table, Unit, change_of_unit, named_unit
+from harness.cosim.structure.flat import (
+    REALS,
+    Describe,
+    FlatComponent,
+    FlatInput,
+    FlatOutput,
+    FlatSystem,
+    FlatWire,
+    Way,
+    channels_of,
+    dotted,
+    each,
+    members,
+    named,
+    start_of,
+)
 from harness.cosim.structure.model import (
     Component,
     Connector,
@@ -27,80 +43,17 @@ from harness.cosim.structure.model import (
 )
 from harness.errors import InputError
 
-__all__ = ["Describe", "FlatComponent", "FlatInput", "FlatOutput", "FlatSystem", "FlatWire", "flatten"]
+__all__ = ["flatten"]
 
-Describe = Callable[[Path], dict[str, Any]]
-"""Tells what is in an FMU: rows of variables with unit, scale and offset to SI, and its experiment."""
-
-Way = tuple[str, ...]
 Place = tuple[Way, str]
 """A connector: the names of the systems and the component on the way to it, and its own."""
 
 SOURCES = {"output", "local", "calculatedParameter", "constant"}
 SINKS = {"input", "parameter", "structuralParameter"}
 FIXED = {"parameter", "structuralParameter"}
-REALS = {"Real", "Float64", "Float32"}
 TEXTS = {"String", "Binary"}
 NO_SIGNAL = {*TEXTS, "Clock"}
 DICTIONARY = "\0dictionary:"
-
-
-@dataclass
-class FlatComponent:
-    """An FMU: what it is asked for, and the values that it starts from, in SI."""
-
-    name: str
-    label: str
-    path: Path
-    about: dict[str, Any]
-    rows: dict[str, dict[str, Any]]
-    kind: str | None = None
-    step: float | None = None
-    inputs: list[str] = field(default_factory=list)
-    outputs: list[str] = field(default_factory=list)
-    parameters: dict[str, Any] = field(default_factory=dict)
-    start: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class FlatWire:
-    """``component.output`` or an input of the system, to ``component.input``."""
-
-    source: str
-    target: str
-    chain: Chain
-    add: bool = False
-
-
-@dataclass(frozen=True)
-class FlatInput:
-    """An input of the whole: its SI unit, the value it starts from in SI, and the type the file gives it."""
-
-    name: str
-    unit: str
-    start: float
-    type: str | None
-
-
-@dataclass(frozen=True)
-class FlatOutput:
-    """An output of the whole: where it comes from; ``unit`` None where it is the source's own channel."""
-
-    name: str
-    source: str
-    chain: Chain
-    unit: str | None
-
-
-@dataclass
-class FlatSystem:
-    """Everything that stepping needs."""
-
-    components: list[FlatComponent]
-    wires: list[FlatWire]
-    inputs: list[FlatInput]
-    outputs: list[FlatOutput]
-    notes: list[str]
 
 
 @dataclass(frozen=True)
@@ -269,7 +222,7 @@ class _Flattening:
         what = "end of a connection"
         if inner in self.components:
             what = f"component {element!r} ({self.components[inner].path.name}): end of a connection"
-        raise self._refused(what, "a declared connector", repr(_dotted(inner, name)))
+        raise self._refused(what, "a declared connector", repr(dotted(inner, name)))
 
     def _connect(self, wire: Wire, way: Way, elements: dict[str, Element]) -> None:
         """Note which end drives which; the standard lets a connection be written either way round (sec. 5.2.4)."""
@@ -291,7 +244,7 @@ class _Flattening:
             start, first, end, second = end, second, start, first
         self._refuse_no_signals(first, second, wire)
         if end in self.from_of and end not in self.sums:
-            raise self._refused("input driven twice", "one source", _dotted(*end))
+            raise self._refused("input driven twice", "one source", dotted(*end))
         before, after = self.connectors[start].unit, self.connectors[end].unit
         self.from_of.setdefault(end, []).append(
             _Hop(
@@ -371,7 +324,7 @@ class _Flattening:
                 got=str(term.unit),
                 remedy="correct the units, or set suppressUnitConversion in the system's file",
                 file=self.path,
-                place=f"{_dotted(*hop.source)} -> {hop.ends[1].name}",
+                place=f"{dotted(*hop.source)} -> {hop.ends[1].name}",
             )
         after = self._step(term, change)
         return _Term(term.origin, after.chain, unit, term.extra)
@@ -427,10 +380,10 @@ class _Flattening:
             origin_way, origin_name = term.origin
             fixed = self._is_fixed(term.origin)
             if fixed and term.origin in self.values:
-                self._set(component, row, _each(self._number(term.origin), chain))
+                self._set(component, row, each(self._number(term.origin), chain))
             elif not fixed and row["causality"] in FIXED:
                 raise self._refused(
-                    f"parameter {_dotted(way, name)!r}", "a value that is known at the start", _dotted(*term.origin)
+                    f"parameter {dotted(way, name)!r}", "a value that is known at the start", dotted(*term.origin)
                 )
             elif not fixed:
                 if name not in component.inputs:
@@ -446,7 +399,7 @@ class _Flattening:
         way, name = place
         component, found = self.components[way], []
         if component.rows[name]["shape"]:
-            raise self._refused("connection of a text", "one text", f"the array {_dotted(*place)}")
+            raise self._refused("connection of a text", "one text", f"the array {dotted(*place)}")
         for term in terms:
             origin_way, origin_name = term.origin
             if origin_way in self.components:
@@ -467,17 +420,17 @@ class _Flattening:
     def _pairs(self, source: Place, sink: Place) -> list[tuple[str, str]]:
         """Return the channels of two ends, one to one."""
         into = self._channels(sink)
-        outof = self._channels(source) if source[0] in self.components else _members(source[1], len(into))
+        outof = self._channels(source) if source[0] in self.components else members(source[1], len(into))
         if len(into) != len(outof):
             raise self._refused(
-                f"connection to {_dotted(*sink)}", f"{len(into)} values", f"{len(outof)} of {_dotted(*source)}"
+                f"connection to {dotted(*sink)}", f"{len(into)} values", f"{len(outof)} of {dotted(*source)}"
             )
         return list(zip(outof, into, strict=True))
 
     def _channels(self, place: Place) -> list[str]:
         """Return the channels of a variable of an FMU, as ``component.channel``."""
         component = self.components[place[0]]
-        return [f"{component.name}.{one}" for one in _elements(place[1], component.rows[place[1]]["shape"])]
+        return [f"{component.name}.{one}" for one in channels_of(place[1], component.rows[place[1]]["shape"])]
 
     def _inputs(self, wires: Sequence[FlatWire]) -> list[FlatInput]:
         """Return the inputs of the whole: those of its connectors that reach an FMU or an output."""
@@ -512,7 +465,7 @@ class _Flattening:
             return found[0]
         if found:
             texts = " and ".join(sorted({one.text for one in found}))
-            self.notes.append(f"{_dotted(*place)} drives {texts}: its numbers are taken as they are")
+            self.notes.append(f"{dotted(*place)} drives {texts}: its numbers are taken as they are")
         return None
 
     def _start_of(self, member: str, wires: Sequence[FlatWire], unit: Unit | None) -> float:
@@ -526,7 +479,7 @@ class _Flattening:
         row = component.rows[name]
         value = component.start.get(name)
         if value is None:
-            value = _start(row)
+            value = start_of(row)
         line = wire.chain.linear
         if isinstance(value, bool):
             value = float(value)
@@ -578,7 +531,7 @@ class _Flattening:
                 plain = chain == Chain() and self.physical[term.origin]
             else:
                 sources, plain = [origin_name], False
-            for label, source in zip(_members(name, len(sources)), sources, strict=True):
+            for label, source in zip(members(name, len(sources)), sources, strict=True):
                 found.append(FlatOutput(label, source, chain, None if plain else "1" if unit is None else unit.si))
         if texts:
             self.notes.append(f"texts and bytes are carried but not recorded: {', '.join(texts)}")
@@ -606,7 +559,7 @@ class _Flattening:
         unheard: dict[str, None] = {}
         for way, value in sorted(self.bindings, key=lambda one: -len(one[0])):
             if not self._give(way, value, given=False):
-                unheard[_dotted(way, value.name)] = None
+                unheard[dotted(way, value.name)] = None
         for name, content in parameters.items():
             if not self._give((), Value(name, content), given=True):
                 known = [f"{c.label}.{n}" for c in self.components.values() for n in c.rows]
@@ -621,9 +574,9 @@ class _Flattening:
         for place, connector in list(self.connectors.items()):
             if place[0] in self.components or place[0][: len(way)] != way or DICTIONARY in "".join(place[0]):
                 continue
-            if _dotted(place[0][len(way) :], place[1]) == value.name:
+            if dotted(place[0][len(way) :], place[1]) == value.name:
                 unit = connector.unit or value.unit
-                content = value.value if not given or unit is None else _each(value.value, Chain().then(unit.from_si))
+                content = value.value if not given or unit is None else each(value.value, Chain().then(unit.from_si))
                 landed = self._landed(value, content, connector, unit)
                 self.values[place] = (landed, unit)
                 hits += 1
@@ -641,7 +594,7 @@ class _Flattening:
             else:
                 landed = self._landed(value, value.value, connector, connector.unit)
                 if self.physical[place] and connector.unit is not None:
-                    landed = _each(landed, Chain().then(connector.unit.to_si))
+                    landed = each(landed, Chain().then(connector.unit.to_si))
                 self._set(component, row, landed)
             hits += 1
         return hits > 0
@@ -654,11 +607,11 @@ class _Flattening:
                 raise self._refused(
                     f"unit of parameter {value.name!r}", f"one that converts to {unit}", str(value.unit)
                 )
-            content = _each(content, Chain().then(change))
+            content = each(content, Chain().then(change))
         if isinstance(value.change, Linear):
             if target.type not in (*REALS, None):
                 raise self._refused("LinearTransformation", "a real number", f"{value.name!r}: {target.type}")
-            return _each(content, Chain().then(value.change))
+            return each(content, Chain().then(value.change))
         if value.change is not None:
             return self._mapped(value.change, content, target)
         return content
@@ -690,62 +643,9 @@ class _Flattening:
         return InputError(what, expected=expected, got=got, remedy="correct it in the system's file", file=self.path)
 
 
-def named(error: InputError, component: str, fmu: Path, path: Path) -> InputError:
-    """Return an error that says in which component of a system it arose: the unpacked FMU is gone when it is read."""
-    remedy = error.remedy
-    if str(fmu) in remedy and path.is_file() and path.suffix.lower() == ".ssp":
-        remedy = f"unzip {path.name}, mend {fmu.name} there ({remedy.replace(str(fmu), fmu.name)}), run the folder"
-    return InputError(
-        f"component {component!r} ({fmu.name}): {error.what}",
-        expected=error.expected,
-        got=error.got,
-        remedy=remedy,
-        file=path,
-        place=error.place,
-    )
-
-
 def _drives(connector: Connector, *, own: bool) -> bool | None:
     """Return whether a connector is a source as seen from inside the system; None if it is what is needed."""
     kind = connector.kind
     if kind in ("inout", "unspecified"):
         return None
     return (kind not in SINKS) != own
-
-
-def _dotted(way: Way, name: str) -> str:
-    return ".".join((*way, name))
-
-
-def _elements(name: str, shape: Sequence[int]) -> list[str]:
-    """Return the channels of a variable: its own name, or one for each element of an array."""
-    if not shape:
-        return [name]
-    return [f"{name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*shape)]
-
-
-def _members(name: str, count: int) -> list[str]:
-    return [name] if count == 1 else [f"{name}[{at + 1}]" for at in range(count)]
-
-
-def _each(value: Any, chain: Chain) -> Any:
-    """Return a number, or each of a list, after a chain; what is no number stays."""
-    if chain == Chain() or isinstance(value, str | bytes):
-        return value
-    if isinstance(value, list):
-        return [_each(one, chain) for one in value]
-    return chain(float(value))
-
-
-def _start(row: dict[str, Any]) -> float | None:
-    """Return a variable's own start value in SI."""
-    words = str(row["start"] or "").split()
-    if not words:
-        return None
-    if words[0] in ("true", "false"):
-        return float(words[0] == "true")
-    try:
-        value = float(words[0])
-    except ValueError:
-        return None
-    return value if row["scale"] is None else row["scale"] * value + row["offset"]
