@@ -339,9 +339,10 @@ class ArmPolicy:
     """What an arm needs beside :class:`Policy`, which holds for its joints too."""
 
     sticks: float = _number(
-        1 / 3,
+        2 / 3,
         "a joint that stands still for more than this share of the time is not judged",
-        "a sine spends 5 % of its time there, a sum of many 8 %; a joint that sticks far more",
+        "what it does while it stands still counts nowhere, and a third of a record is enough to judge by",
+        "a sine stands still for 5 % of its time, a sum of many for 8 %, a log with its pauses for a third (a UR10e)",
     )
     sensor: float = _number(
         0.005,

@@ -207,7 +207,7 @@ def _moving(arm: ArmModel, dataset: Dataset, still: FloatArray, policy: ArmPolic
     if not moving:
         raise InputError(
             f"no joint of {dataset.name!r} moves",
-            expected="a joint in motion for two thirds of the time",
+            expected="a joint in motion for a third of the time",
             got=", ".join(
                 f"{channel.name} {100 * (1 - s):.0f} %" for channel, s in zip(arm.positions, still, strict=True)
             ),

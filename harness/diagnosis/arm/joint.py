@@ -313,7 +313,7 @@ def joint_dictionary(
 
     usual = [*(builtin()[name] for name in JOINT_EFFECTS), rotor_inertia]
     effects = usual if dictionary is None else list(dictionary)
-    effects = [_of_this_unit(effect) if effect.name == "input_gain" else effect for effect in effects]
+    effects = [_of_this_unit(effect) if effect.name in ON_TORQUE else effect for effect in effects]
     if arm.damping[joint] > 0:
         effects = [_either_sign(effect) if effect.name == "viscous_friction" else effect for effect in effects]
     torque = run.calm.u[:, joint]
@@ -350,12 +350,18 @@ def _either_sign(effect: Effect) -> Effect:
 
 
 def _of_this_unit(effect: Effect) -> Effect:
-    """Return a factor on the torque within what a torque constant may be off: beyond, it is another unit or gear."""
+    """Return a factor on the torque within what a torque constant may be off: beyond, it is another unit or gear.
+
+    So is a friction in proportion to the torque that lets pass less.
+    """
     low, high = 1 / ARM_POLICY.gain, ARM_POLICY.gain
+    gain = effect.name == "input_gain"
     return replace(
         effect,
         parameters=tuple(
-            replace(parameter, minimum=low, maximum=high) if parameter.main else parameter
+            replace(parameter, minimum=low if gain else parameter.minimum, maximum=high if gain else 1 - low)
+            if parameter.main
+            else parameter
             for parameter in effect.parameters
         ),
     )
@@ -364,8 +370,9 @@ def _of_this_unit(effect: Effect) -> Effect:
 def _joint_equations(system: System, free: int) -> Equations:
     """Return the torque that the joint asks of its input minus the measured one, with its derivatives.
 
-    Where an effect multiplies the torque, what the motion needs is divided by that factor. The other way round, a
-    factor near zero would make every residual small: the torque would explain itself.
+    Where the force depends on the torque itself (its gain, friction in proportion to it), what the motion needs is
+    divided by how much of the torque passes. The other way round, a torque that does not pass would make every residual
+    small: it would explain itself, and does at a light joint, where all of it is friction.
     """
     import casadi as ca
 
@@ -378,11 +385,10 @@ def _joint_equations(system: System, free: int) -> Equations:
         for term in (system.mass_matrix, system.generalized_forces, system.input_forces)
     )
     left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[4:])
-    factor = ca.jacobian(drive, u[0])
-    if not ca.depends_on(factor, ca.vertcat(q, v, u, t)):
-        measured = u[0] + u[2]
-        needed = left_over + factor * u[0] + u[2]
-        left_over = needed / factor - measured + (1 / factor - 1) * u[3]
+    passes = ca.jacobian(force, u[0])
+    measured = u[0] + u[2]
+    needed = left_over + passes * u[0] + u[2]
+    left_over = needed / passes - measured + (1 / passes - 1) * u[3]
     jacobian = ca.jacobian(left_over, p)
     strong = ca.Function("strong", [q, v, a, u, p, t], [left_over, jacobian])
     none = ca.SX.zeros(1, p.numel())
