@@ -232,3 +232,23 @@ def test_the_loop_looks_at_what_follows_lost_rows_as_a_record_of_its_own() -> No
     assert report.verdict == "nothing_missing"
     assert [(odd["kind"], odd["rows"]) for odd in report.data["oddities"]] == [("leap", [row])]
     assert report.data["parameters"]["before"]["J"]["value"] == pytest.approx(TRUE["J"], rel=0.02)
+
+
+@pytest.mark.parametrize("value", [1e200, -3e154, 1.7e308])
+@pytest.mark.parametrize("column", ["u", "q"])
+def test_a_number_that_no_sensor_reads_is_left_out(value: float, column: str) -> None:
+    """A damaged row of a robot's log held -1e282: averages were infinite, and nothing was said."""
+    rng = np.random.default_rng(3)
+    u, q = rng.standard_normal(400), np.zeros(400)
+    for k in range(399):
+        q[k + 1] = 0.9 * q[k] + u[k]
+    (u if column == "u" else q)[2] = value
+    spec = PlantSpec((Channel("u"),), (Channel("q"),), 0.1)
+    found = examined(Dataset("x", (Run(Trajectory(np.arange(400) * 0.1, u[:, None], q[:, None], spec)),)))
+    (odd,) = [one for one in found.oddities or () if one.channel == column]
+    assert odd.rows == (2,)
+    assert "which no sensor does" in odd.words
+    record = found.runs[0].trajectory
+    assert np.abs(record.u).max() < 10
+    assert np.nanmax(np.abs(record.readings)) < 100
+    assert bool(np.isnan(record.readings[2, 0])) is (column == "q")

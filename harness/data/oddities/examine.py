@@ -108,12 +108,32 @@ class _Look:
 
     def look(self) -> None:
         """Look at everything."""
+        self._beyond_all()
         for column, channel in enumerate(self.spec.inputs):
             if channel.kind == "real" and self.n >= ODD.fewest:
                 self._input(column, channel)
         for column, channel in enumerate(self.spec.outputs):
             if channel.kind == "real" and np.ptp(self.y[:, column]) > 0:
                 self._output(column, channel)
+
+    def _beyond_all(self) -> None:
+        """Leave out numbers so large that their squares are none: a damaged row, which no average survives."""
+        for u_or_y, channels in ((self.u, self.spec.inputs), (self.y, self.spec.outputs)):
+            for column, channel in enumerate(channels):
+                values = u_or_y[:, column]
+                rows = np.flatnonzero(np.abs(values) > ODD.beyond)
+                if not rows.size or rows.size == self.n:
+                    continue
+                where = np.flatnonzero(np.abs(values) <= ODD.beyond)
+                remark = "read as their neighbours" if u_or_y is self.u else "counted as missing"
+                named = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
+                words = f"{channel.name} reads {values[rows[0]]:.3g} in row {named}, which no sensor does: {remark}"
+                values[rows] = np.interp(rows, where, values[where])
+                self._add("spike", channel, rows, words, used=True)
+                if u_or_y is self.y:
+                    self.missing[rows, column] = True
+        if self.oddities:
+            self.record = replace(self.record, u=self.u.copy(), y=self.y.copy())
 
     def mended(self) -> Trajectory:
         """Return the record with what is no reading marked as missing."""

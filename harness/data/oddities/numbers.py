@@ -42,6 +42,7 @@ class OddNumbers:
         "additive against innovational outlier, Chen & Liu 1993, sec. 3",
     )
     smallest: float = _number(1e-3, "spike over the spread of its channel below which it is no matter", "a thousandth")
+    beyond: float = _number(1e100, "size beyond which a number is no reading", "squares of it overflow in averages")
     most: float = _number(0.05, "share of rows beyond which they are no exceptions: none is left out", "one in twenty")
     felt: float = _number(
         14.0,

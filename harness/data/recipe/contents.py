@@ -205,9 +205,6 @@ def _sizes(values: FloatArray) -> dict[str, Any]:
     finite = values[np.isfinite(values)]
     if not finite.size:
         return {}
-    return {
-        "minimum": float(finite.min()),
-        "maximum": float(finite.max()),
-        "mean": float(finite.mean()),
-        "deviation": float(finite.std()),
-    }
+    with np.errstate(over="ignore"):  # a damaged row may hold numbers whose squares are none
+        mean, deviation = float(finite.mean()), float(finite.std())
+    return {"minimum": float(finite.min()), "maximum": float(finite.max()), "mean": mean, "deviation": deviation}
