@@ -124,6 +124,8 @@ def _sizes(runs: Sequence[Run], records: Sequence[int]) -> list[tuple[str, int, 
     for kind, channels in (("input", spec.inputs), ("output", spec.outputs)):
         for column, channel in enumerate(channels):
             values = [(run.trajectory.u if kind == "input" else run.trajectory.y)[:, column] for run in runs]
-            sizes = [float(np.std(np.concatenate([values[k] for k in group]))) for group in groups]
+            with np.errstate(over="ignore", invalid="ignore"):  # of a damaged row, which is said elsewhere
+                sizes = [float(np.std(np.concatenate([values[k] for k in group]))) for group in groups]
+            sizes = [size if np.isfinite(size) else 0.0 for size in sizes]
             table.append((kind, column, channel.name, sizes))
     return table
