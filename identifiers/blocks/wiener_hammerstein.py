@@ -32,10 +32,10 @@ _TABLES = ("b1", "a1", "b2", "a2", "curve")
 
 @dataclass(frozen=True, eq=False)
 class WienerHammersteinModel:
-    """``x = B1/A1 u``, ``w = f(x)``, ``y = B2/A2 w`` in scaled signals, of one input and one output.
+    """``x_j = B1_j/A1 u``, ``w_j = f(x_j)``, ``y = sum of B2_j/A2 w_j`` in scaled signals, of one input and one output.
 
-    The state holds the states of both filters in transposed direct form, each as long as its longer polynomial
-    less one. Outputs correct nothing: the model is fitted to free runs.
+    The state holds the past values of ``u/A1``, the last first, and the state of the back block in transposed direct
+    form, each as long as its longer polynomial less one. Outputs correct nothing: the model is fitted to free runs.
 
     Parameters
     ----------
@@ -106,10 +106,11 @@ class WienerHammersteinModel:
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next state (..., nx)."""
-        (v, w, y), (front, back) = self._signals(x, u), self._states(x)
-        b = self.blocks
-        moved = (_next(front, b.b1, b.a1, v, self._inside(x, u)[0]), _next(back, b.b2, b.a2, w, y))
-        return np.concatenate(moved, axis=-1)
+        driven, w, y = self._inside(x, u)
+        front, back = self._states(np.asarray(x, dtype=float))
+        shape = driven.shape
+        ahead = np.concatenate([driven[..., None], np.broadcast_to(front, (*shape, front.shape[-1]))], -1)
+        return np.concatenate([ahead[..., : front.shape[-1]], _next(back, self.blocks.b2, self.blocks.a2, w, y)], -1)
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
         """Return the same state (..., nx)."""
@@ -120,10 +121,17 @@ class WienerHammersteinModel:
         b = self.blocks
         v = (u[..., 0] - self.scale[0]) / self.scale[1]
         front, back = self._states(np.asarray(x, dtype=float))
+        poles, past = len(b.a1) - 1, front.shape[-1]
+        # what past values of u/A1 leave in the filter 1/A1, in transposed direct form (Oppenheim & Schafer 2010, 6.3.4)
+        left = [-(front[..., : poles - m] @ b.a1[m + 1 :]) for m in range(poles)]
         with np.errstate(over="ignore", invalid="ignore"):
-            inner = lfilter(b.b1, b.a1, v, axis=-1, zi=front)[0] if front.shape[-1] else b.b1[0] * v
-            w = b.knots.values(b.curve, inner)
-            y = lfilter(b.b2, b.a2, w, axis=-1, zi=back)[0] if back.shape[-1] else b.b2[0] * w
+            driven = lfilter([1.0], b.a1, v, axis=-1, zi=np.stack(left, -1))[0] if poles else v
+            whole = np.concatenate([np.broadcast_to(front[..., ::-1], (*v.shape[:-1], past)), driven], axis=-1)
+            y = np.zeros(v.shape)
+            for row, (first, second) in enumerate(zip(b.b1, b.b2, strict=True)):
+                w = b.knots.values(b.curve, lfilter(first, [1.0], whole, axis=-1)[..., past:])
+                start = back if row == 0 else np.zeros_like(back)
+                y = y + (lfilter(second, b.a2, w, axis=-1, zi=start)[0] if back.shape[-1] else second[0] * w)
         return np.asarray(y[..., None] * self.scale[3] + self.scale[2])
 
     def to_dict(self) -> dict[str, Any]:
@@ -142,6 +150,7 @@ class WienerHammersteinModel:
     def from_dict(cls, content: dict[str, Any]) -> WienerHammersteinModel:
         """Return the model of a description."""
         tables = {name: np.array(content[name], dtype=float) for name in _TABLES}
+        tables |= {name: np.atleast_2d(tables[name]) for name in ("b1", "b2")}
         low, high, count = content["knots"]
         own = {name: np.array(content[name], dtype=float) for name in ("scale", "state_mean", "state_size", "std")}
         blocks = Blocks(**tables, knots=Knots(float(low), float(high), int(count)))
@@ -149,46 +158,44 @@ class WienerHammersteinModel:
 
     def _states(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the states of both filters."""
-        cut = max(len(self.blocks.b1), len(self.blocks.a1)) - 1
+        cut = _memory(self.blocks.b1, self.blocks.a1)
         return x[..., :cut], x[..., cut:]
 
-    def _signals(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return scaled input, output of the curve, scaled output (...)."""
-        inner, w, y = self._inside(x, u)
-        v = np.broadcast_to((np.asarray(u)[..., 0] - self.scale[0]) / self.scale[1], inner.shape)
-        return v, w, y
-
     def _inside(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return input and output of the curve, and the scaled output (...)."""
+        """Return the newest value of u/A1 (...), the outputs of the curve (..., r) and the scaled output (...)."""
         b = self.blocks
         front, back = self._states(np.asarray(x, dtype=float))
         v = (np.asarray(u)[..., 0] - self.scale[0]) / self.scale[1]
-        inner = b.b1[0] * v + (front[..., 0] if front.shape[-1] else 0.0)
+        driven = v - front[..., : len(b.a1) - 1] @ b.a1[1:]
+        inner = driven[..., None] * b.b1[:, 0] + front[..., : b.b1.shape[1] - 1] @ b.b1[:, 1:].T
         w = b.knots.values(b.curve, inner)
-        return inner, w, b.b2[0] * w + (back[..., 0] if back.shape[-1] else 0.0)
+        return driven, w, w @ b.b2[:, 0] + (back[..., 0] if back.shape[-1] else 0.0)
 
     def _rest(self, u: float) -> FloatArray:
         """Return the state at rest under a constant input."""
         b = self.blocks
-        v = np.array([(u - self.scale[0]) / self.scale[1]])
-        inner = v * b.b1.sum() / b.a1.sum()
-        w = b.knots.values(b.curve, inner)
-        y = w * b.b2.sum() / b.a2.sum()
-        front, back = (np.zeros((1, max(len(n), len(d)) - 1)) for n, d in ((b.b1, b.a1), (b.b2, b.a2)))
-        for _ in range(max(front.shape[1], back.shape[1])):
-            front, back = _next(front, b.b1, b.a1, v, inner), _next(back, b.b2, b.a2, w, y)
-        return np.concatenate([front[0], back[0]])
+        driven = (u - self.scale[0]) / self.scale[1] / b.a1.sum()
+        w = b.knots.values(b.curve, driven * b.b1.sum(axis=1))
+        y = np.asarray(w @ b.b2.sum(axis=1) / b.a2.sum())
+        back = np.zeros(_memory(b.b2, b.a2))
+        for _ in range(len(back)):
+            back = _next(back, b.b2, b.a2, w, y)
+        return np.concatenate([np.full(_memory(b.b1, b.a1), driven), back])
+
+
+def _memory(b: FloatArray, a: FloatArray) -> int:
+    """Return the number of states of a filter."""
+    return max(int(b.shape[1]), len(a)) - 1
 
 
 def _next(state: FloatArray, b: FloatArray, a: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the next state of a filter in transposed direct form (Oppenheim & Schafer 2010, sec. 6.3.4)."""
+    """Return the next state (..., n) of filters b (r, ...) of inputs u (..., r) with one output, in transposed form."""
     size = state.shape[-1]
-    shape = np.broadcast_shapes(state.shape[:-1], u.shape)
     ahead = np.concatenate(
-        [np.broadcast_to(state[..., 1:], (*shape, max(size - 1, 0))), np.zeros((*shape, min(size, 1)))], -1
+        [np.broadcast_to(state[..., 1:], (*y.shape, max(size - 1, 0))), np.zeros((*y.shape, min(size, 1)))], -1
     )
-    feed = [np.pad(c[1:], (0, size - len(c) + 1)) for c in (b, a)]
-    return np.asarray(ahead + feed[0] * u[..., None] - feed[1] * y[..., None])
+    zeros, poles = np.pad(b[:, 1:], ((0, 0), (0, size + 1 - b.shape[1]))), np.pad(a[1:], (0, size + 1 - len(a)))
+    return np.asarray(ahead + u @ zeros - poles * y[..., None])
 
 
 @dataclass(frozen=True)
@@ -207,6 +214,9 @@ class WienerHammerstein:
         Basis functions of the curve, at least 4.
     direct : bool
         The input acts on the output of the same sample.
+    between : int
+        Points of a sample interval at which the curve acts. 1 is the usual model; 2 and more, each with zeros of its
+        own in both blocks, serve where a sharp curve makes frequencies above half the sample rate.
     rounds : int
         Of the descent on all of the data.
     least_excitation : float
@@ -228,6 +238,7 @@ class WienerHammerstein:
     order: int = 4
     knots: int = 12
     direct: bool = False
+    between: int = 1
     rounds: int = 60
     least_excitation: float = 2.0
     expected_failures: ClassVar[Mapping[str, str]] = {
@@ -237,11 +248,11 @@ class WienerHammerstein:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> WienerHammersteinModel:
         """Return the model."""
         what = "wiener-hammerstein"
-        if self.order < 1 or self.knots < 4:
+        if self.order < 1 or self.knots < 4 or self.between < 1:
             raise FitError(
                 f"{what}: options",
-                expected="order at least 1, knots at least 4",
-                got=f"order={self.order}, knots={self.knots}",
+                expected="order at least 1, knots at least 4, at least 1 point between",
+                got=f"order={self.order}, knots={self.knots}, between={self.between}",
                 remedy="correct the options",
             )
         records, spec = usable(trajectories, samples=10 * (self.order + self.knots), what=what)
@@ -278,7 +289,11 @@ class WienerHammerstein:
                 "wiener-hammerstein: no start", expected="a stable linear model", got="none",
                 remedy="lower the order, or excite the plant more",
             )  # fmt: skip
-        return descended(min(ends, key=lambda end: end[1])[0], pairs, first, self.rounds)
+        best, error = descended(min(ends, key=lambda end: end[1])[0], pairs, first, self.rounds)
+        if self.between == 1:
+            return best, error
+        finer, least = descended(best.between(self.between), pairs, first, self.rounds)
+        return (finer, least) if least < error else (best, error)
 
     def _linear(
         self, records: Sequence[Trajectory], pairs: Sequence[tuple[FloatArray, FloatArray]]
@@ -295,19 +310,22 @@ class WienerHammerstein:
 def _states_in(blocks: Blocks, pairs: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
     """Return the states (N, nx) of both filters along the records, from rest."""
     found = []
+    past, behind = _memory(blocks.b1, blocks.a1), _memory(blocks.b2, blocks.a2)
     for u, _ in pairs:
-        x, w, y = blocks.outputs(u)
-        found.append(np.hstack([_along(blocks.b1, blocks.a1, u, x), _along(blocks.b2, blocks.a2, w, y)]))
+        _, w, y = blocks.outputs(u)
+        driven = lfilter([1.0], blocks.a1, u)
+        front = [np.concatenate([np.zeros(k), driven])[: len(u)] for k in range(1, past + 1)]
+        found.append(np.column_stack([*front, _along(blocks.b2, blocks.a2, w, y, behind)]))
     return np.vstack(found)
 
 
-def _along(b: FloatArray, a: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the states (N, n) of a filter in transposed direct form along its input and output."""
-    size = max(len(b), len(a)) - 1
-    states = np.zeros((len(u), size))
-    after = np.zeros(len(u))
+def _along(b: FloatArray, a: FloatArray, u: FloatArray, y: FloatArray, size: int) -> FloatArray:
+    """Return the states (N, n) of filters b (r, ...) in transposed direct form along inputs u (r, N) and one output."""
+    states = np.zeros((len(y), size))
+    after = np.zeros(len(y))
     for k in reversed(range(size)):
-        feed = (b[k + 1] if k + 1 < len(b) else 0.0) * u - (a[k + 1] if k + 1 < len(a) else 0.0) * y
+        feed = b[:, k + 1] @ u if k + 1 < b.shape[1] else np.zeros(len(y))
+        feed = feed - (a[k + 1] if k + 1 < len(a) else 0.0) * y
         states[1:, k] = feed[:-1] + after[:-1]
         after = states[:, k]
     return states

@@ -30,12 +30,17 @@ Pair = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """``x = B1/A1 u``, ``w = f(x)``, ``y = B2/A2 w``; A1 and A2 begin with 1.
+    """``x_j = B1_j/A1 u``, ``w_j = f(x_j)``, ``y = sum of B2_j/A2 w_j``; A1 and A2 begin with 1.
+
+    One row of ``b1`` and ``b2`` is the usual model. More of them let the curve act between the samples too: ``x_j`` is
+    the inner signal at one of several points of a sample interval, as a linear filter of the input tells it, so that
+    what the curve makes above half the sample rate, and the back block takes away again, need not fold back.
 
     Parameters
     ----------
-    b1, a1, b2, a2 : array
+    b1, b2 : array (r, n)
         Polynomials in the delay.
+    a1, a2 : array (n,)
     curve : array (count,)
         Coefficients of f over the knots.
     knots : Knots
@@ -49,10 +54,10 @@ class Blocks:
     knots: Knots
 
     def outputs(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, w and y (N,) from rest."""
-        x = lfilter(self.b1, self.a1, u)
+        """Return x and w (r, N) and y (N,) from rest."""
+        x = np.array([lfilter(b, self.a1, u) for b in self.b1])
         w = self.knots.values(self.curve, x)
-        return x, w, lfilter(self.b2, self.a2, w)
+        return x, w, np.sum([lfilter(b, self.a2, one) for b, one in zip(self.b2, w, strict=True)], axis=0)
 
     def stable(self) -> bool:
         """Return True if every pole is within :data:`RADIUS`."""
@@ -61,27 +66,52 @@ class Blocks:
     def gradients(self, u: FloatArray, first: int) -> tuple[FloatArray, FloatArray]:
         """Return y (N,) and its derivatives (N, p) by b1, a1, b2 from ``first`` on, a2 and the curve."""
         x, w, y = self.outputs(u)
-        slope = self.knots.slopes(self.curve, x)
-        front = [*_delayed(lfilter([1.0], self.a1, u), range(len(self.b1)))]
-        front += [-one for one in _delayed(lfilter([1.0], self.a1, x), range(1, len(self.a1)))]
-        inner = [slope * one for one in front] + list(self.knots.basis(x).T)
-        through = lfilter(self.b2, self.a2, np.array(inner), axis=-1)
-        back = [*_delayed(lfilter([1.0], self.a2, w), range(first, len(self.b2)))]
+        poles, zeros = len(self.a1) - 1, self.b1.shape[1]
+        driven = list(_delayed(lfilter([1.0], self.a1, u), range(zeros)))
+        front: list[FloatArray] = []
+        back: list[FloatArray] = []
+        shared = np.zeros((poles + len(self.curve), len(u)))
+        for b, inner, outer in zip(self.b2, x, w, strict=True):
+            slope = self.knots.slopes(self.curve, inner)
+            moved = [slope * one for one in driven]
+            moved += [-slope * one for one in _delayed(lfilter([1.0], self.a1, inner), range(1, poles + 1))]
+            through = lfilter(b, self.a2, np.array(moved + list(self.knots.basis(inner).T)), axis=-1)
+            front += list(through[:zeros])
+            shared += through[zeros:]
+            back += _delayed(lfilter([1.0], self.a2, outer), range(first, len(b)))
         back += [-one for one in _delayed(lfilter([1.0], self.a2, y), range(1, len(self.a2)))]
-        return y, np.column_stack([*through[: len(front)], *back, *through[len(front) :]])
+        return y, np.column_stack([*front, *shared[:poles], *back, *shared[poles:]])
 
     def moved(self, by: FloatArray, first: int) -> Blocks:
         """Return the blocks with their parameters changed."""
-        sizes = (len(self.b1), len(self.a1) - 1, len(self.b2) - first, len(self.a2) - 1, len(self.curve))
+        points, width = self.b2.shape
+        sizes = (self.b1.size, len(self.a1) - 1, points * (width - first), len(self.a2) - 1, len(self.curve))
         b1, a1, b2, a2, curve = np.split(by, np.cumsum(sizes)[:-1])
+        kept = self.b2[:, first:] + b2.reshape(points, width - first)
         return Blocks(
-            self.b1 + b1,
+            self.b1 + b1.reshape(self.b1.shape),
             np.concatenate([[1.0], self.a1[1:] + a1]),
-            np.concatenate([np.zeros(first), self.b2[first:] + b2]),
+            np.hstack([np.zeros((points, first)), kept]),
             np.concatenate([[1.0], self.a2[1:] + a2]),
             self.curve + curve,
             self.knots,
         )
+
+    def between(self, points: int) -> Blocks:
+        """Return blocks whose curve acts at several points of a sample interval, to descend from.
+
+        The inner signal is interpolated linearly between a sample and the one before, and the back block takes the mean
+        over the points.
+
+        Examples
+        --------
+        >>> one = Blocks(np.ones((1, 1)), np.ones(1), np.ones((1, 1)), np.ones(1), np.ones(4), Knots(-1.0, 1.0, 4))
+        >>> one.between(2).b1.tolist(), one.between(2).b2.tolist()
+        ([[1.0, 0.0], [0.5, 0.5]], [[0.5, 0.0], [0.5, 0.0]])
+        """
+        parts = np.arange(points) / points
+        b1 = np.array([np.convolve(self.b1[0], [1.0 - part, part]) for part in parts])
+        return replace(self, b1=b1, b2=np.tile(np.append(self.b2[0], 0.0) / points, (points, 1)))
 
 
 def shared_out(b: FloatArray, f: FloatArray, records: Sequence[Pair], count: int, first: int) -> list[Blocks]:
@@ -213,10 +243,10 @@ def _started(front: Pair, back: Pair, records: Sequence[Pair], count: int) -> Bl
     size = float(inner.std())
     low, high = np.quantile(inner, [_RARE, 1.0 - _RARE]) / size
     knots = Knots(float(low), float(high), count)
-    blocks = Blocks(front[0] / size, front[1], back[0], back[1], np.zeros(count), knots)
+    blocks = Blocks(front[0][None] / size, front[1], back[0][None], back[1], np.zeros(count), knots)
     gram, right = np.zeros((count, count)), np.zeros(count)
     for u, y in records:
-        columns = _settled(lfilter(*back, knots.basis(lfilter(blocks.b1, blocks.a1, u)), axis=0))
+        columns = _settled(lfilter(*back, knots.basis(lfilter(blocks.b1[0], blocks.a1, u)), axis=0))
         gram += columns.T @ columns / len(columns)
         right += columns.T @ _settled(y) / len(columns)
     ridge = 1e-8 * np.trace(gram) / count * np.eye(count)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +12,14 @@ import numpy.typing as npt
 from harness.errors import FitError
 from harness.models.damped import Damping, damped_descent
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
+from identifiers.common.scaling import centred
 from identifiers.learned.recurrent_pass import Layout
 from identifiers.linear.n4sid import Subspace
 
-__all__ = ["Fitted", "Problem", "descend", "fit_start"]
+__all__ = ["Fitted", "Problem", "Recurrence", "cascade", "descend", "descend_from", "fit_start", "subspace_start"]
 
 Mask = npt.NDArray[np.bool_]
+Linear = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Point = tuple[FloatArray, FloatArray]
 """Weights (p,) and the initial state of every record (R, nx)."""
 
@@ -39,15 +42,62 @@ _TRIALS = 12
 """Times that the damping is raised, fourfold each, before an iteration is abandoned."""
 
 
+class Recurrence(Protocol):
+    """Functions of the next state and of the output whose coefficients stand in one vector (p,)."""
+
+    @property
+    def nx(self) -> int:
+        """States."""
+
+    @property
+    def count(self) -> int:
+        """Coefficients."""
+
+    def step(self, theta: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the next states (..., nx)."""
+
+    def output(self, theta: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the outputs (..., ny)."""
+
+    def jacobians(self, theta: FloatArray, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives (nx, nx) of the next state and (ny, nx) of the output by the state."""
+
+    def run(
+        self, theta: FloatArray, start: FloatArray, u: FloatArray, *, sensitivities: bool, native: bool = True
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return the outputs (N, ny) of a free run, and their derivatives (N, ny, p + nx) by coefficients and start."""
+
+    def states(self, theta: FloatArray, start: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the states (N, nx) of a free run."""
+
+    def description(self) -> list[int] | dict[str, int]:
+        """Return its sizes, JSON-ready."""
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One record: scaled inputs u (N, nu), outputs y (N, ny) in their units, and their scaling."""
+    """One record: scaled inputs u (N, nu), outputs y (N, ny) in their units, and the scaling (mean, size) of both.
+
+    Without ``held_out`` all of it is learned from.
+    """
 
     channels: Sequence[Channel]
     u: FloatArray
     y: FloatArray
     y_mean: FloatArray
     y_std: FloatArray
+    u_scale: tuple[FloatArray, FloatArray] = (np.zeros(1), np.ones(1))
+    held_out: bool = True
+
+    @classmethod
+    def scaled(cls, records: Sequence[Trajectory]) -> list[Problem]:
+        """Return the records with inputs and outputs about their common mean, in their common size."""
+        inputs = centred([record.u for record in records])
+        y_mean, y_std = centred([record.y for record in records])
+        return [
+            cls(record.spec.outputs, (record.u - inputs[0]) / inputs[1], record.y, y_mean, y_std, inputs)
+            for record in records
+        ]
 
     @staticmethod
     def cut_of(samples: int) -> int:
@@ -57,20 +107,16 @@ class Problem:
     @property
     def cut(self) -> int:
         """Samples learned from; the others are held out."""
-        return self.cut_of(len(self.u))
+        return self.cut_of(len(self.u)) if self.held_out else len(self.u)
 
     def errors(self, scaled: FloatArray) -> FloatArray:
         """Return predicted minus measured (N, ny), wrapped on periodic channels, in scaled units."""
         predicted = self.y_mean + self.y_std * scaled
         return -residual(self.channels, self.y, predicted) / self.y_std
 
-    def states(self, layout: Layout, theta: FloatArray, start: FloatArray) -> FloatArray:
+    def states(self, layout: Recurrence, theta: FloatArray, start: FloatArray) -> FloatArray:
         """Return the states (N, nx) of the free run."""
-        states = np.empty((len(self.u), layout.nx))
-        x = start
-        for k, u in enumerate(self.u):
-            states[k] = x
-            x = layout.step(theta, x, u)
+        states = layout.states(theta, start, self.u)
         return states[np.isfinite(states).all(axis=1)]
 
 
@@ -112,8 +158,35 @@ def descend(
     theta, start = _begin(layout, problems, rng, lags)
     free = _free(layout, direct)
     theta[~free] = 0.0
-    weight = _ridge(layout, ridge)
     starts = np.tile(start, (len(problems), 1))
+    return descend_from(layout, problems, theta, starts, _ridge(layout, ridge), free, iterations)
+
+
+def descend_from(
+    layout: Recurrence,
+    problems: Sequence[Problem],
+    theta: FloatArray,
+    starts: FloatArray,
+    weight: FloatArray,
+    free: Mask,
+    iterations: int,
+) -> Fitted:
+    """Return the state with the least held-out error on the descent from given coefficients.
+
+    Parameters
+    ----------
+    layout : Recurrence
+    problems : sequence of Problem
+        Where none of them holds anything out, the least error counts.
+    theta : array (p,)
+    starts : array (R, nx)
+        Initial states.
+    weight : array (p,)
+        Cost of the square of each coefficient.
+    free : array of bool (p,)
+        Which coefficients are fitted.
+    iterations : int
+    """
     best, since = Fitted(theta, starts, np.inf, np.inf), 0
 
     def cost(point: Point) -> float:
@@ -145,7 +218,7 @@ def descend(
 
 
 def fit_start(
-    layout: Layout, theta: FloatArray, problem: Problem, mean: FloatArray, std: FloatArray, error: float
+    layout: Recurrence, theta: FloatArray, problem: Problem, mean: FloatArray, std: FloatArray, error: float
 ) -> FloatArray:
     """Return the likeliest initial state (nx,) of a record under a normal belief of mean and std.
 
@@ -192,15 +265,11 @@ def _begin(
 ) -> tuple[FloatArray, FloatArray]:
     """Return weights whose linear part is a cascade of lags or a subspace model, and an initial state."""
     nx, nu, ny = layout.nx, layout.nu, layout.ny
-    longest = max(len(problem.u) for problem in problems)
-    # Time constants from some samples to a tenth of the longest record: what the data can show.
-    rate = np.exp(rng.uniform(np.log(min(1.0, 10.0 / longest)), np.log(0.3), nx))
-    a = np.diag(1.0 - rate) + np.diag(rate[1:], -1)
-    b, c = np.zeros((nx, nu)), np.zeros((ny, nx))
-    b[0], c[:, -1] = rate[0], 1.0
-    start = np.full(nx, float(np.mean((problems[0].y[0] - problems[0].y_mean) / problems[0].y_std)))
+    a, b, c, start = cascade(problems, nx, rng)
     if not lags:
-        a, b, c, start = _subspace(problems, nx, rng) or (a, b, c, start)
+        found = subspace_start(problems, nx, rng)
+        if found is not None:
+            a, b, c, start = found[0], found[1], found[2], np.zeros(nx)
     theta = np.empty(layout.count)
     t = layout.tables(theta)
     t["A"][:] = np.vstack([a.T - np.eye(nx), b.T, np.zeros((1, nx))])
@@ -211,13 +280,24 @@ def _begin(
     return theta, start
 
 
-def _subspace(
-    problems: Sequence[Problem], nx: int, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return A, B, C of a stable subspace model with states of size 1, and the state 0; None where there is none."""
+def cascade(problems: Sequence[Problem], nx: int, rng: np.random.Generator) -> Linear:
+    """Return A, B, C of a cascade of lags with random time constants that ends in all outputs, and a state (nx,)."""
+    longest = max(len(problem.u) for problem in problems)
+    # Time constants from some samples to a tenth of the longest record: what the data can show.
+    rate = np.exp(rng.uniform(np.log(min(1.0, 10.0 / longest)), np.log(0.3), nx))
+    b, c = np.zeros((nx, problems[0].u.shape[1])), np.zeros((problems[0].y.shape[1], nx))
+    b[0], c[:, -1] = rate[0], 1.0
+    start = np.full(nx, float(np.mean((problems[0].y[0] - problems[0].y_mean) / problems[0].y_std)))
+    return np.diag(1.0 - rate) + np.diag(rate[1:], -1), b, c, start
+
+
+def subspace_start(
+    problems: Sequence[Problem], nx: int, rng: np.random.Generator, *, direct: bool = False
+) -> Linear | None:
+    """Return A, B, C, D of a stable subspace model with states of size 1; None where there is none."""
     nu, ny = problems[0].u.shape[1], problems[0].y.shape[1]
     channels = tuple(Channel(f"{kind}{i}") for kind, count in (("u", nu), ("y", ny)) for i in range(count))
-    spec = PlantSpec(channels[:nu], channels[nu:], 1.0)
+    spec = PlantSpec(channels[:nu], channels[nu:], 1.0, feedthrough=direct)
     records = [
         Trajectory(
             np.arange(float(problem.cut)),
@@ -228,7 +308,7 @@ def _subspace(
         for problem in problems
     ]
     try:
-        model = Subspace(order=nx, stable=True).fit(records, rng=rng)
+        model = Subspace(order=nx, stable=True, direct=direct).fit(records, rng=rng)
     except FitError:
         return None  # too short, or too little moves, for a subspace: the cascade serves
     a, b, c = model.a_matrix[:nx, :nx], model.b_matrix[:nx], model.c_matrix[:, :nx]
@@ -239,7 +319,7 @@ def _subspace(
     size = np.sqrt(squares / len(records[0]))
     if not (np.isfinite(size).all() and (size > 0).all()):
         return None
-    return a * size / size[:, None], b / size[:, None], c * size, np.zeros(nx)
+    return a * size / size[:, None], b / size[:, None], c * size, model.d_matrix
 
 
 def _free(layout: Layout, direct: bool) -> Mask:
@@ -262,7 +342,7 @@ def _ridge(layout: Layout, ridge: float) -> FloatArray:
 
 
 def _cost(
-    layout: Layout, problems: Sequence[Problem], theta: FloatArray, starts: FloatArray, weight: FloatArray
+    layout: Recurrence, problems: Sequence[Problem], theta: FloatArray, starts: FloatArray, weight: FloatArray
 ) -> tuple[float, float, float]:
     """Return the cost, the held-out rms and the estimation rms of free runs; infinite where one diverges."""
     runs = [
@@ -283,6 +363,7 @@ def _sums(
     errors = [problem.errors(run) for problem, run in zip(problems, runs, strict=True)]
     learned = np.concatenate([miss[: problem.cut] for problem, miss in zip(problems, errors, strict=True)])
     held = np.concatenate([miss[problem.cut :] for problem, miss in zip(problems, errors, strict=True)])
+    held = held if len(held) else learned
     cost = float(np.sum(learned**2) + np.sum(weight * theta**2) + _STATE_PRECISION * np.sum(starts**2))
     return cost, float(np.sqrt(np.mean(held**2))), float(np.sqrt(np.mean(learned**2)))
 
@@ -292,7 +373,7 @@ Normal = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float
 
 
 def _normal(
-    layout: Layout, problems: Sequence[Problem], theta: FloatArray, starts: FloatArray, weight: FloatArray
+    layout: Recurrence, problems: Sequence[Problem], theta: FloatArray, starts: FloatArray, weight: FloatArray
 ) -> Normal:
     """Return the normal equations: of the weights (p, p), of each initial state (R, nx, nx), and between them."""
     p, nx = layout.count, layout.nx

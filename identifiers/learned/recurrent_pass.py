@@ -126,6 +126,19 @@ class Layout:
         compiled.sysid_recurrent_run(*sizes, *pointers(*given), FAR, *pointers(y), address, *pointers(work))
         return y, table
 
+    def states(self, theta: FloatArray, start: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the states (N, nx) of a free run, NaN where it has diverged."""
+        states = np.empty((len(u), self.nx))
+        x = start
+        for k, held in enumerate(u):
+            states[k] = x
+            x = self.step(theta, x, held)
+        return states
+
+    def description(self) -> list[int]:
+        """Return its sizes."""
+        return [self.nx, self.nu, self.ny, self.hidden, self.outside]
+
     def _joined(self, x: FloatArray, u: FloatArray) -> FloatArray:
         u = np.broadcast_to(u, (*x.shape[:-1], self.nu))
         return np.concatenate([x, u, np.ones((*x.shape[:-1], 1))], axis=-1)

@@ -154,7 +154,7 @@ class GreyBoxModel:
         raw = self._raw(state, clock, inputs)
         after = self._memory[1]
         if self.simulator.sampled.output_blocks:
-            seen = np.concatenate([past.reshape(len(raw), after, -1), raw[:, None]], axis=1)
+            seen = np.concatenate([past.reshape(len(raw), after, self.spec.ny), raw[:, None]], axis=1)
             p = np.broadcast_to(self._values, (len(raw), self._values.size))
             raw = self.simulator.sampled.outputs(seen, None, p)[0][:, -1]
         return raw.reshape(*np.shape(x)[:-1], self.spec.ny)

@@ -47,16 +47,16 @@ def test_hammerstein_and_wiener_models_are_among_them(front: float, back: float,
     assert simulation_error(model, test).nrmse[0] < 0.01
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(0, 1))
-def test_gradients_are_those_of_differences(seed: int, first: int) -> None:
+@given(st.integers(0, 2**32 - 1), st.integers(0, 1), st.integers(1, 3))
+def test_gradients_are_those_of_differences(seed: int, first: int, points: int) -> None:
     rng = np.random.default_rng(seed)
     poles = rng.uniform(-0.8, 0.8, (2, 2))
     a1, a2 = (np.poly(one) for one in poles)
-    b2 = np.concatenate([np.zeros(first), rng.normal(size=3 - first)])
-    blocks = Blocks(rng.normal(size=3), a1, b2, a2, rng.normal(size=6), Knots(-1.0, 1.0, 6))
+    b2 = np.hstack([np.zeros((points, first)), rng.normal(size=(points, 3 - first))])
+    blocks = Blocks(rng.normal(size=(points, 3)), a1, b2, a2, rng.normal(size=6), Knots(-1.0, 1.0, 6))
     u = rng.normal(size=40)
     _, columns = blocks.gradients(u, first)
-    assert columns.shape == (40, 3 + 2 + (3 - first) + 2 + 6)
+    assert columns.shape == (40, points * 3 + 2 + points * (3 - first) + 2 + 6)
     for k in range(columns.shape[1]):
         by = 1e-6 * np.eye(columns.shape[1])[k]
         difference = (blocks.moved(by, first).outputs(u)[2] - blocks.moved(-by, first).outputs(u)[2]) / 2e-6

@@ -55,6 +55,9 @@ class GreyChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Nominal model, for a set without a recipe; the end of each record then validates."""
     options: dict[str, Any] = {}
     validation: float = 0.25
+    grow: int = 0
+    """So many effects more are added at most, to the nominal model and to what the loop ended with, where they bring
+    the set's own figure over halves of the records down (:mod:`harness.benchmark.public.structures`)."""
 
 
 class SetChoices(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

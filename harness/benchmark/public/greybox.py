@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,10 +16,10 @@ from harness.benchmark.public.blackbox import parted
 from harness.benchmark.public.choices import GreyChoice
 from harness.benchmark.public.rules import Rule
 from harness.benchmark.public.scores import figure, simulated
+from harness.benchmark.public.structures import Structure, grown, refitted
 from harness.data import LoadedDataset, Nominal, load_dataset, read_description
-from harness.errors import HarnessError, InputError
+from harness.errors import InputError
 from harness.protocols import Model
-from harness.rng import stream
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
 __all__ = ["Repaired", "Signals", "nominal_data", "repaired", "signals_of"]
@@ -139,30 +140,56 @@ def repaired(
     content = json.loads((folder / MODEL).read_text(encoding="utf-8"))
     loop: Model = read_model(folder)
     whole = [signals.of(one) for one in train]
-    again = _again(rule, content, whole, data.nominal)
+    ended = _ended(content, data.nominal)
+    if choice.grow:
+        found = _further(rule, ended, data, signals, whole, choice.grow, progress)
+        if found is not None:
+            return found
+    again = None if ended is None else refitted(rule, ended, whole)
     better = again is not None and _figure(rule, again, whole) <= _figure(rule, loop, whole)
     chosen = again if better and again is not None else loop
     return Repaired(chosen, signals, _words(report, content), better)
 
 
-def _again(rule: Rule, content: dict[str, Any], records: Sequence[Trajectory], nominal: Any) -> Model | None:
-    """Return the repaired structure fitted to whole free runs of all records, or None where that fails."""
+def _ended(content: dict[str, Any], nominal: Any) -> Structure | None:
+    """Return the structure that the loop ended with, or None where its model is no grey box."""
     if content.get("kind") != "grey-box":
         return None
-    options = {
-        "model": nominal.model,
-        "options": content.get("options", {}),
-        "effects": tuple("@".join(one) for one in content.get("effects", [])),
-        "start": content["parameters"],
-        "intersample": content.get("intersample", "zoh"),
-        "horizon": "record",
-    }
-    try:
-        learner = registry.create("identifiers", "output-error", **options)
-        model: Model = learner.fit(list(records), rng=stream("public", rule.id, "output-error"))
-    except HarnessError:
+    effects = tuple("@".join(one) for one in content.get("effects", []))
+    intersample = content.get("intersample", "zoh")
+    return Structure(nominal.model, content.get("options", {}), effects, content["parameters"], intersample)
+
+
+def _further(
+    rule: Rule,
+    ended: Structure | None,
+    data: LoadedDataset,
+    signals: Signals,
+    whole: Sequence[Trajectory],
+    most: int,
+    progress: Callable[[float, str], None] | None,
+) -> Repaired | None:
+    """Return the model that added effects lead to, or None where the best over halves is what the loop ended with."""
+    nominal = data.nominal
+    if nominal is None:
         return None
-    return model
+    starts = [Structure(nominal.model, dict(nominal.options), intersample=data.dataset.intersample)]
+    if ended is not None:
+        starts.append(ended)
+
+    def say(text: str) -> None:
+        if progress is not None:
+            progress(1.0, text)
+
+    best, error = grown(rule, starts, whole, most, say)
+    if not math.isfinite(error) or (ended is not None and best.effects == ended.effects):
+        return None
+    model = refitted(rule, best, whole)
+    if model is None:
+        return None
+    effects = [one.split("@") for one in best.effects]
+    words = _words({}, {"model": best.model, "effects": effects})
+    return Repaired(model, signals, f"{words}, added by free runs ({error:.3g} {rule.unit} over halves)", True)
 
 
 def _figure(rule: Rule, model: Model, records: Sequence[Trajectory]) -> float:
