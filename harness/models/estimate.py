@@ -220,7 +220,7 @@ class Estimate:
                 math.nan if content["condition"] is None else float(content["condition"]),
                 bool(content["converged"]),
                 str(content["message"]),
-                tuple(content["on_bound"]),
+                tuple(map(str, content["on_bound"])),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(

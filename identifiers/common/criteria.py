@@ -10,7 +10,7 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["absolute_deviations", "instrumental_variables", "total_least_squares"]
+__all__ = ["absolute_deviations", "instrumental_variables", "instruments_of", "total_least_squares"]
 
 
 def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: str, lags: int = 3) -> FloatArray:
@@ -29,7 +29,36 @@ def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: st
     lags : int
         How many earlier outputs and inputs serve as instruments.
     """
-    regressors, instruments, targets = [], [], []
+    x, z, y = instruments_of(records, offset, lags)
+    if not len(x):
+        raise FitError(
+            f"{what}: records too short", expected=f"{lags + 2} samples", got="fewer", remedy="record longer"
+        )
+    size, lengths = _lengths(x), _lengths(z)
+    # The regressors as far as the instruments explain them.
+    q, s, _ = np.linalg.svd(z / lengths, full_matrices=False)
+    q = q[:, s > 1e-10 * s[0]]
+    seen = q @ (q.T @ (x / size))
+    return _determined(seen, q @ (q.T @ y), size, what)
+
+
+def instruments_of(
+    records: Sequence[Trajectory], offset: bool, lags: int = 3
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return regressors ``[y[k], u[k], 1]``, instruments of :func:`instrumental_variables`, and next outputs.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+        Those of fewer than ``lags + 2`` samples have no part.
+    offset : bool
+        With the constant.
+    lags : int
+    """
+    spec = records[0].spec
+    regressors = [np.zeros((0, spec.ny + spec.nu + offset))]
+    instruments = [np.zeros((0, lags * spec.ny + (lags + 1) * spec.nu + offset))]
+    targets = [np.zeros((0, spec.ny))]
     for record in records:
         n = len(record)
         if n < lags + 2:
@@ -41,17 +70,7 @@ def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: st
         earlier += [record.u[lags - j : n - 1 - j] for j in range(lags + 1)]
         instruments.append(np.hstack([*earlier, *constant]))
         targets.append(record.y[lags + 1 :])
-    if not regressors:
-        raise FitError(
-            f"{what}: records too short", expected=f"{lags + 2} samples", got="fewer", remedy="record longer"
-        )
-    x, z, y = map(np.concatenate, (regressors, instruments, targets))
-    size, lengths = _lengths(x), _lengths(z)
-    # The regressors as far as the instruments explain them.
-    q, s, _ = np.linalg.svd(z / lengths, full_matrices=False)
-    q = q[:, s > 1e-10 * s[0]]
-    seen = q @ (q.T @ (x / size))
-    return _determined(seen, q @ (q.T @ y), size, what)
+    return np.concatenate(regressors), np.concatenate(instruments), np.concatenate(targets)
 
 
 def total_least_squares(records: Sequence[Trajectory], offset: bool, what: str) -> FloatArray:

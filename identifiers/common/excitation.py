@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from harness.errors import FitError
-from harness.judgement import dependence_text
+from harness.judgement import dependence_text, feedback_of
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.criteria import instruments_of
 from identifiers.common.records import lagged, lagged_blocks
 from identifiers.common.regression import Solution, solve
 
-__all__ = ["Columns", "excited_lags", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
+__all__ = [
+    "Columns",
+    "Dependence",
+    "excited_lags",
+    "law_of_part",
+    "nearly_dependent",
+    "refuse_feedback",
+    "refuse_feedback_of_records",
+]
 
 # Columns have rms 1: a combination ten times smaller is a near-dependence, one of size 1 is a signal by itself.
 _WEAK = 0.1
@@ -31,6 +40,14 @@ _ROWS, _ROUNDING = 20_000, 1e-13
 _OUTPUTS, _SIGNAL = 0.95, 0.5
 # A dependence of lags in which outputs have less than this share is one of the inputs by themselves: no law.
 _INPUTS = 0.1
+# Earlier samples tell a combination of regressors where their F is so large: a fifth of the bias of least squares.
+_STRONG = 5.0
+# Probability of an F so large were the combination noise alone.
+_DOUBT = 1e-5
+# Instruments that depend on others up to this share of the largest are left out.
+_DEPENDENT = 1e-10
+# Lags of the inputs that depend on one another by themselves, up to so many times what a law of outputs leaves.
+_ALONE = 2.0
 # A ridge that is none: it only asks for exact laws too, where the solver answers dependent columns.
 _TINY = 1e-30
 
@@ -92,6 +109,13 @@ def refuse_feedback(solution: Solution, columns: Columns, least: float, what: st
     """
     if least <= 0 or not columns.now:
         return
+    if found := _weak_law(solution, columns, least, ridge):
+        null, rank, share = found
+        raise _undetermined(null, solution.scale, columns, rank, share, what)
+
+
+def _weak_law(solution: Solution, columns: Columns, least: float, ridge: float) -> tuple[FloatArray, int, float] | None:
+    """Return the law (p,) that the inputs follow up to noise, the rank without it, and what departs from it."""
     r, size, noise = solution.factor, solution.scale, _noise(solution, columns)
     others = [j for j in range(r.shape[1]) if j not in columns.now]
     # The law that the true states could have had: one that only noise would need is not taken for a law.
@@ -115,27 +139,54 @@ def refuse_feedback(solution: Solution, columns: Columns, least: float, what: st
     shares = shares / np.linalg.norm(turns, axis=0)
     weak = (values - chance > 1.0 / least**2) & (shares < _WEAK)
     if not weak.any():
-        return
+        return None
     turn = turns[:, int(np.flatnonzero(weak)[-1])]
     null = np.zeros(r.shape[1])
     null[columns.now], null[others] = turn, -law @ turn
     share = float(np.sqrt(max(turn @ departure @ turn, 0.0)) / max(np.linalg.norm(null), 1e-300))
-    raise _undetermined(null / size, size, columns, r.shape[1] - int(weak.sum()), share, what)
+    given = [j for j in range(r.shape[1]) if j not in columns.output_of]
+    _, moved, turned = np.linalg.svd(r[:, given])
+    if moved[-1] <= _ALONE * share:  # few lines: what outputs add to it is how their noise happened to lie
+        null = np.zeros(r.shape[1])
+        null[given], share = turned[-1], float(moved[-1])
+    return null / size, r.shape[1] - int(weak.sum()), share
 
 
-def refuse_collinear(
+@dataclass(frozen=True)
+class Dependence:
+    """A combination of states and inputs that moves by no more than noise, and what else tells it.
+
+    Parameters
+    ----------
+    text : str
+        ``v = 2 q``.
+    strong : bool
+        Earlier samples tell it so well that instrumental variables are nearly free of bias.
+    """
+
+    text: str
+    strong: bool
+
+
+def nearly_dependent(
     solution: Solution,
     columns: Columns,
     least: float,
     what: str,
     remedy: str = "add an excitation to what the controller commands, or leave an output out",
     records: Sequence[Trajectory] = (),
-) -> None:
-    """Raise if some combination of measured states is no more than noise.
+) -> Dependence | None:
+    """Return a combination of measured states that is no more than noise; raise if nothing else tells the model there.
 
     The residual of the equation holds what pushes the plant as well as the noise of the sensors, and only the latter is
     in the regressors. So a small combination of outputs is no noise where the sample before and the inputs foretell
     half of it: noise of the sensors is new at every sample.
+
+    What sets a plant apart that its inputs keep near rest from one that a controller holds: where outputs foretell no
+    input, earlier samples, which no sensor's noise of this one reaches, still tell what the combination does. Least
+    squares is biased there, by all of it; instrumental variables are not, where the instruments are strong: their bias
+    is that of least squares over the F of the regressors on the instruments (Staiger & Stock 1997, Econometrica 65:557,
+    sec. 2).
 
     Parameters
     ----------
@@ -144,18 +195,47 @@ def refuse_collinear(
     remedy : str
     records : sequence of Trajectory
         Where the samples before are looked up; without them every combination that is small counts as noise.
+
+    Returns
+    -------
+    Dependence or None
+        None where there is no such combination.
     """
     if least <= 0:
-        return
+        return None
     noise = _noise(solution, columns)
     _, values, right = np.linalg.svd(solution.factor)
     weak = (values < least * np.linalg.norm(right * noise, axis=1)) & (values < _WEAK)
     for row in np.flatnonzero(weak):
         weak[int(row)] = not _foretold(right[int(row)], solution, columns, records)
-    if weak.any():
-        null = right[int(np.flatnonzero(weak)[-1])]
-        rank = values.size - int(weak.sum())
-        raise _undetermined(null / solution.scale, solution.scale, columns, rank, float(values[-1]), what, remedy)
+    if not weak.any():
+        return None
+    null = right[int(np.flatnonzero(weak)[-1])]
+    if records and not feedback_of(records).found:
+        strength, chance = _strength(solution, noise, records)
+        if strength > _STRONG or chance < _DOUBT:
+            return Dependence(dependence_text(null / solution.scale, solution.scale, columns.names), strength > _STRONG)
+    rank = values.size - int(weak.sum())
+    raise _undetermined(null / solution.scale, solution.scale, columns, rank, float(values[-1]), what, remedy)
+
+
+def _strength(solution: Solution, noise: FloatArray, records: Sequence[Trajectory]) -> tuple[float, float]:
+    """Return the F of the regressors on earlier samples, in the direction that these tell least, and its chance."""
+    from scipy.stats import f
+
+    spec = records[0].spec
+    regressors, instruments, _ = instruments_of(records, solution.scale.size > spec.ny + spec.nu)
+    size = np.linalg.norm(instruments, axis=0)
+    left, values, _ = np.linalg.svd(instruments / np.where(size > 0, size, 1.0), full_matrices=False)
+    left = left[:, values > _DEPENDENT * values.max(initial=0.0)]
+    if not left.size:
+        return 0.0, 1.0
+    rms = solution.scale / np.sqrt(solution.rows)
+    _, seen, turned = np.linalg.svd(left.T @ (regressors / rms))
+    count = left.shape[1]
+    alone = count * float(np.sum((turned[-1] * noise) ** 2))
+    strength = float(seen[-1] ** 2) / alone if alone > 0 else np.inf
+    return strength, float(f.sf(strength, count, max(len(regressors) - count, 1)))
 
 
 def _foretold(direction: FloatArray, solution: Solution, columns: Columns, records: Sequence[Trajectory]) -> bool:
@@ -254,6 +334,41 @@ def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: 
     refuse_feedback(quiet, Columns(spec, lags), least, what, ridge=_TINY)
 
 
+def law_of_part(rows: FloatArray, targets: FloatArray, columns: Columns, least: float) -> str | None:
+    """Return the law of the outputs that the inputs follow within a part of the samples, None where there is none.
+
+    For fits that give some samples a model of their own (modes, regions): all samples may tell what the inputs do, and
+    those of a part follow a law, as where the fast part of a motion from a start has died away in it.
+
+    Parameters
+    ----------
+    rows : array (n, p)
+        Regressors of the part, those of ``columns`` without the constant.
+    targets : array (n, ny)
+        Next outputs.
+    columns : Columns
+    least : float
+        As of :func:`refuse_feedback`; 0 asks nothing.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> columns = Columns(PlantSpec((Channel("u"),), (Channel("y"),), 1.0))
+    >>> y = 0.8 ** np.arange(30.0)[:, None]
+    >>> law_of_part(np.hstack([y, -0.5 * y]), 0.8 * y, columns, 2.0)
+    'u = -0.5 y'
+    >>> law_of_part(np.hstack([y, np.cos(np.arange(30.0))[:, None]]), 0.8 * y, columns, 2.0)
+    """
+    if least <= 0 or len(rows) <= 2 * (rows.shape[1] + 1):
+        return None
+    with_constant = np.hstack([rows, np.ones((len(rows), 1))])
+    solution = solve(lambda: [(with_constant, targets)], "part", least_norm=True)
+    found = _weak_law(solution, columns, least, _TINY)
+    if found is None or _of_inputs_alone(found[0] * solution.scale, columns):
+        return None
+    return dependence_text(found[0], solution.scale, columns.names)
+
+
 def _noise(solution: Solution, columns: Columns) -> FloatArray:
     """Return the noise of each regressor relative to its rms (p,): inputs and constants are exact."""
     noise = np.zeros(solution.scale.size)
@@ -273,10 +388,9 @@ def _undetermined(
     remedy: str = "add an excitation to what the controller commands",
 ) -> FitError:
     """Return the refusal, with the direction that the data do not tell."""
-    unit = null * size
     seen = list(columns.output_of)
-    if len(seen) > len(columns.now) and np.sum(unit[seen] ** 2) < _INPUTS * np.sum(unit**2):
-        given = np.where(np.isin(np.arange(unit.size), seen), 0.0, null)
+    if len(seen) > len(columns.now) and _of_inputs_alone(null * size, columns):
+        given = np.where(np.isin(np.arange(null.size), seen), 0.0, null)
         return FitError(
             f"{what}: the data do not determine the model",
             expected="inputs whose lags move in every direction",
@@ -290,3 +404,8 @@ def _undetermined(
         got=f"rank {rank} of {size.size}: {law} up to {share:.1e} of full size, which noise alone would leave",
         remedy=remedy,
     )
+
+
+def _of_inputs_alone(unit: FloatArray, columns: Columns) -> bool:
+    """Return True if outputs have next to no part in a dependence, its weights relative to what the columns move."""
+    return bool(np.sum(unit[list(columns.output_of)] ** 2) < _INPUTS * np.sum(unit**2))

@@ -13,6 +13,7 @@ from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict
+from identifiers.common.excitation import Columns, law_of_part
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.neighbours import edges
 from identifiers.common.records import moving, real_signals, usable
@@ -245,10 +246,12 @@ class PiecewiseAffine:
         wrong = y - np.einsum("np,npk->nk", r, theta[chosen])
         variance = np.array([_mean_square(wrong[chosen == j], wrong) for j in range(self.modes)])
         order = np.argsort([r[chosen == j, 0].mean() if (chosen == j).any() else np.inf for j in range(self.modes)])
+        parts = [inside & (labels == j) for j in order] if self.modes > 1 else []
         notes = {
             "modes": self.modes,
             "samples": [int((chosen == j).sum()) for j in order],
             "in none": float(1.0 - inside.mean()),
+            **self._laws_in_modes(rows, targets, parts, spec),
         }
         return PiecewiseAffineModel(
             spec,
@@ -261,17 +264,32 @@ class PiecewiseAffine:
             notes=notes,
         )
 
+    def _laws_in_modes(
+        self, rows: FloatArray, targets: FloatArray, parts: Sequence[npt.NDArray[np.bool_]], spec: PlantSpec
+    ) -> dict[str, str]:
+        """Return a warning for the notes where the inputs follow the outputs by a law within the samples of a mode."""
+        columns = Columns(spec, self.order)
+        laws = [law_of_part(rows[part], targets[part], columns, self.least_excitation) for part in parts]
+        said = [f"mode {number + 1}: {law}" for number, law in enumerate(laws) if law is not None]
+        if not said:
+            return {}
+        return {
+            "warning": "within a mode the inputs follow the outputs, so that what they do there is not determined by "
+            f"its samples and taken from all: {'; '.join(said)}"
+        }
+
     def _settled(
         self, r: FloatArray, y: FloatArray, labels: Labels, rounds: int
     ) -> tuple[FloatArray, FloatArray, Labels, float]:
         """Return coefficients (M, p + 1, ny), regions, labels and the cost once no sample changes its mode."""
         assert self.modes is not None
         regions = np.zeros((self.modes, r.shape[1]))
-        theta = np.zeros((self.modes, r.shape[1], y.shape[1]))
+        whole = _solved(r, y)
+        theta = np.tile(whole, (self.modes, 1, 1))
         for _ in range(rounds):
             for j in range(self.modes):
                 if (labels == j).sum() > r.shape[1]:
-                    theta[j] = _solved(r[labels == j], y[labels == j])
+                    theta[j] = _solved(r[labels == j], y[labels == j], toward=whole)
             regions = _regions(r, labels, self.modes, regions, iterations=_BRIEF)
             squared = ((y[:, None] - (r @ theta).transpose(1, 0, 2)) ** 2).sum(axis=2)
             now = squared[np.arange(len(r)), labels]
@@ -324,17 +342,21 @@ def _grown(r: FloatArray, modes: int, rng: np.random.Generator) -> Labels:
     return nearest
 
 
-def _solved(r: FloatArray, y: FloatArray, ridge: float = 1e-10) -> FloatArray:
-    """Return the coefficients (p + 1, ny) of a ridge regression on scaled regressors."""
-    gram = r.T @ r
-    return np.asarray(np.linalg.solve(gram + ridge * len(r) * np.eye(len(gram)), r.T @ y))
+def _solved(r: FloatArray, y: FloatArray, ridge: float = 1e-10, toward: FloatArray | None = None) -> FloatArray:
+    """Return the coefficients (p + 1, ny) of a ridge regression on scaled regressors.
+
+    What the samples do not determine stays what it is in ``toward``: zero, or the fit of all samples.
+    """
+    gram, left = r.T @ r, y if toward is None else y - r @ toward
+    found = np.asarray(np.linalg.solve(gram + ridge * len(r) * np.eye(len(gram)), r.T @ left))
+    return found if toward is None else toward + found
 
 
 def _trimmed(
     r: FloatArray, y: FloatArray, theta: FloatArray, labels: Labels
 ) -> tuple[FloatArray, Labels, npt.NDArray[np.bool_]]:
     """Fit every mode again to the samples that it explains; returns coefficients, labels, and which lie in a mode."""
-    theta, inside = theta.copy(), np.ones(len(r), dtype=bool)
+    theta, inside, whole = theta.copy(), np.ones(len(r), dtype=bool), _solved(r, y)
     for _ in range(10):
         squared = ((y[:, None] - (r @ theta).transpose(1, 0, 2)) ** 2).sum(axis=2)
         own = squared[np.arange(len(r)), labels]
@@ -345,7 +367,7 @@ def _trimmed(
         for j in range(len(theta)):
             mine = inside & (labels == j)
             if mine.sum() > r.shape[1]:
-                theta[j] = _solved(r[mine], y[mine])
+                theta[j] = _solved(r[mine], y[mine], toward=whole)
     return theta, labels, inside
 
 

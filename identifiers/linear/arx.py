@@ -15,7 +15,7 @@ from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.common.excitation import Columns, refuse_feedback
+from identifiers.common.excitation import Columns, excited_lags, refuse_feedback
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import BIAS, LARGEST, coefficients_without, spread_of
 from identifiers.common.one_step_estimate import foretold_output, least_squares_estimate
@@ -98,9 +98,7 @@ class Arx:
                 remedy="raise the order, or lower the delay",
             )
         records, _ = usable(records, samples=order + 2, what=what)
-        solution = one_step(records, order, self.offset, self.ridge, what, delay=delay)
-        if self.ridge == 0.0:
-            refuse_feedback(solution, Columns(spec, order, delay), self.least_excitation, what)
+        order, delay, solution = self._judged(records, order, delay, ladder, what)
         coefficients = _widened(solution.coefficients, spec, order, delay)
         notes = {"order": order, "delay": delay, **ladder, **missing_notes(trajectories, records)}
         own = order * spec.ny
@@ -118,6 +116,34 @@ class Arx:
             return lag_model(spec, coefficients, order, self.offset, notes)
         model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})
         return with_lag_neighbours(model, records, solution, order, self.offset, delay=delay, estimate=estimate)
+
+    def _judged(
+        self, records: list[Trajectory], order: int, delay: int, ladder: dict[str, Any], what: str
+    ) -> tuple[int, int, Solution]:
+        """Return order, delay and solution where the inputs tell the model; an order that was chosen is lowered to it.
+
+        Validation bears any order of a few lines. Inputs that excite so many lags tell a model of half that order
+        (Ljung 1999, theorem 13.1).
+        """
+        lags: int | None = None
+        while True:
+            try:
+                solution = one_step(records, order, self.offset, self.ridge, what, delay=delay)
+                if self.ridge == 0.0:
+                    refuse_feedback(solution, Columns(records[0].spec, order, delay), self.least_excitation, what)
+                return order, delay, solution
+            except FitError:
+                if self.order is not None:
+                    raise
+                if lags is None:
+                    lags = excited_lags(records, 2 * order)
+                    lags = 0 if lags >= 2 * order else lags  # rich inputs: it is no order that is too high
+                below = {int(n): error for n, error in ladder["order_error"].items() if int(n) < order}
+                errors = {n: error for n, error in below.items() if 2 * n <= lags}
+                if not errors:
+                    raise
+                order = min(errors, key=lambda n: errors[n])
+                delay = min(delay, order)
 
     def _by_channel(self, records: list[Trajectory], said: dict[str, Any], what: str) -> LinearModel:
         """Return the model whose channels have orders of their own."""

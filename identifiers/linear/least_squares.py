@@ -14,7 +14,7 @@ from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
-from identifiers.common.excitation import Columns, refuse_collinear, refuse_feedback
+from identifiers.common.excitation import Columns, Dependence, nearly_dependent, refuse_feedback
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import GROUPS, along_covariance, spread_of
 from identifiers.common.one_step_estimate import jackknife_estimate, least_squares_estimate
@@ -107,7 +107,7 @@ class StateLeastSquares:
             )
         columns = Columns(spec)
         solution = one_step(records, 1, self.offset, 0.0, what)
-        refuse_collinear(solution, columns, self.least_excitation, what, records=records)
+        dependent = nearly_dependent(solution, columns, self.least_excitation, what, records=records)
         refuse_feedback(solution, columns, self.least_excitation, what)
         coefficients = self._coefficients(records, solution, what)
         notes = {
@@ -117,6 +117,8 @@ class StateLeastSquares:
         }
         if not self.offset:
             notes |= operating_point(records, solution, 1, what)
+        if dependent and not (self.method == "iv" and dependent.strong):
+            notes["warning"] = "; ".join([_biased(dependent, self.method), *filter(None, [notes.get("warning")])])
         estimate = self._estimate(records, solution, coefficients, what)
         if self.stable and spectral_radius(coefficients[: spec.ny]) >= 1.0:
             weights = 1.0 / sizes([record.y for record in records])
@@ -173,3 +175,11 @@ class StateLeastSquares:
             return criteria.absolute_deviations(x, y, what)
         size = sizes([y]) if self.scaled else np.ones(y.shape[1])
         return largest_components(x, y / size, what) * size
+
+
+def _biased(dependent: Dependence, method: str) -> str:
+    """Return the warning of a combination of states that moves by no more than the noise of the sensors."""
+    said = f"{dependent.text} but for noise of the sensors, which biases {method} in that direction"
+    if method == "iv":
+        return f"{said}: earlier samples tell it from chance, but little more; excite the plant faster"
+    return f"{said} by as much as it finds there; earlier samples tell it without: use method iv"
