@@ -100,7 +100,9 @@ def close_loop(
                 "option of one record",
                 expected="records with their own validation files, and a new folder or --resume",
                 got="--force" if force else "--validation",
-                remedy="name validation files in the column validation of a table of records",
+                remedy="choose a new folder, or --resume to do what is missing in this one"
+                if force
+                else "name validation files in the column validation of a table of records",
             )
         if dictionary or effect:
             raise InputError(

@@ -88,7 +88,19 @@ def _is_table(path: Path) -> bool:
     if path.suffix != ".csv" or not path.is_file():
         return False
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        return COLUMNS[0] in [cell.strip() for cell in next(csv.reader(file), [])]
+        first = file.readline()
+    return COLUMNS[0] in [cell.strip() for cell in next(csv.reader([first], delimiter=_delimiter(first)), [])]
+
+
+def _delimiter(header: str) -> str:
+    """Return what separates the columns of a table of records: a comma, or what spreadsheets of other countries write.
+
+    Examples
+    --------
+    >>> _delimiter("file,machine"), _delimiter("file;machine;date"), _delimiter("file")
+    (',', ';', ',')
+    """
+    return max(",;\t", key=header.count)
 
 
 def _in_folder(folder: Path) -> list[Path]:
@@ -147,7 +159,9 @@ def _common(parts: Sequence[tuple[str, ...]]) -> list[str]:
 def _in_table(path: Path) -> tuple[FleetRecord, ...]:
     """Return the records of a table; files are relative to it."""
     with _csv_text(path), path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader(file, skipinitialspace=True)
+        header = file.readline()
+        file.seek(0)
+        reader = csv.DictReader(file, skipinitialspace=True, delimiter=_delimiter(header))
         names = [name.strip() for name in reader.fieldnames or ()]
         unknown = [name for name in names if name not in COLUMNS]
         if unknown:

@@ -81,14 +81,20 @@ class FleetResult:
         Parameters
         ----------
         demands : harness.scoring.acceptance.Demands
+
+        Raises
+        ------
+        InputError
+            If the report of a record is not there any more, or damaged.
         """
-        found = []
+        found: list[Check] = []
+        if not demands.anything:
+            return found
         reports = FleetStore(self.folder).reports
         for row in self.rows:
             if row.ok:
-                content = (reports / row.record / "report.json").read_text(encoding="utf-8")
-                found += demands.of_report(row.record, json.loads(content))
-            elif demands.anything:
+                found += demands.of_report(row.record, _report(reports / row.record / "report.json"))
+            else:
                 found.append(Check(row.record, "answer", False, f"{row.status}: {row.reason}", broken=True))
         return found
 
@@ -199,6 +205,22 @@ def fleet_table(directory: str | Path) -> FleetResult:
     store = FleetStore(Path(directory))
     store.manifest()
     return _shown(store, store.in_order())
+
+
+def _report(path: Path) -> dict[str, Any]:
+    """Return the report of a record, for what is demanded of it."""
+    try:
+        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        str(data["verdict"]), dict(data["errors"]["after"])  # what every demand asks for
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "the report of a record",
+            expected="report.json as sysid close-loop wrote it",
+            got=f"{type(error).__name__}: {error}"[:120],
+            remedy="take a copy of the folder that is whole, or run the fleet anew into a new folder",
+            file=path,
+        ) from error
+    return data
 
 
 def _shown(store: FleetStore, rows: Sequence[Row]) -> FleetResult:

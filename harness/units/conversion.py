@@ -15,7 +15,7 @@ from harness.units.grammar import LONGEST, factors
 if TYPE_CHECKING:
     import pint
 
-__all__ = ["base_units", "convert", "fits", "is_unit"]
+__all__ = ["base_units", "convert", "fits", "is_unit", "refuse_two_readings"]
 
 
 WRITTEN = {
@@ -41,6 +41,47 @@ WRITTEN = {
 }
 """What engineers write and pint does not know, or takes for something else (its Nm is a number metre)."""
 
+# ruff: noqa: RUF001 - words of other alphabets
+
+ELSEWHERE = {
+    word: meaning
+    for meaning, words in {
+        "s": "с сек 秒 초",
+        "ms": "мс 毫秒 밀리초",
+        "us": "мкс 微秒",
+        "min": "мин 分钟 分鐘",
+        "hour": "ч 小时 小時",
+        "rad": "рад 弧度 ラジアン 라디안",
+        "mrad": "мрад",
+        "turn": "об tr giri giro vuelta vueltas Umdr Umdrehung Umdrehungen 转 轉 회전",
+        "V": "В вольт voltio voltios 伏 伏特 ボルト 볼트",
+        "mV": "мВ 毫伏",
+        "kV": "кВ",
+        "A": "А ампер amperio amperios 安 安培 アンペア 암페어",
+        "mA": "мА 毫安",
+        "N": "Н ньютон 牛 牛顿 ニュートン 뉴턴",
+        "kN": "кН",
+        "N*m": "Нм 牛米",
+        "m": "м 米 メートル 미터",
+        "mm": "мм 毫米 ミリメートル",
+        "cm": "см 厘米",
+        "kg": "кг 千克 公斤",
+        "g": "г 克",
+        "Hz": "Гц 赫兹 ヘルツ 헤르츠",
+        "kHz": "кГц",
+        "W": "Вт 瓦 瓦特",
+        "kW": "кВт",
+        "ohm": "Ом 欧姆",
+        "Pa": "Па 帕",
+        "kPa": "кПа",
+        "MPa": "МПа",
+        "bar": "бар",
+        "K": "开尔文",
+    }.items()
+    for word in words.split()
+}
+"""Names of units in other languages and alphabets."""
+
 WHOLE = {
     "-": "1",
     "unitless": "1",
@@ -56,8 +97,18 @@ WHOLE = {
     "deg F": "degF",
     "Celsius": "degC",
     "celsius": "degC",
+    "℃": "degC",
+    "摄氏度": "degC",
+    "角度": "degree",
+    "转/分": "rpm",
+    "r.p.m.": "rpm",
 }
 """Texts that mean something as a whole."""
+
+DEGREES = tuple(
+    "degré degrés grado grados grau graus gradi graden stopień stopni градус градусы градусов 度 도".split()
+)
+"""Words for degrees, of an angle or of temperature."""
 
 AMBIGUOUS = {
     "C": ("coulomb", "degC"),
@@ -67,6 +118,7 @@ AMBIGUOUS = {
     "NM": ("N*m", "nanometer"),
     "grad": ("gradian", "degree"),
     "Grad": ("gradian", "degree"),
+    **dict.fromkeys(DEGREES, ("degree", "degC")),
     "au": ("astronomical_unit", "1"),
     "a.u.": ("astronomical_unit", "1"),
     "M": ("molar", "million"),
@@ -136,7 +188,7 @@ def _built(text: str) -> Any:
     registry, read = _registry(), factors(text)
     unit: Any = registry.dimensionless
     for name, power in read:
-        one = registry.parse_units(name)
+        one = registry.parse_units("degree" if name in DEGREES else ELSEWHERE.get(name, name))
         if (len(read) > 1 or power != 1) and registry.Quantity(0.0, one).to_base_units().magnitude:
             one = registry.parse_units(f"delta_{one}")  # in a product a degree is a difference
         unit = unit * (one if power == 1 else one ** (int(power) if power.denominator == 1 else float(power)))
@@ -153,12 +205,39 @@ def _parse(unit: str, target: Any = None) -> Any:
     ]
     if len(fitting) == 1:
         return _parsed(fitting[0])
-    raise InputError(
+    raise _two_readings(unit)
+
+
+def _two_readings(unit: str) -> InputError:
+    """Return the refusal of a unit with two readings."""
+    return InputError(
         f"the unit {unit.strip()!r} has two readings",
-        expected=" or ".join(repr(text) for text in readings),
+        expected=" or ".join(repr(text) for text in _readings(unit)),
         got=repr(unit),
-        remedy="declare the one that is meant (unit = ... in a dataset.toml, or the title of the column)",
+        remedy="declare the one that is meant (unit = ... in a dataset.toml, or the title of the column; "
+        "sysid: --unit NAME=UNIT)",
     )
+
+
+def refuse_two_readings(unit: str) -> None:
+    """Refuse a unit that means two things, where nothing says what is measured.
+
+    Raises
+    ------
+    InputError
+        With both.
+
+    Examples
+    --------
+    >>> refuse_two_readings("V")
+    >>> try:
+    ...     refuse_two_readings("NM")
+    ... except InputError as error:
+    ...     print(error.expected)
+    'N*m' or 'nanometer'
+    """
+    if len(_readings(unit)) > 1:
+        raise _two_readings(unit)
 
 
 def _is_angle(unit: Any) -> bool:

@@ -64,6 +64,7 @@ TESTED_ELSEWHERE = {
     "wiener-hammerstein": "seconds for each fit: tested beside the block structures",
     "transfer-function": "many seconds for all checks: tested, slowly, in a file of its own",
     "neural-output-error": "seconds for each fit: tested beside the recurrent networks",
+    "polynomial-state-space": "seconds for each fit: tested, slowly, in a file of its own",
     "attention-network": "needs torch: tested in a file of its own",
     "embed-to-control": "needs torch: tested in a file of its own",
     "lagrangian-network": "needs torch: tested in a file of its own",

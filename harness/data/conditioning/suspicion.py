@@ -64,6 +64,8 @@ def swapped_in_and_out(trajectory: Trajectory, besides: Collection[int] = ()) ->
 
 def _gain(target: FloatArray, other: FloatArray) -> float:
     """Return by what factor the past of another signal shrinks the one-step prediction error of a signal."""
+    if not np.ptp(target) or not np.ptp(other):  # perhaps only at the rows that are left
+        return 1.0
 
     def lagged(values: FloatArray) -> FloatArray:
         scaled = (values - values.mean()) / values.std()

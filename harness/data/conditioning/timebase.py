@@ -23,7 +23,6 @@ __all__ = [
     "Piece",
     "TimeRules",
     "pieces_of",
-    "refuse_unlikely_seconds",
     "sample_time_of",
 ]
 
@@ -32,10 +31,6 @@ JITTER_UNNOTICED = 1e-3
 
 JITTER_ACCEPTED = 2e-2
 """Up to this deviation a record counts as uniform, with a warning; beyond it is refused or resampled."""
-
-SLOWEST_UNSTATED = 1.0
-"""Steps [s] from which a time column without a unit is asked for one: whole numbers at 1 kHz count milliseconds, and a
-log of seconds that is as slow is told apart by nothing but its title."""
 
 ROUNDED = 1.1
 """Spread of rounded stamps about their clock, in units of their resolution: 1, and some for the fitted rate."""
@@ -109,30 +104,6 @@ def sample_time_of(time: FloatArray) -> float:
     typical = float(np.median(steps))
     steady = steps[np.abs(steps - typical) < 0.5 * typical]
     return float(f"{steady.mean():.9g}") if steady.size else float(f"{steps.mean():.9g}")
-
-
-def refuse_unlikely_seconds(time: FloatArray, title: str) -> None:
-    """Refuse time stamps without a unit whose steps would be rare ones in seconds.
-
-    Raises
-    ------
-    InputError
-        If the median step is :data:`SLOWEST_UNSTATED` or more.
-
-    Examples
-    --------
-    >>> refuse_unlikely_seconds(np.arange(5) * 0.01, "time")
-    """
-    steps = np.diff(time[np.isfinite(time)])
-    typical = float(np.median(steps)) if steps.size else 0.0
-    if typical >= SLOWEST_UNSTATED:
-        raise InputError(
-            f"the time column {title!r} states no unit",
-            expected=f"a unit where rows are {SLOWEST_UNSTATED:g} or more apart",
-            got=f"steps of {typical:g}",
-            remedy=f'title it "{title} [ms]" or "{title} [s]", or declare [time] unit in a dataset.toml',
-            place="time.unit",
-        )
 
 
 def pieces_of(

@@ -12,21 +12,23 @@ from typing import Any, Unpack
 import msgspec
 import numpy as np
 
-from harness.data.conditioning.timebase import Piece, TimeRules, pieces_of, refuse_unlikely_seconds
+from harness.data.conditioning.timebase import Piece, TimeRules, pieces_of
 from harness.data.conditioning.trends import conditioned
+from harness.data.conditioning.unstated import refuse_unlikely_seconds
 from harness.data.recipe.bare import describe_bare
 from harness.data.recipe.chosen import Chosen, Signals
 from harness.data.recipe.description import read_description
-from harness.data.recipe.loaded import LoadedDataset, Nominal
+from harness.data.recipe.in_memory import are_records, examined_data, of_records
+from harness.data.recipe.loaded import LoadedDataset
 from harness.data.recipe.plan import Plan
-from harness.data.recipe.ports import ANY_PORTS, Ports, located_model, ports_of
+from harness.data.recipe.ports import ANY_PORTS
 from harness.data.recipe.sanity import check_run, check_runs
 from harness.data.sections import Description, RunSection
 from harness.data.tables.bags import is_bag_folder
 from harness.data.tables.headers import clock_of
 from harness.data.tables.memory import in_memory
 from harness.data.tables.merging import merged
-from harness.data.tables.table import BARE, FORMATS, Table, nearest, open_table, suffix_of
+from harness.data.tables.table import BARE, FORMATS, Table, nearest, open_table, suffix_of, unknown_format
 from harness.errors import InputError
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
@@ -81,7 +83,7 @@ def load_dataset(
         If a file, column, unit, time axis or value cannot be used. The message names file, place and remedy.
     """
     chosen = Chosen.of(signals)
-    if isinstance(path, LoadedDataset | Dataset) or _are_records(path):
+    if isinstance(path, LoadedDataset | Dataset) or are_records(path):
         if chosen.anything or validation is not None:
             raise InputError(
                 "columns of records",
@@ -89,7 +91,7 @@ def load_dataset(
                 got=f"{type(path).__name__} with {', '.join(signals) or 'validation'}",
                 remedy="leave it out, or give a table",
             )
-        return _of_records(path, model)
+        return of_records(path, model)
     if isinstance(path, Trajectory) and model in (None, ANY_PORTS) and ports is None and not chosen.anything:
         ports = (path.spec.inputs, path.spec.outputs)
     return _load(path, model, validation, ports, undriven, chosen)
@@ -154,6 +156,8 @@ def _load(
             file=path,
         )
     else:
+        if suffix != ".toml" and path.is_file():
+            raise unknown_format(path)
         if validation is not None:
             raise InputError(
                 "a validation file beside a dataset.toml",
@@ -176,39 +180,6 @@ def _load(
         return _Reader(path, description, model, ports, notes, tables).load(fitted=not chosen.whole)
     except InputError as error:
         raise error.located(file=path) from error
-
-
-def _are_records(data: Any) -> bool:
-    """Return True for several records of ours."""
-    return isinstance(data, list | tuple) and bool(data) and all(isinstance(one, Trajectory) for one in data)
-
-
-def _examined(data: Dataset, *names: Sequence[str]) -> Dataset:
-    """Return a data set that knows what is odd about it, in its warnings too; runs by these names."""
-    from harness.data.oddities import examined, lines  # SciPy's statistics take a second to load
-
-    data = examined(data)
-    return replace(data, warnings=(*data.warnings, *lines(data.oddities or (), *names)))
-
-
-def _of_records(data: Any, model: str | None) -> LoadedDataset:
-    """Return records that are in memory already as a data set that was read."""
-    if isinstance(data, LoadedDataset):
-        return data
-    if not isinstance(data, Dataset):
-        data = Dataset("data", tuple(Run(one, "estimation", str(k)) for k, one in enumerate(data)))
-    if data.oddities is None:
-        data = _examined(data)
-    known = None if model is None else ports_of(located_model(model, Path.cwd()), {})
-    names = {channel.name: (channel.name, 0) for channel in data.spec.outputs}
-    ports = [] if known is None else [channel.name for channel in known.outputs]
-    for port in ports:
-        for derivative in (1, 2):
-            name = Ports.channel_name(port, derivative)
-            if name in names and name not in ports:
-                names[name] = (port, derivative)
-    nominal = None if model is None else Nominal(located_model(model, Path.cwd()))
-    return LoadedDataset(data, nominal, tuple(names.values()), tuple({} for _ in data.runs), Path("(data)"))
 
 
 def _path_or_name(data: Any, name: str, tables: dict[Path, Table]) -> Path:
@@ -291,7 +262,7 @@ class _Reader:
         between = self.description.intersample or "zoh"
         # readings that are brought onto another clock no longer lie on the grid on which they were read
         steps = {name: min(found) for name, found in self.steps.items() if min(found) > 0.0}
-        dataset = _examined(
+        dataset = examined_data(
             Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes), steps), names
         )
         dataset = replace(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from harness.errors import InputError
-from harness.units import base_units, convert, fits
+from harness.units import base_units, convert, fits, refuse_two_readings
 
 __all__ = ["SI_UNITS", "si_unit"]
 
@@ -32,7 +32,7 @@ def si_unit(unit: str) -> str:
     Raises
     ------
     InputError
-        If the unit is unknown or no SI unit of the list measures the same thing.
+        If the unit is unknown, has two readings, or no SI unit of the list measures the same thing.
 
     Examples
     --------
@@ -46,6 +46,7 @@ def si_unit(unit: str) -> str:
         return text if text in SI_UNITS else "1"
     if text.lower() in _PLAIN:
         return "1"
+    refuse_two_readings(text)
     for candidate in SI_UNITS:
         if fits(text, candidate):
             try:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.cells import seconds_of
+from harness.data.tables.cells import numbers_of, seconds_of
 from harness.data.tables.headers import TIME_UNITS, split_header
 from harness.data.tables.packing import NUMBER, refuse_large
 from harness.data.tables.selectors import parse_selector, vector
+from harness.data.tables.stamps import clock
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
@@ -36,13 +37,20 @@ class ParquetFile:
     kind = "Parquet"
 
     def __init__(self, path: Path) -> None:
+        import pyarrow as pa
+
         try:
             self._table = self._read(path)
         except InputError:
             raise
         except Exception as error:
             raise broken(path, self.kind, error) from error
+        while any(pa.types.is_struct(field.type) for field in self._table.schema):
+            self._table = self._table.flatten()
+        self._table = self._table.rename_columns(_indexed(self._table.schema))
         self.titles = list(self._table.column_names)
+        self.notes: list[str] = []
+        self._clocks: set[str] = set()
         self.metadata: dict[bytes, bytes] = dict(self._table.schema.metadata or {})
 
     def _read(self, path: Path) -> Any:
@@ -64,16 +72,28 @@ class ParquetFile:
             return np.asarray(whole, dtype=np.float64) * _TICKS[column.type.unit]
         if kinds.is_timestamp(column.type) or kinds.is_duration(column.type):
             return seconds_of(column.to_numpy(zero_copy_only=False))
+        if kinds.is_date(column.type):
+            return seconds_of(np.asarray(column.to_numpy(zero_copy_only=False), dtype="datetime64[ms]"))
+        if kinds.is_string(column.type) or kinds.is_large_string(column.type):
+            return self._texts(title, column.to_pylist())
         try:
             return np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(
-                "a column that holds no numbers",
-                expected="numbers",
-                got=str(column.type),
-                remedy="choose another column, or convert it",
-                place=f"column {title!r}",
-            ) from error
+            raise _no_numbers(str(column.type), title) from error
+
+    def _texts(self, title: str, cells: list[str | None]) -> FloatArray:
+        """Return a column of texts: dates and times, or numbers."""
+        texts = ["" if cell is None else cell for cell in cells]
+
+        def where(row: int) -> str:
+            return f"row {row}, column {title!r}"
+
+        if (stamps := clock(texts, self.notes, where)) is not None:
+            self._clocks.add(title)
+            return stamps
+        if not any(character.isdigit() for text in texts for character in text):
+            raise _no_numbers("string", title)
+        return numbers_of(texts, where, self.notes)
 
     def select(self, text: str) -> FloatArray | None:
         """Return None: Parquet has plain columns only."""
@@ -84,11 +104,36 @@ class ParquetFile:
         import pyarrow.types as kinds
 
         kind = self._table.column(title).type
-        if kinds.is_timestamp(kind) or kinds.is_duration(kind) or kinds.is_time(kind):
+        if kinds.is_timestamp(kind) or kinds.is_duration(kind) or kinds.is_time(kind) or kinds.is_date(kind):
+            return "s"
+        if title in self._clocks:
             return "s"
         stated: dict[bytes, bytes] = dict(self._table.schema.field(title).metadata or {})
         text = stated.get(b"unit", stated.get(b"units"))
         return None if text is None or split_header(title)[1] is not None else text.decode("utf-8", "replace").strip()
+
+
+def _no_numbers(kind: str, title: str) -> InputError:
+    """Return the refusal of a column of something else."""
+    return InputError(
+        "a column that holds no numbers",
+        expected="numbers",
+        got=kind,
+        remedy="choose another column, or convert it",
+        place=f"column {title!r}",
+    )
+
+
+def _indexed(schema: Any) -> list[str]:
+    """Return the names of columns, ``time`` for an index of times that pandas stored without a name."""
+    import pyarrow.types as kinds
+
+    names = list(schema.names)
+    for k, name in enumerate(names):
+        times = kinds.is_timestamp(schema.field(k).type) or kinds.is_duration(schema.field(k).type)
+        if name == "__index_level_0__" and times and "time" not in names:
+            names[k] = "time"
+    return names
 
 
 _TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -170,6 +215,8 @@ def _inside(so_far: str, array: Any, resolve: Any, depth: int = 0) -> list[str] 
         cells = list(enumerate(array.reshape(-1, order="F")))[:MOST_INSIDE]
         nested = [_inside(f"{so_far}{{{k}}}", cell, resolve, depth + 1) or [f"{so_far}{{{k}}}"] for k, cell in cells]
         return [one for some in nested for one in some][:MOST_INSIDE]
+    if array.ndim == 3 and array.shape[1] == 1 != array.shape[0] and array.dtype.kind in "biuf":  # Simulink's
+        return [f"{so_far}[{k}]" for k in range(min(array.shape[0], MOST_INSIDE))]
     if array.ndim == 2 and 1 not in array.shape and array.dtype.kind in "biuf":
         rows, columns = array.shape
         if columns <= rows:
@@ -181,6 +228,8 @@ def _inside(so_far: str, array: Any, resolve: Any, depth: int = 0) -> list[str] 
 class MatFile(_Variables):
     """A MAT file of version 5 (what MATLAB writes without -v7.3)."""
 
+    paths = True
+
     def __init__(self, path: Path) -> None:
         from scipy.io import loadmat
 
@@ -188,7 +237,15 @@ class MatFile(_Variables):
             content = loadmat(path)
         except Exception as error:
             raise broken(path, "MAT", error) from error
-        super().__init__({name: value for name, value in content.items() if not name.startswith("__")})
+        super().__init__({name: _dense(value) for name, value in content.items() if not name.startswith("__")})
+
+
+def _dense(value: Any) -> Any:
+    """Return a sparse matrix with its zeros, where that is no larger than any packed table may be."""
+    if not hasattr(value, "toarray"):
+        return value
+    refuse_large(Path("a sparse matrix"), NUMBER * int(np.prod(value.shape)))
+    return value.toarray()
 
 
 class NumpyFile(_Variables):
@@ -205,12 +262,16 @@ class NumpyFile(_Variables):
 
 
 class Hdf5File(_Variables):
-    """An HDF5 file; data sets go by their path (``log/theta``), units by an attribute ``unit`` or ``units``."""
+    """An HDF5 file; data sets go by their path (``log/theta``), units by an attribute ``unit`` or ``units``.
+
+    The name of the attribute may be in capitals.
+    """
 
     transposed = False
     paths = True
 
     def __init__(self, path: Path) -> None:
+        _refuse_classic(path)
         h5py = optional("h5py", "HDF5")
         variables: dict[str, Any] = {}
         self._units: dict[str, str] = {}
@@ -222,10 +283,10 @@ class Hdf5File(_Variables):
                         return
                     _refuse_elsewhere(name, item)
                     variables[name] = self._loaded(item, file, h5py)
+                    stated = {key.lower(): key for key in item.attrs}
                     for key in ("unit", "units"):
-                        if key in item.attrs:
-                            text = item.attrs[key]
-                            self._units[name] = text.decode() if isinstance(text, bytes) else str(text)
+                        if key in stated:
+                            self._units[name] = _text_of(item.attrs[stated[key]])
 
                 file.visititems(visit)
         except InputError:
@@ -236,8 +297,10 @@ class Hdf5File(_Variables):
 
     def _loaded(self, item: Any, file: Any, h5py: Any) -> Any:
         """Return a data set in memory, references followed."""
+        if item.shape is None:  # a place without anything in it
+            return np.zeros(0)
         content = item[()]
-        if getattr(content, "dtype", None) == h5py.ref_dtype:
+        if h5py.check_ref_dtype(item.dtype) is h5py.Reference and getattr(content, "dtype", None) == h5py.ref_dtype:
             cells = np.empty(content.shape, dtype=object)
             for index in np.ndindex(content.shape):
                 cells[index] = self._loaded(file[content[index]], file, h5py)
@@ -250,6 +313,13 @@ class Hdf5File(_Variables):
         text = self._units.get(title)
         since = None if text is None else re.fullmatch(r"\s*(\w+)\s+since\s.*", text, re.DOTALL)
         return text if since is None else TIME_UNITS.get(since[1].lower(), text)
+
+
+def _text_of(attribute: Any) -> str:
+    """Return the text of an attribute, which some programs write as bytes or as an array of one."""
+    inner = np.asarray(attribute).reshape(-1)
+    text = inner[0] if inner.size == 1 else attribute
+    return text.decode("utf-8", "replace").strip() if isinstance(text, bytes) else str(text).strip()
 
 
 def _unpacked(array: Any, attributes: Any) -> Any:
@@ -272,6 +342,19 @@ def _unpacked(array: Any, attributes: Any) -> Any:
         array = array.astype(np.float64) * factor + offset
         array[missing] = np.nan
     return array
+
+
+def _refuse_classic(path: Path) -> None:
+    """Refuse netCDF of the classic formats, which is no HDF5."""
+    with path.open("rb") as file:
+        if file.read(3) == b"CDF":
+            raise InputError(
+                "netCDF of the classic format",
+                expected="netCDF-4",
+                got="a file that begins with CDF",
+                remedy="nccopy -k nc4 OLD.nc NEW.nc, or xarray.open_dataset(...).to_netcdf(...)",
+                file=path,
+            )
 
 
 def _refuse_elsewhere(name: str, item: Any) -> None:

@@ -7,20 +7,27 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from harness.data.tables.headers import split_header
+from harness.data.tables.headers import TIME_UNITS, split_header
 from harness.errors import InputError
 from harness.signals import FloatArray
 from harness.units import is_unit
 
-__all__ = ["EMPTY", "is_number", "numbers_of", "seconds_of", "units_below"]
+__all__ = ["EMPTY", "is_number", "is_unit_cell", "numbers_of", "refuse_thousands", "seconds_of", "units_below"]
 
-EMPTY = {"", "na", "n/a", "nan", "null", "none", "-nan", "#n/a"}
-"""What stands where nothing was recorded, in small letters."""
+EMPTY = {
+    *("", "na", "n/a", "nan", "null", "none", "-nan", "#n/a", "#num!", "#div/0!", "#value!", "nan(ind)", "-nan(ind)"),
+    *("1.#qnan", "-1.#qnan", "1.#snan", "1.#ind", "-1.#ind", "1.#qnan0", "-1.#ind0", "1.#ind00", "-1.#ind00"),
+}
+"""What stands where nothing was recorded, in small letters: by hand, of spreadsheets, of Microsoft's C library."""
 
 _THOUSANDS = (re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+"), re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+"))
 _COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
 _FORTRAN = re.compile(r"([+-]?\d+\.?\d*|[+-]?\.\d+)[dD]([+-]?\d+)")
 _WHOLE = re.compile(r"[+-]?\d{1,3}")
+_GROUPS = "[ \u00a0\u2009\u202f'\u2019]"
+"""Signs between thousands that are no decimal signs: spaces of any width, and apostrophes."""
+_DASH = re.compile(r"(?<![\d.,)])[\u2212\u2013\uff0d](?=[\d.,])")
+"""Minus signs of a typesetter, also the dash that word processors make of a minus."""
 POINTED = 3
 """Cells with a point before which nobody asks whether it separates thousands."""
 
@@ -40,6 +47,18 @@ def is_number(text: str) -> bool:
     return not text.strip().lower().lstrip("+-").startswith(("nan", "inf"))
 
 
+def is_unit_cell(cell: str) -> bool:
+    """Return True if a cell is a unit, in brackets or not; of time in any language that titles may have.
+
+    Examples
+    --------
+    >>> is_unit_cell("[Nm]"), is_unit_cell("Sekunden"), is_unit_cell("sek."), is_unit_cell("theta")
+    (True, True, True, False)
+    """
+    text = cell.strip().strip("[]()").strip()
+    return is_unit(text) or text.rstrip(".").lower() in TIME_UNITS
+
+
 def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None:
     """Return the titles with the units of the row below them; None if that row is no row of units.
 
@@ -56,7 +75,7 @@ def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None
     bare = [cell.strip().strip("[]()").strip() for cell in cells]
     if len(bare) != len(titles) or not any(bare) or any(is_number(cell) and cell != "1" for cell in bare):
         return None
-    if not any(cell and cell != "1" for cell in bare) or not all(is_unit(cell) for cell in bare if cell):
+    if not any(cell and cell != "1" for cell in bare) or not all(is_unit_cell(cell) for cell in bare if cell):
         return None
     for title, cell in zip(titles, bare, strict=True):
         stated = split_header(title)[1]
@@ -78,17 +97,25 @@ def _spaced(unit: str) -> str:
     return re.sub(r"[\s*\u00b7.]", "", unit)
 
 
-def numbers_of(cells: Sequence[str], where: Callable[[int], str]) -> FloatArray:
+def numbers_of(
+    cells: Sequence[str], where: Callable[[int], str], notes: list[str] | None = None, *, commas: bool = False
+) -> FloatArray:
     """Return the numbers in cells, NaN where one is empty.
 
-    A comma is the decimal sign where no cell holds a point. Signs between thousands are refused: ``1,234`` is a
-    thousand as likely as a fraction, and so is ``1.234`` beside ``12`` and ``999``.
+    A comma is the decimal sign where no cell holds a point. Signs between thousands are read where a cell shows what
+    they are, by both signs (``1.234,5``), by two groups (``1,234,567``) or by a sign that is none of decimals
+    (``1'234``), and all cells fit. Else they are refused: ``1,234`` is a thousand as likely as a fraction, and so is
+    ``1.234`` beside ``12`` and ``999``.
 
     Parameters
     ----------
     cells : sequence of str
     where : callable
         Gives the place of a cell for messages.
+    notes : list of str, optional
+        Gets a sentence where signs between thousands were read.
+    commas : bool
+        True where other columns of the table have decimal commas: points in this one may stand between thousands.
 
     Raises
     ------
@@ -99,18 +126,19 @@ def numbers_of(cells: Sequence[str], where: Callable[[int], str]) -> FloatArray:
     --------
     >>> numbers_of(["1,5", "", "-2,25e1", "\u22123"], str).tolist()
     [1.5, nan, -22.5, -3.0]
+    >>> numbers_of(["1.234,5", "999", "-12.000"], str).tolist()
+    [1234.5, 999.0, -12000.0]
     """
-    cells = [cell.strip() for cell in cells]
+    cells = [_DASH.sub("-", cell.strip()) if not cell.isascii() else cell.strip() for cell in cells]
+    if (style := _grouped(cells)) is not None:
+        cells = [cell if cell.lower() in EMPTY else _ungrouped(cell, *style) for cell in cells]
+        text = f"{'spaces' if style[0] == ' ' else repr(style[0])} between thousands are left out"
+        if notes is not None and text not in notes:
+            notes.append(text)
     signs = [cell for cell in cells if "," in cell]
     thousands = bool(signs) and all(map(_THOUSANDS[0].fullmatch, signs))
     commas = not thousands and not any("." in cell for cell in cells)
-    points = [row for row, cell in enumerate(cells) if "." in cell]
-    if len(points) >= POINTED and all(_THOUSANDS[1].fullmatch(cells[row]) for row in points):
-        others = [cell for cell in cells if "." not in cell and cell.lower() not in EMPTY]
-        if others and all(map(_WHOLE.fullmatch, others)):
-            raise _no_number(
-                cells[points[0]], where(points[0]), "a number without signs between thousands", "thousands"
-            )
+    refuse_thousands(cells, where, commas=commas and style is None)
     numbers = []
     for row, cell in enumerate(cells):
         if cell.lower() in EMPTY:
@@ -125,11 +153,57 @@ def numbers_of(cells: Sequence[str], where: Callable[[int], str]) -> FloatArray:
     return np.array(numbers)
 
 
+def refuse_thousands(cells: Sequence[str], where: Callable[[int], str], *, commas: bool = False) -> None:
+    """Refuse numbers with points that may stand between thousands: ``1.234`` beside ``12``, or beside decimal commas.
+
+    Parameters
+    ----------
+    cells : sequence of str
+        Without blanks about them.
+    where : callable
+    commas : bool
+        True where other columns of the table have decimal commas.
+
+    Raises
+    ------
+    InputError
+        With the first of them.
+    """
+    points = [row for row, cell in enumerate(cells) if "." in cell and cell.lower() not in EMPTY]
+    if len(points) < POINTED or not all(_THOUSANDS[1].fullmatch(cells[row]) for row in points):
+        return
+    others = [cell for cell in cells if "." not in cell and cell.lower() not in EMPTY]
+    if (others or commas) and all(map(_WHOLE.fullmatch, others)):
+        raise _no_number(cells[points[0]], where(points[0]), "a number without signs between thousands", "thousands")
+
+
+def _grouped(cells: Sequence[str]) -> tuple[str, str] | None:
+    """Return the signs between thousands and before decimals, where a cell shows which is which and all cells fit."""
+    filled = [cell for cell in cells if cell.lower() not in EMPTY]
+    if filled and all(re.fullmatch(r"[+-]?\d+ \d{3}", cell) for cell in filled):
+        return None  # two numbers in each cell, as likely
+    for group, pattern, point in ((".", r"\.", ","), (",", ",", r"\."), (" ", _GROUPS, "[.,]")):
+        grouped = rf"[+-]?[1-9]\d{{0,2}}(?:{pattern}\d{{3}})"
+        shown = rf"{grouped}+" if group == " " else rf"{grouped}+{point}\d+|{grouped}{{2,}}"
+        if not any(re.fullmatch(rf"(?:{shown})(?:{point}\d*)?", cell) for cell in filled):
+            continue
+        if all(re.fullmatch(rf"(?:{grouped}+|[+-]?\d*)(?:{point}\d*)?", cell) for cell in filled):
+            decimals = {sign for cell in filled for sign in ".," if sign in cell and sign != group}
+            return (group, decimals.pop() if decimals else ".") if len(decimals) < 2 else None
+    return None
+
+
+def _ungrouped(cell: str, group: str, point: str) -> str:
+    """Return a number without signs between thousands, with a decimal point."""
+    plain = re.sub(_GROUPS, "", cell) if group == " " else cell.replace(group, "")
+    return plain.replace(point, ".")
+
+
 def _number(text: str) -> float:
     """Return a number as tables hold it; Python's own underscores are none."""
     if "_" in text:
         raise ValueError(text)
-    return float(text.replace("\u2212", "-"))
+    return float(text if text.isascii() else _DASH.sub("-", text))
 
 
 def _no_number(cell: str, place: str, expected: str, why: str) -> InputError:

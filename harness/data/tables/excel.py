@@ -9,6 +9,7 @@ from harness.data.tables.binary_files import broken
 from harness.data.tables.cells import units_below
 from harness.data.tables.columns import MemoryTable
 from harness.data.tables.packing import refuse_bomb
+from harness.data.tables.stacked import MOST_ROWS, stacked_titles
 from harness.errors import InputError
 from harness.extras import optional
 
@@ -26,11 +27,13 @@ class ExcelFile(MemoryTable):
         said = [f"what stands above the table, to row {skipped}, is left aside"] if above else []
         if len(rows) < 2:
             raise InputError("no rows", expected="a header and rows of numbers", got="fewer", remedy="check the sheet")
-        titles = ["" if cell is None else str(cell).strip() for cell in rows[0]]
-        below = ["" if cell is None else str(cell) for cell in rows[1]]
-        named = units_below(titles, below)
-        body = rows[1:] if named is None else rows[2:]
-        titles = titles if named is None else named
+        head = [_texts(row) for row in rows[: MOST_ROWS + 2]]
+        stacked = stacked_titles(head)
+        named = units_below(*head[:2]) if stacked is None else stacked[0]
+        count = stacked[1] if stacked is not None else 1 if named is None else 2
+        body, titles = rows[count:], head[0] if named is None else named
+        if stacked is not None:
+            said.append(f"rows {skipped + 1} to {skipped + count} are read as one header")
         _refuse_twins(titles, path)
         columns = {title: [row[k] for row in body] for k, title in enumerate(titles) if title}
         first = len(rows) - len(body) + skipped + 1
@@ -98,7 +101,16 @@ def _above(rows: list[list[Any]]) -> int:
     tables = sum(
         _has_numbers([row]) for row in rows[:begin]
     )  # another table stands there: nobody can say which is meant
-    return begin if len(columns) > 1 and tables < 3 and all(isinstance(title, str) for title in titles) else 0
+    if len(columns) < 2 or tables > 2 or not all(isinstance(title, str) for title in titles):
+        return 0
+    texts = [_texts(row) for row in rows[: begin + MOST_ROWS + 2]]
+    groups = (row for row in range(max(0, begin - MOST_ROWS), begin) if stacked_titles(texts[row:]) is not None)
+    return next(groups, begin)
+
+
+def _texts(row: list[Any]) -> list[str]:
+    """Return the cells of a row as texts without blanks about them."""
+    return ["" if cell is None else str(cell).strip() for cell in row]
 
 
 def _refuse_truths(columns: dict[str, list[Any]], first: int, path: Path) -> None:

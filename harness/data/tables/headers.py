@@ -9,7 +9,17 @@ from collections.abc import Collection, Iterator, Sequence
 from harness.errors import InputError
 from harness.units import fits, is_unit
 
-__all__ = ["REFERENCE", "TRUTH", "clock_of", "clock_unit", "split_header", "stated_unit"]
+__all__ = [
+    "REFERENCE",
+    "TIME_UNITS",
+    "TIME_WORDS",
+    "TRUTH",
+    "clock_of",
+    "clock_unit",
+    "split_header",
+    "stated_unit",
+    "words_of",
+]
 
 REFERENCE = "reference:"
 """Prefix of columns that hold what came from outside a control loop: the instruments of the test for its bias."""
@@ -18,6 +28,7 @@ TRUTH = "truth:"
 """Prefix of columns that hold true states: for scoring only, never read as measurements."""
 
 _HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
+_INDEX = re.compile(r"(?!\s*1?\s*$)\s*(?:\d+|:)\s*(?:,\s*(?:\d+|:)\s*)*")
 _ROUND = re.compile(r"^(?P<name>.*?)\s*[(<{](?P<unit>[^()<>{}]*)[)>}]\s*$")
 _GROUP = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
 _WIDE = str.maketrans("（）［］｛｝【】〔〕〈〉《》＜＞／：，、；．＿－　＊･・｡˚∘", "()[]{}[][]<><><>/:,,;._- *··.°°")
@@ -90,13 +101,19 @@ COUNTS = frozenset("tick ticks count counts cycle cycles sample samples frame fr
 def split_header(header: str) -> tuple[str, str | None]:
     """Return name and unit of a column title that has the unit in brackets; in round ones only where it is a unit.
 
+    A number in brackets is the index of an element, but for 1, which is the unit of plain numbers.
+
     Examples
     --------
+    >>> split_header("tau_J[0]"), split_header("data[:,1]"), split_header("share [1]")
+    (('tau_J[0]', None), ('data[:,1]', None), ('share', '1'))
     >>> split_header("u [N m]"), split_header("theta"), split_header("theta (deg)"), split_header("theta (raw)")
     (('u', 'N m'), ('theta', None), ('theta', 'deg'), ('theta (raw)', None))
     """
     header = header.translate(_WIDE) if not header.isascii() else header
     found = _HEADER.match(header)
+    if found is not None and found["name"] and _INDEX.fullmatch(found["unit"]):
+        return header.strip(), None
     if found is not None and found["name"]:
         return _bare(found["name"]), found["unit"].strip() or "1"
     found = _ROUND.match(header)
@@ -169,7 +186,7 @@ def clock_unit(title: str, *, path: bool = False) -> str | None:
         if unit is None:
             raise _no_time(title, part)
         units.add(unit)
-    words = _words(_GROUP.sub(" ", plain))
+    words = words_of(_GROUP.sub(" ", plain))
     first = next((place for place, word in enumerate(words) if _spoken(word)), None)
     for place, word in enumerate(words):
         units |= {TIME_UNITS[word]} if word in TIME_UNITS else _fused(word)
@@ -247,7 +264,7 @@ def _only(titles: Sequence[str]) -> str | None:
 
 def _is_clock(title: str, *, compounds: bool = False) -> bool:
     """Return True if a title holds a word for time, and beside it only such words, units of time and idle words."""
-    words = _words(_GROUP.sub(" ", _plain(title)))
+    words = words_of(_GROUP.sub(" ", _plain(title)))
     spoken = [word for word in words if (_spoken(word) if compounds else word in TIME_WORDS or _fused(word))]
     beside = _BESIDE if compounds else ()
     return bool(spoken) and all(
@@ -260,8 +277,14 @@ def _plain(title: str) -> str:
     return unicodedata.normalize("NFC", _OF_DAY.sub("", title)).translate(_WIDE)
 
 
-def _words(text: str) -> list[str]:
-    """Return the words of a title in small letters, without the number of a sensor behind one."""
+def words_of(text: str) -> list[str]:
+    """Return the words of a title in small letters, without the number of a sensor behind one.
+
+    Examples
+    --------
+    >>> words_of("Messzeit [ms]"), words_of("timeStamp2")
+    (['messzeit', 'ms'], ['time', 'stamp'])
+    """
     words = [word.lower() for word in _SPLIT.split(text) if word]
     return [found["word"] if (found := _NUMBERED.fullmatch(word)) else word for word in words]
 

@@ -32,10 +32,17 @@ class MdfFile:
         logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # the refusal says what is wrong, once
         self._channels: dict[str, Any] = {}
         self._twice: set[str] = set()
+        self._left_out: dict[str, str] = {}
         try:
             with asammdf.MDF(path) as log:
+                arrays = _arrays(log)
                 for signal in log.iter_channels(skip_master=True):
-                    if signal.samples.dtype.kind in "biuf" and signal.samples.ndim == 1 and len(signal.samples):
+                    kind = signal.samples.dtype.kind
+                    if signal.name in arrays:
+                        self._left_out[signal.name] = "an array in each row"
+                    elif kind not in "biuf" or signal.samples.ndim != 1:
+                        self._left_out[signal.name] = "texts" if kind in "SUO" else "no plain numbers"
+                    elif len(signal.samples):
                         if signal.name in self._channels:
                             self._twice.add(signal.name)
                         self._channels.setdefault(signal.name, signal)
@@ -48,6 +55,8 @@ class MdfFile:
             )
         self._time = np.asarray(next(iter(self._channels.values())).timestamps, dtype=np.float64)
         self.titles = ["time", *(name for name in self._channels if name != "time")]
+        held = [f"{name} ({what})" for name, what in self._left_out.items() if name not in self._channels]
+        self.notes = [f"channels that are no columns of numbers: {', '.join(held[:8])}"] if held else []
 
     def values(self, title: str) -> FloatArray:
         """Return one channel (N,), or the time axis [s]."""
@@ -61,7 +70,11 @@ class MdfFile:
                 remedy="rename or remove one",
                 place=title,
             )
-        return np.array(self._channels[title].samples, dtype=np.float64)
+        signal = self._channels[title]
+        found = np.array(signal.samples, dtype=np.float64)
+        if signal.invalidation_bits is not None:
+            found[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan  # the logger says so itself
+        return found
 
     def clocks(self, titles: Sequence[str]) -> tuple[list[FloatArray], str]:
         """Return the stamps [s] of some channels, each on its own raster."""
@@ -69,7 +82,15 @@ class MdfFile:
         return [np.asarray(one, dtype=np.float64) for one in stamps], "the log's own"
 
     def select(self, text: str) -> FloatArray | None:
-        """Return None: MDF has plain channels only."""
+        """Return None, as MDF has plain channels only; refuse a channel that holds something else."""
+        if text in self._left_out:
+            raise InputError(
+                f"the channel {text!r}",
+                expected="a column of numbers",
+                got=self._left_out[text],
+                remedy="export it as numbers, or choose another channel",
+                place=text,
+            )
         return None
 
     def unit(self, title: str) -> str | None:
@@ -77,6 +98,17 @@ class MdfFile:
         if title == "time":
             return "s"
         return str(self._channels[title].unit) or None
+
+
+def _arrays(log: Any) -> set[str]:
+    """Return the names of channels that hold an array in each row (a CA block), which are no columns."""
+    found = set()
+    for group in getattr(log, "groups", ()):
+        dependencies = getattr(group, "channel_dependencies", ())
+        for channel, dependency in zip(getattr(group, "channels", ()), dependencies, strict=False):
+            if dependency:
+                found.add(channel.name)
+    return found
 
 
 def _drop_quietly(error: BaseException) -> None:

@@ -102,15 +102,29 @@ def vector(value: Any, selector: Selector, *, resolve: Callable[[Any], Any] = la
     for kind, index in selector.steps:
         value, so_far = resolve(_step(value, kind, index, so_far)), so_far + _written(kind, index)
     array = np.asarray(resolve(value))
-    if array.dtype.kind not in "biuf" or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
-        shape = f"{array.dtype.name} of shape {array.shape}"
+    if array.dtype.kind not in "biuf" or array.size != max(array.shape, default=1):
         raise InputError(
             f"{so_far} is not one column of numbers",
             expected="a vector",
-            got=shape,
-            remedy=f"choose inside it, e.g. {so_far}" + ("{0}" if array.dtype == object else "[0] or [:,0]"),
+            got=f"{array.dtype.name} of shape {array.shape}",
+            remedy=_way_in(so_far, array),
         )
     return np.array(array.reshape(-1), dtype=np.float64)
+
+
+def _way_in(so_far: str, array: Any) -> str:
+    """Return what can be done about a value that is no column of numbers."""
+    if array.dtype.kind == "c" or "real" in (array.dtype.names or ()):
+        return "store real and imaginary part as variables of their own"
+    if array.dtype.names:
+        return f"choose inside it, e.g. {so_far}.{array.dtype.names[0]}"
+    if array.dtype == object and array.size:
+        return f"choose inside it, e.g. {so_far}{{0}}"
+    if array.dtype.kind in "biuf" and array.ndim == 2:
+        return f"choose inside it, e.g. {so_far}[0] or {so_far}[:,0]"
+    if array.dtype.kind in "biuf" and array.ndim == 3 and array.shape[1] == 1:
+        return f"choose inside it, e.g. {so_far}[0]"
+    return "store it as a vector of numbers"
 
 
 def _step(value: Any, kind: str, index: int | str, so_far: str) -> Any:
@@ -133,6 +147,10 @@ def _step(value: Any, kind: str, index: int | str, so_far: str) -> Any:
         assert isinstance(index, int)
         if index < array.size:
             return array.reshape(-1)[index]
+    elif array.ndim == 3 and kind == "row" and array.shape[1] == 1 and array.dtype.kind in "biuf":  # Simulink's
+        assert isinstance(index, int)
+        if index < array.shape[0]:
+            return array[index]
     elif array.ndim == 2 and array.dtype.kind in "biuf":
         assert isinstance(index, int)
         if index < array.shape[0 if kind == "row" else 1]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from harness.data.tables.written_times import minutes_of, plain_time, span_of
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -15,18 +16,20 @@ __all__ = ["clock", "is_date", "is_time_of_day", "with_dates"]
 
 _DAY = (
     r"(?:(?P<year>\d{4})(?P<sign>[-/.]?)(?P<month>\d\d)(?P=sign)(?P<day>\d\d)"
-    r"|(?P<first>\d{1,2})(?P<between>[./-])(?P<second>\d{1,2})(?P=between)(?P<last>\d{4}))"
+    r"|(?P<first>\d{1,2})(?P<between>[./-])(?P<second>\d{1,2})(?P=between)(?P<last>\d{4}|\d\d))"
 )
 _TIME = (
     r"(?:(?P<hour>\d{1,3}):(?P<minute>[0-5]\d):(?P<whole>[0-5]\d)|(?P<compact>\d{6}))"
     r"(?:[.,](?P<fraction>\d{1,12}))?(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
-_STAMP = re.compile(rf"(?:{_DAY}(?P<joint>[T ]| +|, *))?{_TIME}\s*(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII)
+_ZONE = r"(?P<zone>Z|UTC|GMT|(?:UTC|GMT)?[+-]\d\d(?::?\d\d)?)"
+_STAMP = re.compile(rf"(?:{_DAY}(?P<joint>[T ]| +|, *))?{_TIME}\s*{_ZONE}?", re.ASCII)
 _DATE = re.compile(rf"{_DAY}(?:[T ]00:00:00(?:\.0+)?)?", re.ASCII)
+_TWO_PARTS = re.compile(r"\d{1,2}:[0-5]\d", re.ASCII)
 SECONDS = 86400
 """Of a day."""
-_ROLLS = SECONDS // 2
-"""A time of day that falls by more than this [s] is one of the next day: no clock is set back by half a day."""
+HOUR = 3600
+"""Seconds of an hour: of a day and of an hour a clock may show the rest alone, and begin anew."""
 
 
 def _row(row: int) -> str:
@@ -38,9 +41,10 @@ def clock(
 ) -> FloatArray | None:
     """Return dates and times as seconds from the first; None if they are none.
 
-    Dates are those of ISO 8601 (also with ``/`` or without signs), ``31.12.2024``, and with slashes in the order that
-    all rows allow. Times of day may go without the date; where they fall by more than half a day, the next day begins.
-    Fractions keep all their digits; hours up to 12 may carry AM and PM.
+    Dates are those of ISO 8601 (also with ``/`` or without signs), ``31.12.2024``, ``31-Dec-2024``, and with slashes
+    or a year of two digits in the order that all rows allow. Times of day may go without the date; where they fall by
+    more than half a day, the next day begins, as does the next hour of minutes and seconds. Dates alone are days.
+    Fractions keep all their digits; hours up to 12 may carry AM and PM. Spans of pandas are seconds.
 
     Parameters
     ----------
@@ -53,7 +57,7 @@ def clock(
     Raises
     ------
     InputError
-        If most cells are times and one is none, or dates can be read in two ways that differ.
+        If most cells are times and one is none, or they can be read in two ways that differ.
 
     Examples
     --------
@@ -64,9 +68,11 @@ def clock(
     >>> clock(["0.1"]) is None
     True
     """
-    found = [_STAMP.fullmatch(cell.strip()) for cell in cells]
+    found = [_STAMP.fullmatch(cell.strip()) or _STAMP.fullmatch(plain_time(cell)) for cell in cells]
     stamps = [one for one in found if one is not None]
-    if not stamps or 2 * len(stamps) < len(found):
+    if not stamps:
+        return _other_clock(cells, notes, where)
+    if 2 * len(stamps) < len(found):
         return None
     if any((one["compact"] is not None) != (one["joint"] == "T" and one["sign"] == "") for one in stamps):
         return None  # 202405 is a number
@@ -86,26 +92,62 @@ def clock(
             return None
         whole = whole + SECONDS * days
     elif whole.max() < SECONDS:
-        rolled = np.cumsum(np.diff(whole, prepend=whole[0]) < -_ROLLS)
-        if rolled[-1] and notes is not None:
-            said = "a time of day that falls by half a day is the next day's"
-            text = f"midnight is passed ({rolled[-1]}x): {said}"
-            notes += [] if text in notes else [text]  # a column may be read more than once
-        whole = whole + SECONDS * rolled
+        whole = _rolled(
+            whole, SECONDS, "midnight is passed", "a time of day that falls by half a day is the next day's", notes
+        )
     whole = whole - np.array([_ahead(one["zone"]) for one in stamps], dtype=np.int64)
     return np.asarray((whole - whole[0]) + (parts - parts[0]))
 
 
+def _other_clock(cells: Sequence[str], notes: list[str] | None, where: Callable[[int], str]) -> FloatArray | None:
+    """Return spans, minutes with seconds, or dates alone as seconds; None if the cells are none of these.
+
+    Raises
+    ------
+    InputError
+        If all cells are of two parts such as 12:30, or dates that two orders read differently.
+    """
+    first = cells[0].strip() if len(cells) else ""
+    for read in (span_of, minutes_of) if first else ():
+        values = [value for cell in cells if (value := read(cell)) is not None]
+        if len(values) == len(cells):
+            times = np.array(values)
+            if read is minutes_of and times.max() < HOUR:
+                said = "minutes that fall by half an hour are those of the next one"
+                times = _rolled(times, HOUR, "a full hour is passed", said, notes)
+            return np.asarray(times if read is span_of else times - times[0])
+    if _TWO_PARTS.fullmatch(first) and all(_TWO_PARTS.fullmatch(cell.strip()) for cell in cells):
+        expected = "times with one reading: 12:30 is hours and minutes, or minutes and seconds"
+        raise _refused(expected, cells[0], where(0), "write 12:30:00 or 00:12:30")
+    if is_date(plain_time(first)) and len(cells) > 1 and all(is_date(plain_time(cell)) for cell in cells):
+        dates = [found for cell in cells if (found := _DATE.fullmatch(plain_time(cell))) is not None]
+        days = _days(dates, where)
+        return None if days is None else np.asarray((days - days[0]) * float(SECONDS))
+    return None
+
+
+def _rolled(times: np.ndarray, period: int, event: str, said: str, notes: list[str] | None) -> np.ndarray:
+    """Return times of a clock that begins anew after a period [s]: no clock is set back by half of it."""
+    rolled = np.cumsum(np.diff(times, prepend=times[0]) < -(period // 2))
+    if rolled[-1] and notes is not None:
+        text = f"{event} ({rolled[-1]}x): {said}"
+        notes += [] if text in notes else [text]  # a column may be read more than once
+    return np.asarray(times + period * rolled)
+
+
 def is_time_of_day(cell: str) -> bool:
-    """Return True for a time without a date.
+    """Return True for a time without a date, be it hours and minutes alone.
 
     Examples
     --------
-    >>> is_time_of_day("12:00:00.5"), is_time_of_day("2024-01-01 12:00:00")
-    (True, False)
+    >>> is_time_of_day("12:00:00.5"), is_time_of_day("12:00"), is_time_of_day("2024-01-01 12:00:00")
+    (True, True, False)
     """
-    found = _STAMP.fullmatch(cell.strip())
-    return found is not None and found["joint"] is None and found["compact"] is None
+    text = plain_time(cell)
+    found = _STAMP.fullmatch(text)
+    return _TWO_PARTS.fullmatch(text) is not None or (
+        found is not None and found["joint"] is None and found["compact"] is None
+    )
 
 
 def is_date(cell: str) -> bool:
@@ -131,7 +173,7 @@ def with_dates(times: Sequence[str], dates: Sequence[str], where: Callable[[int]
     if not all(map(is_date, dates)) or not all(map(is_time_of_day, times)):
         return None
     days = [re.split("[T ]", day.strip())[0] for day in dates]
-    return clock([f"{day} {time.strip()}" for day, time in zip(days, times, strict=True)], where=where)
+    return clock([f"{day} {plain_time(time)}" for day, time in zip(days, times, strict=True)], where=where)
 
 
 def _of_day(stamp: re.Match[str]) -> int | None:
@@ -151,7 +193,8 @@ def _of_day(stamp: re.Match[str]) -> int | None:
 
 def _ahead(zone: str | None) -> int:
     """Return by how many seconds a zone is ahead of UTC."""
-    if zone is None or zone == "Z":
+    zone = "" if zone is None else zone.removeprefix("UTC").removeprefix("GMT")
+    if zone in ("", "Z"):
         return 0
     digits = zone[1:].replace(":", "")
     ahead = int(digits[:2]) * 3600 + int(digits[2:] or 0) * 60
@@ -166,37 +209,42 @@ def _days(stamps: Sequence[re.Match[str]], where: Callable[[int], str]) -> np.nd
     InputError
         If days and months can change places, and the dates are other ones then.
     """
-    orders: tuple[Callable[[re.Match[str]], tuple[str, str, str]], ...]
-    if stamps[0]["year"] is not None:
-        orders = (lambda one: (one["year"], one["month"], one["day"]),)
+    first = stamps[0]
+    if first["year"] is not None:
+        orders: tuple[tuple[str, str, str], ...] = (("year", "month", "day"),)
     else:
-        orders = (lambda one: (one["last"], one["second"], one["first"]),)
-        if stamps[0]["between"] != ".":  # a date with points has its day first, one with slashes may have its month
-            orders = (*orders, lambda one: (one["last"], one["first"], one["second"]))
+        orders = (("last", "second", "first"),)
+        if first["between"] != ".":  # a date with points has its day first, one with slashes may have its month
+            orders = (*orders, ("last", "first", "second"))
+        if len(first["last"]) == 2:  # a year of two digits may stand before or behind
+            orders = (*orders, ("first", "second", "last"))
     readings: list[np.ndarray] = []
     for order in orders:
-        known: dict[tuple[str, str, str], int] = {}
+        known: dict[tuple[str, ...], int] = {}
         try:
             for one in stamps:
-                day = order(one)
+                day = one.group(*order)
                 if None not in day and day not in known:
-                    known[day] = datetime.date(int(day[0]), int(day[1]), int(day[2])).toordinal()
-            readings.append(np.array([known[order(one)] for one in stamps], dtype=np.int64))
+                    year = f"20{day[0]}" if len(day[0]) == 2 else day[0]
+                    known[day] = datetime.date(int(year), int(day[1]), int(day[2])).toordinal()
+            readings.append(np.array([known[one.group(*order)] for one in stamps], dtype=np.int64))
         except (ValueError, KeyError):  # no such date, or another form of it
             continue
     if not readings:
         return None
-    if len(readings) == 2 and not np.array_equal(np.diff(readings[0]), np.diff(readings[1])):
-        row = int(np.flatnonzero(np.diff(readings[0]) != np.diff(readings[1]))[0]) + 1
-        raise _refused("dates with one reading (2024-12-31)", stamps[row].string, where(row))
+    for other in readings[1:]:
+        apart = np.flatnonzero(np.diff(readings[0]) != np.diff(other))
+        if apart.size:
+            row = int(apart[0]) + 1
+            raise _refused("dates with one reading (2024-12-31)", stamps[row].string, where(row))
     return readings[0]
 
 
-def _refused(expected: str, got: str, place: str) -> InputError:
+def _refused(expected: str, got: str, place: str, remedy: str = "") -> InputError:
     return InputError(
         "a time that cannot be read",
         expected=expected,
         got=repr(got),
-        remedy="correct or empty the cell, or export times of ISO 8601",
+        remedy=remedy or "correct or empty the cell, or export times of ISO 8601",
         place=place,
     )

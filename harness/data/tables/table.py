@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -14,7 +15,7 @@ from harness.errors import InputError, no_file
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
 
-__all__ = ["BARE", "FORMATS", "Source", "Table", "nearest", "open_table", "suffix_of"]
+__all__ = ["BARE", "FORMATS", "Source", "Table", "nearest", "open_table", "suffix_of", "unknown_format"]
 
 BARE = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".parquet", ".pq", ".feather", ".arrow", ".xlsx")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""
@@ -51,6 +52,12 @@ def _reader(file: str, name: str) -> Callable[[Path], Source]:
     return opened
 
 
+def _dat(path: Path) -> Source:
+    """Return the reader of a table in text, or of an MDF log, which INCA and CANape call so too."""
+    with path.open("rb") as file:
+        return _mdf(path) if file.read(8).startswith((b"MDF ", b"UnFinMF ")) else _csv(path)
+
+
 def _mcap(path: Path) -> Source:
     from harness.data.tables.bags import BagFile, holds_json
     from harness.data.tables.log_files import McapFile
@@ -72,7 +79,8 @@ FORMATS: dict[str, Callable[[Path], Source]] = {
     ".csv": _csv,
     ".tsv": _csv,
     ".txt": _csv,
-    ".dat": _csv,
+    ".dat": _dat,
+    **{suffix: _csv for suffix in (".lvm", ".log", ".asc", ".prn", ".tab")},
     **{f"{suffix}.gz": _csv for suffix in (".csv", ".tsv", ".txt", ".dat")},
     ".feather": _feather,
     ".arrow": _feather,
@@ -85,6 +93,7 @@ FORMATS: dict[str, Callable[[Path], Source]] = {
     ".npy": _npz,
     ".h5": _hdf5,
     ".hdf5": _hdf5,
+    ".nc": _hdf5,
     ".mf4": _mdf,
     ".mdf": _mdf,
     ".mcap": _mcap,
@@ -104,6 +113,42 @@ def suffix_of(path: Path) -> str:
     """
     last = path.suffix.lower()
     return "".join(path.suffixes[-2:]).lower() if last == ".gz" else last
+
+
+ELSEWHERE = {
+    ".tdms": "LabVIEW, DIAdem, or Python's nptdms",
+    ".ulg": "ulog2csv of pyulog, which writes a CSV for each topic",
+    ".bin": "mavlogdump.py --format csv of pymavlink, where it is a log of ArduPilot",
+    ".blf": "CANalyzer, CANoe, or asammdf with the DBC file: messages of a bus hold signals only by it",
+    ".trc": "PCAN, or asammdf with the DBC file",
+    ".xls": "Excel or LibreOffice, saved as .xlsx or CSV",
+    ".ods": "LibreOffice, saved as .xlsx or CSV",
+    ".json": "pandas.read_json(...).to_csv(...)",
+    ".jsonl": "pandas.read_json(..., lines=True).to_csv(...)",
+    ".pkl": "pandas, saved as Parquet: a pickle runs what it holds",
+    ".wav": "scipy.io.wavfile, saved as NPZ",
+}
+"""What writes a table from a format that is not read."""
+
+
+def unknown_format(path: Path) -> InputError:
+    """Return the refusal of a file whose suffix says no format that is read.
+
+    Examples
+    --------
+    >>> print(unknown_format(Path("a.tdms")).remedy)
+    save it as CSV or Parquet by LabVIEW, DIAdem, or Python's nptdms
+    """
+    by = ELSEWHERE.get(path.suffix.lower())
+    return InputError(
+        "unknown format",
+        expected=f"a dataset.toml, or a file that ends in {', '.join(FORMATS)}",
+        got=repr(path.suffix),
+        remedy="convert it, for example to CSV; rename a table in text to .csv"
+        if by is None
+        else f"save it as CSV or Parquet by {by}",
+        file=path,
+    )
 
 
 class Table:
@@ -136,13 +181,7 @@ class Table:
             )
         opener = FORMATS.get(suffix_of(path))
         if opener is None:
-            raise InputError(
-                "unknown format",
-                expected=f"a file that ends in {', '.join(FORMATS)}",
-                got=repr(path.suffix),
-                remedy="convert it, for example to CSV",
-                file=path,
-            )
+            raise unknown_format(path)
         try:
             self._source = opener(path)
         except InputError as error:
@@ -220,8 +259,10 @@ class Table:
         return found[0] if found else None
 
     def split(self, title: str) -> tuple[str, str | None]:
-        """Return name and unit of a title; the index or joint at the end of a path is no unit."""
+        """Return name and unit of a title; the index or joint at the end of a path, or beside others, is no unit."""
         name, unit = split_header(title)
+        if unit == "1" and title.rstrip().endswith("[1]") and any(_is_element(other, name) for other in self.titles):
+            return title.strip(), None
         inside = (
             getattr(self._source, "paths", False)
             and unit is not None
@@ -244,6 +285,8 @@ class Table:
             If the column is not there, or its title states something that is no unit of time.
         """
         title = self.find(column)
+        if title is not None and (dated := self._with_dates(title)) is not None:
+            return dated, True
         values, unit = self.read(column if title is None else title)
         own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
         if own is None and declared is None and title is not None:
@@ -251,8 +294,6 @@ class Table:
                 unit = clock_unit(title, path=bool(getattr(self._source, "paths", False)))
             except InputError as error:
                 raise error.located(file=self.path) from error
-        if own is not None and title is not None and (dated := self._with_dates(title)) is not None:
-            values = dated
         unit = own or declared or unit
         return convert(values, unit or "s", "s"), unit is not None
 
@@ -330,6 +371,11 @@ class Table:
             remedy=remedy,
             file=self.path,
         )
+
+
+def _is_element(title: str, name: str) -> bool:
+    """Return True if a title is another element of an array than its element 1."""
+    return title.startswith(f"{name}[") and re.fullmatch(r"\[(?:0|[2-9]|\d\d+)\]\s*", title[len(name) :]) is not None
 
 
 def open_table(path: Path, cache: dict[Path, Table], sheet: str | None = None) -> Table:

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harness.data.tables.cells import EMPTY, is_number, numbers_of, units_below
+from harness.data.tables.cells import EMPTY, is_number, numbers_of, refuse_thousands, units_below
+from harness.data.tables.headers import TIME_WORDS, words_of
 from harness.data.tables.packing import most_unpacked
+from harness.data.tables.stacked import MOST_ROWS, stacked_titles
 from harness.data.tables.stamps import clock
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -26,9 +28,40 @@ _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
 MOST_ABOVE = 100
 """Lines that a logger may write above its table."""
+_CODINGS = {
+    "cp1252": "Windows, Western Europe",
+    "cp1251": "Windows, Cyrillic",
+    "gb18030": "Chinese",
+    "cp932": "Windows, Japanese",
+    "cp949": "Windows, Korean",
+    "big5": "Traditional Chinese",
+    "cp1250": "Windows, Central Europe",
+    "koi8-r": "Russian",
+}
+"""Codings of one and two bytes that are tried, and whose they are."""
+_MAGIC = {
+    b"MDF ": ".mf4",
+    b"UnFinMF": ".mf4",
+    b"PAR1": ".parquet",
+    b"ARROW1": ".feather",
+    b"\x89HDF": ".h5",
+    b"PK\x03\x04": ".xlsx or .npz",
+    b"MATLAB ": ".mat",
+    b"\x93NUMPY": ".npy",
+    b"#ROSBAG": ".bag",
+    b"\x89MCAP": ".mcap",
+    b"SQLite format 3": ".db3",
+    b"\x1f\x8b": ".csv.gz",
+}
+"""How files of other formats begin, and their suffixes."""
+_HEAD = 4096
+"""Bytes in which a header stands."""
+_RULE = re.compile(r"[\s|+:=\-]*-{3,}[\s|+:=\-]*")
+_OTHER_COMMENTS = (";", "//", "!", "*")
 _MINUS = re.compile("\u2212(?=[\\d.,])")
 _PARTS = re.compile(r"[+-]?\d*(?:[.,](?P<decimals>\d*))?(?:[eEdD][+-]?(?P<power>\d*))?")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
+_CERTAIN_COMMA = re.compile(r"(?<![\d.,:])[+-]?(?:0,\d+|\d+,\d{1,2}|\d+,\d{4,}|\d{1,3}(?:\.\d{3})+,\d+)(?![\d.,])")
 _COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
 
 
@@ -54,8 +87,9 @@ class TextFile:
             text = _MINUS.sub("-", text)
         lines = text.splitlines()
         self.notes: list[str] = []
-        if coding == "cp1252":
-            self.notes.append("the text is no UTF-8: its letters are read as cp1252 (Windows, Western Europe)")
+        self._commas_read = False
+        if coding in _CODINGS:
+            self.notes.append(f"the text is no UTF-8: its letters are read as {coding} ({_CODINGS[coding]})")
         self._lines = [
             (number, line)
             for number, line in enumerate(lines, start=1)
@@ -67,20 +101,29 @@ class TextFile:
         self._lines = self._lines if hint is None else self._lines[1:]
         if not self._lines:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
+        self._leave_out_comments()
         self._leave_out_above(hint)
         first = self._lines[0][1]
-        counts = {sign: first.count(sign) for sign in _DELIMITERS}
-        best = max(_DELIMITERS, key=lambda sign: counts[sign])
-        self._delimiter = best if counts[best] else "|" if "|" in first else None
+        best = _delimiter_of(first)
+        self._delimiter = best if best in first else "|" if "|" in first else None
         if hint is not None:
             self._delimiter = hint[1] or "\t"  # the tab was taken for an end of the line
         titles = self._cells(first)
-        if all(is_number(cell) for cell in titles if cell) and any(titles):
+        if _are_numbers([cell for cell in titles if cell]) and any(titles):
             self.titles = self._named(lines, len(titles)) or [str(number) for number in range(len(titles))]
         else:
             self.titles = titles
-            self._lines = self._lines[1:]
-            if self._lines and (named := units_below(titles, self._cells(self._lines[0][1]))) is not None:
+            stacked = stacked_titles([self._cells(line) for _, line in self._lines[: MOST_ROWS + 2]])
+            count = 1 if stacked is None else stacked[1]
+            if stacked is not None:
+                self.titles = stacked[0]
+                self.notes.append(f"lines {self._lines[0][0]} to {self._lines[count - 1][0]} are read as one header")
+            self._lines = self._lines[count:]
+            if (
+                stacked is None
+                and self._lines
+                and (named := units_below(titles, self._cells(self._lines[0][1]))) is not None
+            ):
                 self.titles = named
                 self._lines = self._lines[1:]
         if not self._lines:
@@ -103,6 +146,7 @@ class TextFile:
         for read in (self._fast, self._plain):
             found = read(column)
             if found is not None:
+                self._refuse_thousands(column, found)
                 return found
         return self._slowly(column, self.titles[column])
 
@@ -118,6 +162,15 @@ class TextFile:
         """Return the place of a row (from 0) as an editor counts it."""
         return f"line {self._lines[row][0]}"
 
+    def _leave_out_comments(self) -> None:
+        """Leave out lines of other comments before a table without their sign, and a rule below its titles."""
+        for mark in _OTHER_COMMENTS:
+            begin = next((row for row, (_, line) in enumerate(self._lines) if not line.lstrip().startswith(mark)), 0)
+            if begin and len(self._lines) - begin > 2 and mark not in self._lines[-2][1]:
+                self._leave_out(begin)
+        if len(self._lines) > 2 and _RULE.fullmatch(self._lines[1][1]):
+            del self._lines[1]
+
     def _leave_out_above(self, hint: re.Match[str] | None) -> None:
         """Leave out what a logger writes above its table, where header and all rows have one form and it has not.
 
@@ -125,21 +178,43 @@ class TextFile:
         are a cell longer or shorter is a header that does not fit, and is refused as such.
         """
         last = self._lines[-1][1] if len(self._lines) < 3 else self._lines[-2][1]
-        sign = hint[1] or "\t" if hint is not None else max(_DELIMITERS, key=last.count)
+        sign = hint[1] or "\t" if hint is not None else _delimiter_of(last)
         width = last.count(sign)
-        if not width or any('"' in line for _, line in self._lines[-3:]) or self._lines[0][1].count(sign) == width:
+        if not width:
+            self._leave_out_above_blanks()
+            return
+        if any('"' in line for _, line in self._lines[-3:]) or self._lines[0][1].count(sign) == width:
             return
         counts = [line.count(sign) for _, line in self._lines[:-1]]
         wrong = [row for row, count in enumerate(counts) if count != width]
         begin = wrong[-1] + 1
         if begin > MOST_ABOVE or width in counts[:begin] or (begin == 1 and abs(counts[0] - width) < 2):
             return
-        rows = [line for _, line in self._lines[:begin] if sum(map(is_number, line.split(sign))) > 1]
+        above = [[cell.strip(' "') for cell in line.split(sign)] for _, line in self._lines[:begin]]
+        rows = [cells for cells in above if sum(map(is_number, cells)) > 1 and not cells[0][:1].isalpha()]
         if len(rows) > 2:  # a table of its own, another run perhaps
             return
-        titles = [cell.strip(' "') for cell in self._lines[begin][1].split(sign)]
-        if len(self._lines) - begin < 3 or any(map(is_number, titles)) or not all(titles[:-1]):
+        below = [[cell.strip(' "') for cell in line.split(sign)] for _, line in self._lines[begin:][: MOST_ROWS + 2]]
+        titles = below[0]
+        if len(self._lines) - begin < 3 or any(map(is_number, titles)):
             return
+        if not all(titles[:-1]) and stacked_titles(below) is None:
+            return
+        self._leave_out(begin)
+
+    def _leave_out_above_blanks(self) -> None:
+        """Leave out lines above a table whose columns stand apart by blanks, titles right above rows of numbers."""
+        rows = [line.split() for _, line in self._lines]
+        width = len(rows[-1])
+        begin = next((row for row, cells in enumerate(rows) if len(cells) == width and _are_numbers(cells)), 0) - 1
+        if not 0 < begin <= MOST_ABOVE or width < 2 or len(rows) - begin < 3:
+            return
+        tables = sum(sum(map(is_number, cells)) > 1 and not cells[0][:1].isalpha() for cells in rows[:begin])
+        if len(rows[begin]) == width and not any(map(is_number, rows[begin])) and tables < 3:
+            self._leave_out(begin)
+
+    def _leave_out(self, begin: int) -> None:
+        """Leave out the lines before one of them, and say so."""
         self.notes.append(
             f"lines {self._lines[0][0]} to {self._lines[begin - 1][0]} stand above the table: they are left aside"
         )
@@ -148,9 +223,9 @@ class TextFile:
     def _named(self, lines: list[str], width: int) -> list[str] | None:
         """Return the titles that a comment right above the numbers gives to all columns; None where it does not."""
         above = lines[self._lines[0][0] - 2].strip() if self._lines[0][0] > 1 else ""
-        if not above.startswith(_COMMENTS):
+        if not above.startswith((*_COMMENTS, *_OTHER_COMMENTS)):
             return None
-        titles = self._cells(above.lstrip("#% \t"))
+        titles = self._cells(above.lstrip("#%;/!* \t"))
         if len(titles) != width or not all(titles) or any(map(is_number, titles)):
             return None
         self.notes.append(f"line {self._lines[0][0] - 1}, a comment above the numbers, gives their titles")
@@ -188,6 +263,7 @@ class TextFile:
             return
         if all(_COMMA.search(line) for _, line in self._lines if "," in line):
             self._lines = [(number, line.replace(",", ".")) for number, line in self._lines]
+            self._commas_read = True
             self.notes.append("decimal commas are read as decimal points")
 
     def _square(self) -> None:
@@ -245,6 +321,13 @@ class TextFile:
 
     def _fast(self, column: int) -> FloatArray | None:
         """Return a column by the C++ reader of Arrow; None where it cannot, or a cell is no number."""
+        table = self._arrow(column, "float64")
+        if table is None:
+            return None
+        return np.concatenate([_values(chunk) for chunk in table.chunks] or [np.zeros(0)])
+
+    def _arrow(self, column: int, kind: str) -> Any:
+        """Return a column of Arrow, of numbers or of texts; None where its reader cannot."""
         if self._delimiter is None:
             return None
         import pyarrow as pa
@@ -260,14 +343,14 @@ class TextFile:
                 parse_options=arrow.ParseOptions(delimiter=self._delimiter),
                 convert_options=arrow.ConvertOptions(
                     include_columns=[names[column]],
-                    column_types={names[column]: pa.float64()},
+                    column_types={names[column]: pa.float64() if kind == "float64" else pa.string()},
                     null_values=sorted({*EMPTY, *map(str.upper, EMPTY), "NaN", "Null", "None", "N/a"}),
                     quoted_strings_can_be_null=True,
                 ),
             )
         except pa.ArrowInvalid:
             return None
-        found = np.concatenate([_values(chunk) for chunk in table.column(0).chunks] or [np.zeros(0)])
+        found = table.column(0)
         return found if len(found) == len(self._lines) else None
 
     def _plain(self, column: int) -> FloatArray | None:
@@ -298,7 +381,35 @@ class TextFile:
         if (stamps := clock(cells, self.notes, where)) is not None:
             self._clocks.add(title)
             return stamps
-        return numbers_of(cells, where)
+        return numbers_of(cells, where, self.notes, commas=self._decimal_commas())
+
+    def _refuse_thousands(self, column: int, values: FloatArray) -> None:
+        """Refuse numbers that were read with points which may stand between thousands."""
+        size = np.abs(values[np.isfinite(values)])
+        fractions = size[size != np.round(size)]
+        if self._commas_read or not size.size or size.max() >= 1000 or (fractions < 1).any():
+            return
+        if np.abs(1000 * fractions - np.round(1000 * fractions)).max(initial=0.0) > 1e-6:
+            return  # more than three decimals
+        cells = [cell.strip() for cell in self.texts_of(column)]
+        if any("." in cell for cell in cells):
+            title = self.titles[column]
+            refuse_thousands(cells, lambda row: f"{self.where(row)}, column {title!r}", commas=self._decimal_commas())
+
+    def _decimal_commas(self) -> bool:
+        """Return True if a cell of the table can only be a number with a decimal comma."""
+        lines = (line for _, line in self._lines)
+        if self._delimiter == ",":
+            lines = (line for line in lines if '"' in line)
+        return any(_CERTAIN_COMMA.search(line) for line in lines if "," in line)
+
+    def texts_of(self, column: int) -> list[str]:
+        """Return the cells of a column, by its number, as they are written."""
+        found = self._arrow(column, "string")
+        if found is not None:
+            return [str(cell) for cell in found.to_pylist()]
+        rows = (self._cells(line) for _, line in self._lines)
+        return [row[column] if column < len(row) else "" for row in rows]
 
     def texts(self, title: str, most: int | None = None) -> list[str]:
         """Return the cells of a column as they are written, at most so many."""
@@ -317,9 +428,40 @@ class TextFile:
         return [cell.strip() for cell in next(rows)]
 
 
+def _delimiter_of(line: str) -> str:
+    """Return the sign of which a line holds most; no comma where others stand between numbers with decimal commas."""
+    for sign in ";\t":
+        cells = [cell.strip() for cell in line.split(sign)]
+        if len(cells) > 1 and all(not cell or is_number(cell.replace(",", ".", 1)) for cell in cells):
+            return sign
+    return max(_DELIMITERS, key=line.count)
+
+
+def _coding(raw: bytes) -> str:
+    """Return the coding of a text that is no UTF-8: the first in which its beginning holds a word for time."""
+    for coding in _CODINGS:
+        words = words_of(raw[:_HEAD].decode(coding, "ignore"))
+        if any(not word.isascii() and word in TIME_WORDS for word in words):
+            return coding
+    return "cp1252"
+
+
+def _are_numbers(cells: list[str]) -> bool:
+    """Return True if all cells are numbers, perhaps with decimal commas."""
+    return all(is_number(cell) or is_number(cell.replace(",", ".", 1)) for cell in cells)
+
+
 def _text(path: Path) -> tuple[str, str]:
     """Return the text of a file, unpacked where it is packed, and its coding."""
     raw = path.read_bytes()
+    for begin, suffix in _MAGIC.items() if path.suffix.lower() != ".gz" else ():
+        if raw.startswith(begin):
+            raise InputError(
+                "a file of another format",
+                expected=f"a table in text, as {path.suffix} says",
+                got=f"a file that begins with {begin!r}",
+                remedy=f"rename it to end in {suffix}",
+            )
     if path.suffix.lower() == ".gz":
         try:
             with gzip.GzipFile(fileobj=io.BytesIO(raw)) as packed:
@@ -344,7 +486,8 @@ def _text(path: Path) -> tuple[str, str]:
         coding = "utf-16-le" if raw[1:2] == b"\0" else "utf-16-be"
     else:
         coding = "utf-8-sig"
-    for tried in (coding, "cp1252") if coding == "utf-8-sig" and b"\0" not in raw[:4096] else (coding,):
+    others = dict.fromkeys((_coding(raw), "cp1252")) if coding == "utf-8-sig" and b"\0" not in raw[:4096] else ()
+    for tried in (coding, *others):
         try:
             text = raw.decode(tried)
         except UnicodeDecodeError as error:

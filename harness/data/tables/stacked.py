@@ -1,0 +1,103 @@
+"""Headers of several rows: groups above names, names above units, as merged cells and motion capture have them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from harness.data.tables.cells import is_number, is_unit_cell, units_below
+
+__all__ = ["MOST_ROWS", "stacked_titles"]
+
+MOST_ROWS = 6
+"""Rows that a header may have."""
+
+_LETTER = re.compile(r"[^\W\d_]|[\[(<{°%]")
+_BRACKETED = re.compile(r"[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]")
+
+
+def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | None:
+    """Return the titles that several rows give together, and how many rows these are; None where one row does.
+
+    The lowest row that names every column once gives the names. Where there is none, a column's lowest text is its
+    name, with those above it in front (``left.X``) as far as names would be shared; an empty cell of an upper row
+    belongs to the text on its left, as cells are merged. A row of units stands below them all.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of str
+        The first rows of a table, numbers included, all cells without blanks about them.
+
+    Returns
+    -------
+    (titles, count), or None
+        None also where two rows name every column once: nobody can say which are the names.
+
+    Examples
+    --------
+    >>> stacked_titles([["Zeit", "Motor", ""], ["", "u", "y"], ["s", "V", "rad"], ["0", "1", "2"]])
+    (['Zeit [s]', 'u [V]', 'y [rad]'], 3)
+    >>> stacked_titles([["", "left", "", "right"], ["t", "X", "Y", "X"], ["0", "1", "2", "3"]])
+    (['t', 'left.X', 'Y', 'right.X'], 2)
+    >>> stacked_titles([["t", "u"], ["0", "1"]]) is None
+    True
+    """
+    width = len(rows[0]) if rows else 0
+    count = 0
+    while count < min(len(rows) - 1, MOST_ROWS) and len(rows[count]) == width and _is_head(rows[count]):
+        count += 1
+    if (
+        count < 2
+        or width < 2
+        or len(rows[count]) != width
+        or sum(map(is_number, rows[count])) + _commas(rows[count]) < 2
+    ):
+        return None
+    head = [list(row) for row in rows[:count]]
+    units = head.pop() if all(is_unit_cell(cell) for cell in head[-1] if cell) else [""] * width
+    if len(head) < 2 and not any(_BRACKETED.fullmatch(cell) for row in head for cell in row):
+        return None  # one row of names: with units below it or without
+    for row in head:
+        for k, cell in enumerate(row):
+            found = _BRACKETED.fullmatch(cell)
+            if found is not None and is_unit_cell(found["unit"]):
+                row[k], units[k] = "", units[k] or cell
+    used = [k for k, cell in enumerate(rows[count]) if cell]
+    names = _names(head, used)
+    if names is None:
+        return None
+    titles = units_below(names, units) if any(units) else names
+    return None if titles is None else (titles, count)
+
+
+def _names(head: Sequence[Sequence[str]], used: Sequence[int]) -> list[str] | None:
+    """Return the names that rows without units give; None where they do not name all used columns, or twice."""
+    whole = [row for row in head if all(row[k] for k in used) and len({row[k] for k in used}) == len(used)]
+    if len(whole) > 1:
+        return None
+    if whole:
+        return list(whole[0])
+    filled = [list(row) for row in head]
+    for row in filled[:-1]:
+        for k in range(1, len(row)):
+            row[k] = row[k] or row[k - 1]
+    names = [next((row[k] for row in reversed(head) if row[k]), "") for k in range(len(head[0]))]
+    above = [[row[k] for row in reversed(filled) if row[k]] for k in range(len(head[0]))]
+    for step in range(1, len(head)):
+        shared = [k for k in used if [names[j] for j in used].count(names[k]) > 1]
+        for k in shared:
+            more = [text for text in above[k] if text != names[k].rpartition(".")[2]]
+            names[k] = f"{more[step - 1]}.{names[k]}" if len(more) >= step else names[k]
+    chosen = [names[k] for k in used]
+    return names if all(chosen) and len(set(chosen)) == len(chosen) else None
+
+
+def _is_head(row: Sequence[str]) -> bool:
+    """Return True if all cells of a row are words or units, two of them at least."""
+    cells = [cell for cell in row if cell]
+    return len(cells) > 1 and all(_LETTER.match(cell) or (not is_number(cell) and is_unit_cell(cell)) for cell in cells)
+
+
+def _commas(row: Sequence[str]) -> int:
+    """Return how many cells of a row are numbers with a decimal comma."""
+    return sum("," in cell and is_number(cell.replace(",", ".")) for cell in row)
