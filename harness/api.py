@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 import numpy as np
 
 from harness import registry
-from harness.bounds import say_beyond
 from harness.errors import HarnessError, InputError, PlantError, PluginError, as_written, refuse_no_file
 from harness.fitted import FittedModel, Usable, load_model
-from harness.options import meant_options
+from harness.options import meant_options, say_beyond
 from harness.parts.files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
 from harness.parts.listing import LISTED, describe_part, list_parts
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
@@ -316,7 +315,7 @@ def simulate(
 
     Warns
     -----
-    harness.bounds.BoundsWarning
+    harness.options.BoundsWarning
         If a parameter is given a value outside the bounds that its model or FMU declares and ``note`` is not given
         (which gets the sentence otherwise). The run goes on with that value.
     """

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
 
-from harness.bounds import outside
 from harness.errors import InputError, PlantError
+from harness.options import outside
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
 from plants.checking import checked_inputs, finite, initial_values, positive, refuse_input

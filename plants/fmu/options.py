@@ -7,8 +7,8 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from harness.bounds import outside
 from harness.errors import InputError
+from harness.options import outside
 from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.values import encode
 from plants.fmu.variables import INTEGERS, REALS, port, unknown

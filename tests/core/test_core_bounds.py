@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from harness import api
-from harness.bounds import BoundsWarning
 from harness.command import main
+from harness.options import BoundsWarning
 from plants.mockups import mockup
 
 COUPLING = """
