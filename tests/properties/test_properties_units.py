@@ -57,6 +57,7 @@ PHYSICAL = {
     "attention-network": "a network of torch scales inside; its optimiser rounds differently",
     "embed-to-control": "a network of torch scales inside; its optimiser rounds differently",
     "neural-output-error": "scales inside; a descent over many minima may end in another one",
+    "polynomial-state-space": "scales inside; a descent over many minima may end in another one",
     "maximum-likelihood": "models of physics speak SI",
     "ekf": "models of physics speak SI",
     "ukf": "models of physics speak SI",
