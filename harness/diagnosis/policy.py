@@ -478,6 +478,13 @@ class ArmPolicy:
     told: float = _number(
         1e-6, "singular value, over the largest, from which on the motion tells a direction", "half of the digits"
     )
+    link: float = _number(
+        0.05,
+        "relative error of the mass of a link up to which it is not named beside other links",
+        "CAD is right within a tenth, and errors of the motion ask for that much",
+        "two of the 20 logs with wrong masses whose counts stand in the limits",
+    )
+    sets: int = _number(3, "sets of links that are fitted with errors of their own, the best by one metric", "cost")
     rows: int = _number(4000, "samples of a use that are asked for an inertia", "cost: there are five columns")
 
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.signal import lfilter, ss2tf
 
-from harness.errors import FitError
+from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.models.damped import Damping, damped_descent
 from harness.models.distributions import NormalMixture, normal
@@ -150,7 +150,13 @@ class WienerHammersteinModel:
     def from_dict(cls, content: dict[str, Any]) -> WienerHammersteinModel:
         """Return the model of a description."""
         tables = {name: np.array(content[name], dtype=float) for name in _TABLES}
-        tables |= {name: np.atleast_2d(tables[name]) for name in ("b1", "b2")}
+        if tables["b1"].ndim != 2:
+            raise InputError(
+                "a wiener-hammerstein model",
+                expected="a row of coefficients for each point of a sample interval",
+                got="one list of them, as an earlier version wrote it, with states that mean something else",
+                remedy="fit it again (sysid identify)",
+            )
         low, high, count = content["knots"]
         own = {name: np.array(content[name], dtype=float) for name in ("scale", "state_mean", "state_size", "std")}
         blocks = Blocks(**tables, knots=Knots(float(low), float(high), int(count)))

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 from identifiers.common import native
+from identifiers.common.native import pointers
 
 __all__ = ["Polynomials", "exponents"]
 
@@ -205,8 +206,8 @@ class Polynomials:
         work = np.empty(nz * (top + 1) + (mx + my) * (1 + nx) + nx * (1 + nx + mx * nx + nx))
         sizes = (len(u), nx, self.nu, self.ny, top, mx, my)
         ends = [None if one is None else one.ctypes.data for one in (states, table)]
-        given = [one.ctypes.data for one in (ex, ey, theta, x, d, u)]
-        compiled.sysid_polynomial_run(*sizes, *given, FAR, y.ctypes.data, *ends, work.ctypes.data)
+        given = pointers(ex, ey, theta, x, d, u)
+        compiled.sysid_polynomial_run(*sizes, *given, FAR, *pointers(y), *ends, *pointers(work))
         return y
 
     def _values(self, powers: Counts, x: FloatArray, u: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 from identifiers.common import native
+from identifiers.common.native import pointers
 
 __all__ = ["FAR", "Layout", "library"]
 
@@ -113,10 +114,6 @@ class Layout:
         if compiled is None:
             self._plain(theta, start, u, y, table)
             return y, table
-
-        def pointers(*arrays: FloatArray) -> list[int]:
-            return [array.ctypes.data for array in arrays]
-
         given = [np.ascontiguousarray(part, dtype=float) for part in (theta, start, u)]
         nz = self.nx + self.nu + 1
         size = nz + self.hidden + self.outside + self.nx * (1 + self.hidden + self.nx + 2 * q)

@@ -22,6 +22,7 @@ from harness.signals import PlantSpec, Trajectory
 RULE = RULES["emps"]
 PLACES = ["coulomb_friction@q", "linear_spring@q", "input_gain@u"]
 BARE = Structure("drive")
+ALL_PLACES = structures._places
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +103,10 @@ def test_the_grey_box_grows_beyond_what_the_loop_ended_with(
         assert found.refitted
     else:
         assert found.words == "drive: nothing missing"
+
+
+def test_what_acts_at_some_time_of_the_training_records_is_not_added() -> None:
+    """A disturbance faster than half of the sampling rate had been added to the tanks."""
+    found = set(ALL_PLACES(Structure("drive")))
+    assert "coulomb_friction@q" in found
+    assert not {"periodic_disturbance@q", "payload_step@q", "drifting_damping@q", "sensor_drift@q"} & found

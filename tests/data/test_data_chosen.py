@@ -170,6 +170,35 @@ def test_words_that_cannot_be_meant(wrong: dict[str, Any], words: str) -> None:
         load_dataset({"time": TIME, "u": U, "y": Y}, **wrong)
 
 
+@pytest.mark.parametrize(
+    ("titles", "said", "names"),
+    [
+        (("Time", "DAC", "ADC"), {"input": "DAC", "output": "ADC", "unit": {"Time": "ms"}}, ("DAC", "ADC")),
+        (("Zeit", "u", "y"), {"input": "u", "output": "y", "unit": {"Zeit": "ms"}}, ("u", "y")),
+        (("t", "a", "b"), {"column": {"u": "a", "theta": "b"}, "unit": {"t": "ms", "b": "deg", "a": "N m"}}, None),
+        (
+            ("k", "a", "b"),
+            {"column": {"u": "a", "theta": "b", "time": "k"}, "unit": {"k": "ms", "b": "deg", "u": "N m"}},
+            None,
+        ),
+    ],
+)
+def test_the_title_of_a_column_is_as_good_as_the_name_of_its_signal(
+    titles: tuple[str, ...], said: dict[str, Any], names: tuple[str, ...] | None
+) -> None:
+    table = dict(zip(titles, (1000.0 * TIME, U, Y), strict=True))
+    loaded = load_dataset(table, **({"model": "pendulum"} if names is None else {}), **said)
+    record = loaded.dataset.runs[0].trajectory
+    assert record.spec.sample_time == pytest.approx(DT)
+    scale = 1.0 if names else np.pi / 180
+    np.testing.assert_allclose(record.y[:, 0], scale * Y[: len(record)])
+
+
+def test_two_units_of_one_signal_are_refused_by_either_name() -> None:
+    with pytest.raises(InputError, match="two units of time"):
+        load_dataset({"Time": TIME, "u": U, "y": Y}, input="u", output="y", unit={"Time": "s", "time": "ms"})
+
+
 @pytest.mark.parametrize("bad", [(U, Y[:-1]), (U + 1j, Y), (np.zeros((3, 3, 3)), Y), (["a"], Y)])
 def test_arrays_that_cannot_be_meant(bad: tuple[Any, Any]) -> None:
     with pytest.raises(InputError, match="input"):

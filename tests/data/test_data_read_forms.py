@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.data import load_dataset
-from harness.data.conditioning.timebase import TimeRules, pieces_of
+from harness.data.conditioning.clock import TimeRules
+from harness.data.conditioning.timebase import pieces_of
 from harness.data.sections import ResampleSection
 from harness.data.tables.headers import clock_of, clock_unit
 from harness.errors import InputError

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.data import load_dataset
-from harness.data.conditioning.timebase import TimeRules, pieces_of, sample_time_of
+from harness.data.conditioning.clock import TimeRules, sample_time_of
+from harness.data.conditioning.timebase import pieces_of
 from harness.data.sections import ResampleSection
 from harness.errors import InputError
 

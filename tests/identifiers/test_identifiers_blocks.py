@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from harness.conformance import check_identifier
-from harness.errors import FitError
+from harness.errors import FitError, InputError
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.blocks.curve import Knots
@@ -75,6 +77,40 @@ def test_the_state_is_told_by_a_window_and_kept_by_steps() -> None:
     for k in range(20):
         assert again.output(states, late.u[k]) == pytest.approx(np.tile(run[k], (2, 1)), abs=1e-12)
         states = again.step(states, late.u[k])
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_points_between_samples_step_as_they_run_and_are_kept_in_a_file(direct: bool) -> None:
+    """A curve at several points of a sample interval has one state, and steps along it are its free run."""
+    rng = np.random.default_rng(5)
+    u = rng.uniform(-2.0, 2.0, 6000)
+    inner = lfilter([0.3], [1.0, -0.7], u)
+    fine = 0.5 * (np.abs(inner) + np.abs(0.5 * (inner + np.concatenate([[0.0], inner[:-1]]))))
+    y = lfilter([0.0 if not direct else 0.4, 0.3], [1.0, -0.6], fine) + 1e-3 * rng.normal(size=len(u))
+    learn, test = (
+        Trajectory(np.arange(3000) * 0.1, u[part, None], y[part, None], SPEC)
+        for part in (slice(0, 3000), slice(3000, None))
+    )
+    plain, finer = (
+        WienerHammerstein(order=2, knots=14, direct=direct, between=k).fit([learn], rng=np.random.default_rng(0))
+        for k in (1, 2)
+    )
+    assert len(finer.blocks.b1) == 2
+    assert simulation_error(finer, test).rms[0] < 0.8 * simulation_error(plain, test).rms[0]
+    again = WienerHammersteinModel.from_dict(json.loads(json.dumps(finer.to_dict())))
+    x = again.initial_state(test)
+    run = again.free_run(x[None], test.u[None])[0]
+    for k in range(200):
+        assert again.output(x, test.u[k]) == pytest.approx(run[k], abs=1e-9)
+        x = again.step(x, test.u[k])
+
+
+def test_a_model_of_an_earlier_version_is_refused() -> None:
+    content = WienerHammerstein(order=1, knots=14).fit(
+        [record(0.0, 0.8, "tanh", 0)], rng=np.random.default_rng(0)
+    ).to_dict()  # fmt: skip
+    with pytest.raises(InputError, match="fit it again"):
+        WienerHammersteinModel.from_dict(content | {"b1": content["b1"][0], "b2": content["b2"][0]})
 
 
 def test_beyond_its_knots_a_curve_is_straight() -> None:

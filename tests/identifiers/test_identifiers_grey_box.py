@@ -270,3 +270,16 @@ def test_what_close_loop_writes_is_read():
     model = GreyBoxModel.from_dict(content)
     assert equation_error(model, data).nrmse[0] < 1e-3
     assert model.system().name == "pendulum"
+
+
+def test_a_sensor_without_memory_can_be_part_of_a_grey_box():
+    """A block of an output that needs no past sample ended in numpy's "cannot reshape array of size 0"."""
+    exact = swing()
+    coarse = Trajectory(exact.t, exact.u, 0.05 * np.round(exact.y / 0.05), exact.spec)
+    model = OutputError(effects=("sensor_quantisation@theta",), start={"sensor_quantisation@theta.step": 0.05}).fit(
+        [coarse], rng=RNG
+    )
+    x = model.initial_state(coarse)
+    run = model.free_run(x[None], coarse.u[None])[0]
+    assert np.abs(run - coarse.y).max() < 0.06
+    assert model.output(x, coarse.u[0]) == pytest.approx(run[0], abs=1e-9)

@@ -174,12 +174,15 @@ def _own_figure(rule: Rule, model: Model, records: Sequence[Trajectory]) -> floa
 
 
 def _places(structure: Structure) -> list[str]:
-    """Return every effect of the dictionary at every port of the model that it fits."""
+    """Return every effect of the dictionary at every port of the model that it fits, but for laws of the clock.
+
+    What acted at some time of the training records tells nothing of a test record, whose clock begins anew.
+    """
     from harness.diagnosis.dictionary import laws_of, placed
     from harness.physics import load_model
 
     found, _ = placed(load_model(structure.model, **dict(structure.options)), laws_of())
-    return [f"{one.effect.name}@{one.at}" for one in found]
+    return [f"{one.effect.name}@{one.at}" for one in found if "t" not in one.effect.extras]
 
 
 def _parameters(model: Any) -> dict[str, float]:

@@ -4,40 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from harness.data.conditioning.clock import (
+    JITTER_ACCEPTED,
+    JITTER_UNNOTICED,
+    TimeRules,
+    clock_of_rows,
+    tracked,
+)
 from harness.data.conditioning.decimation import EDGE, filtered, hold_means
-from harness.data.sections import Gaps, ResampleSection
 from harness.errors import InputError
 from harness.signals import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
 
-__all__ = [
-    "JITTER_ACCEPTED",
-    "JITTER_UNNOTICED",
-    "SHORTEST",
-    "Piece",
-    "TimeRules",
-    "pieces_of",
-    "sample_time_of",
-]
-
-JITTER_UNNOTICED = 1e-3
-"""Deviation from the grid, in sample times, that recorded time stamps have anyway (rounding)."""
-
-JITTER_ACCEPTED = 2e-2
-"""Up to this deviation a record counts as uniform, with a warning; beyond it is refused or resampled."""
-
-ROUNDED = 1.1
-"""Spread of rounded stamps about their clock, in units of their resolution: 1, and some for the fitted rate."""
-
-FOLLOWED = 0.05
-"""Part of each stamp's deviation by which the phase of a clock follows: clocks drift by 1e-4 at most, and jitter is
-averaged over twenty rows."""
+__all__ = ["SHORTEST", "Piece", "pieces_of"]
 
 REGULAR = 0.9
 """Share of steps of one sample from which a record is a clock's with lost rows, and not one of irregular instants."""
@@ -56,18 +41,6 @@ to keep one row of each would leave instants that nobody knows."""
 SHORTEST = 20
 """Rows of a record: a model of second order in one input has three parameters and two initial values, and an estimate
 needs several readings for each unknown (Ljung 1999, sec. 16.4, counts parameters against samples); four here."""
-
-
-@dataclass(frozen=True)
-class TimeRules:
-    """What the data set declares about time."""
-
-    sample_time: float | None = None
-    gaps: Gaps = "refuse"
-    resample: ResampleSection | None = None
-    intersample: Literal["zoh", "foh", "smooth"] | None = "zoh"
-    """None where nothing is declared: held, unless it matters from when on."""
-    duplicates: Literal["refuse", "first", "last", "mean"] = "refuse"
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,20 +63,6 @@ class Piece:
     values: FloatArray
     sample_time: float
     between: BoolArray | None = None
-
-
-def sample_time_of(time: FloatArray) -> float:
-    """Return the sample time that the steady part of a time column has, to nine digits.
-
-    Examples
-    --------
-    >>> sample_time_of(np.array([0.0, 0.1, 0.2, 0.3, 0.7, 0.8]))
-    0.1
-    """
-    steps = np.diff(time)
-    typical = float(np.median(steps))
-    steady = steps[np.abs(steps - typical) < 0.5 * typical]
-    return float(f"{steady.mean():.9g}") if steady.size else float(f"{steps.mean():.9g}")
 
 
 def pieces_of(
@@ -162,7 +121,7 @@ def pieces_of(
         _check_finite(time, where)
         time, values, rows = _without_duplicates(time, time, values, rules, notes)
         where = _renamed(where, rows)
-        dt, index = _clock(time, rules, common, notes)
+        dt, index = clock_of_rows(time, rules, common, notes)
         if index is not None and not (np.diff(index) > 0).all():
             _refuse_two_in_one(index, time, dt, rules, where)
             time, values, rows = _without_duplicates(index, time, values, rules, notes)
@@ -184,7 +143,7 @@ def pieces_of(
         )
     steps = np.diff(stamps)
     jumps = np.abs(steps - dt) > 0.5 * dt
-    if jumps.any() and (np.diff(_tracked(stamps, dt)) == 1).all():
+    if jumps.any() and (np.diff(tracked(stamps, dt)) == 1).all():
         jumps = np.zeros_like(jumps)  # no row is lost: the steps vary, which is said below
     if jumps.any() and rules.gaps == "refuse":
         k = int(np.argmax(jumps))
@@ -315,147 +274,6 @@ def _check_order(keys: npt.NDArray[Any], time: FloatArray, where: Callable[[int]
         )
 
 
-def _clock(
-    time: FloatArray, rules: TimeRules, common: float | None, notes: list[str]
-) -> tuple[float, npt.NDArray[np.int64] | None]:
-    """Return the sample time [s], and the sample that each row is where a clock explains rough stamps; else None.
-
-    A declared sample time says that a clock took the rows, whatever was stamped on them. Without one, stamps that are
-    all within their own resolution of a uniform clock are that clock's, rounded.
-    """
-    if len(time) < 2:
-        return rules.sample_time or common or 1.0, None
-    wanted = None if rules.resample is not None else rules.sample_time
-    if (np.diff(time) < 0).any() or not np.ptp(time):
-        return wanted or common or 1.0, None  # refused by its order
-    if wanted is None:
-        return _rounded(time, rules, common, notes)
-    n, coarse = len(time), max(_resolution(time), _tick(time))
-    own = float((time[-1] - time[0]) / (n - 1))
-    if np.ptp(time - time[0] - np.arange(n) * own) <= 2 * JITTER_ACCEPTED * wanted and own > 0.5 * wanted:
-        return _agreed(own, n, rules, common), None
-    if coarse > wanted:
-        if np.ptp(time - time[0] - np.arange(n) * wanted) > coarse + 0.5 * wanted:
-            raise InputError(
-                f"time stamps of {coarse:g} s that {n} samples of the declared {wanted:g} s do not explain",
-                expected=f"{(n - 1) * wanted:g} s from the first to the last row, within {coarse:g} s all along",
-                got=f"{time[-1] - time[0]:g} s: rows were lost or doubled, or sample_time is another",
-                remedy="correct sample_time, or record finer time stamps",
-                place="sample_time",
-            )
-        notes.append(
-            f"the time stamps are multiples of {coarse:g} s, coarser than the declared sample time of {wanted:g} s: "
-            "rows are taken as its samples one by one, and few lost ones would not show"
-        )
-        return wanted, np.arange(n)
-    index = _tracked(time, wanted)
-    for measured in (sample_time_of(time), float((time[-1] - time[0]) / max(index[-1], 1))):
-        _agreed(measured, n, rules, common, slack=1 / n)  # rough stamps at both ends, half a sample each
-    if index[-1] > 2:
-        slope, offset = np.polyfit(index, time - time[0], 1)
-        rough = float(np.ptp(time - time[0] - offset - slope * index)) / wanted
-        _agreed(float(slope), n, rules, common, slack=2 * min(rough, 0.5) / n)  # a line sees the clock more sharply
-    off = float(np.abs(np.diff(time) / wanted - np.diff(index)).max())
-    notes.append(
-        f"the steps of the time stamps are up to {100 * off:.2g} % of a sample off: rows are samples of the declared "
-        f"clock of {wanted:g} s"
-    )
-    return wanted, index
-
-
-def _rounded(
-    time: FloatArray, rules: TimeRules, common: float | None, notes: list[str]
-) -> tuple[float, npt.NDArray[np.int64] | None]:
-    """Return the sample time [s] of undeclared stamps, and their samples where they are a clock's, rounded."""
-    if not (np.diff(time) > 0).all():
-        return common or 1.0, None  # refused by its order
-    steps, resolution = np.diff(time), _resolution(time)
-    for typical in (sample_time_of(time), float(steps.mean())):  # where half of the steps are rounded up, their mean
-        index = np.concatenate(([0], np.cumsum(np.round(steps / typical)))).astype(np.int64)
-        steady = index[-1] > 2 and (np.diff(index) > 0).all()
-        if not steady or not 2 * JITTER_UNNOTICED * typical < resolution <= 0.5 * typical:
-            continue
-        slope, offset = np.polyfit(index, time - time[0], 1)
-        left = np.ptp(time - time[0] - offset - slope * index)
-        if 2 * JITTER_UNNOTICED * typical < left <= ROUNDED * resolution:
-            dt = _agreed(float(f"{slope:.9g}"), len(time), rules, common)
-            notes.append(f"the time stamps are rounded to {resolution:g} s: a clock of {dt:g} s explains them all")
-            return dt, index
-    return _agreed(sample_time_of(time), len(time), rules, common), None
-
-
-def _resolution(time: FloatArray) -> float:
-    """Return the largest power of ten [s] of which all stamps are multiples; 0 where none from a second to 1 ns is.
-
-    Examples
-    --------
-    >>> _resolution(np.array([0.0, 0.008, 0.017])), _resolution(np.array([0.0, 1 / 3]))
-    (0.001, 0.0)
-    """
-    for digits in range(10):
-        scaled = time * 10.0**digits
-        if (np.abs(scaled - np.round(scaled)) <= 1e-6 + 4e-16 * np.abs(scaled)).all():
-            return float(10.0**-digits)
-    return 0.0
-
-
-def _tick(time: FloatArray) -> float:
-    """Return the step [s] of which all steps are multiples, where some stamps repeat; 0 else: 5 ms, a 64th of a second.
-
-    Examples
-    --------
-    >>> _tick(np.array([0.0, 0.005, 0.005, 0.015])), _tick(np.array([0.0, 0.01, 0.03]))
-    (0.005, 0.0)
-    """
-    steps = np.diff(time)
-    moved = steps[steps > 0]
-    if not moved.size or moved.size == steps.size:
-        return 0.0
-    tick = float(moved.min())
-    return tick if (np.abs(moved / tick - np.round(moved / tick)) < 1e-3).all() else 0.0
-
-
-def _tracked(time: FloatArray, dt: float) -> npt.NDArray[np.int64]:
-    """Return which sample of a clock each row is: the nearest one, the clock's phase following the stamps slowly.
-
-    Examples
-    --------
-    >>> _tracked(np.array([0.0, 0.08, 0.21, 0.3, 0.52]), 0.1).tolist()
-    [0, 1, 2, 3, 5]
-    """
-    index = np.zeros(len(time), dtype=np.int64)
-    edge, at = float(time[0]), 0
-    for row, stamp in enumerate(time.tolist()[1:], start=1):
-        steps = round((stamp - edge) / dt)
-        edge += steps * dt
-        edge += FOLLOWED * (stamp - edge)
-        at += steps
-        index[row] = at
-    return index
-
-
-def _agreed(measured: float, n: int, rules: TimeRules, common: float | None, *, slack: float = 0.0) -> float:
-    """Return the sample time of a time column, which must agree with the declared one and that of other runs."""
-    for wanted, who, place in ((rules.sample_time, "sample_time", "sample_time"), (common, "the runs before", None)):
-        if wanted is None or rules.resample is not None:
-            continue
-        ratio = measured / wanted
-        if abs(ratio - 1.0) <= max(1e-3, 0.1 / n, slack):
-            return wanted
-        factor = next((f for f in (1000.0, 1e-3, 1e6, 1e-6) if abs(ratio / f - 1.0) < 0.05), None)
-        hint = f" (a factor of {factor:g}: is the time column in another unit?)" if factor is not None else ""
-        raise InputError(
-            f"the time column disagrees with {who}",
-            expected=f"steps of {wanted:g} s",
-            got=f"steps of {measured:g} s{hint}",
-            remedy="correct sample_time or the unit of [time]"
-            if place
-            else "declare [resample] with one sample_time, or put the runs into data sets of their own",
-            place=place,
-        )
-    return measured
-
-
 def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], dt: float, notes: list[str]) -> Piece:
     """Return a piece whose time stamps lie on a grid, near enough."""
     n = len(time)
@@ -568,7 +386,7 @@ def _held_gaps(
     known = np.isfinite(table).all(axis=1)
     time, table = time[known], table[known]
     steps = np.diff(time) / dt
-    whole = np.diff(_tracked(time, dt))
+    whole = np.diff(tracked(time, dt))
     regular = bool(np.mean(whole == 1) >= REGULAR)
     rough = float(np.abs(steps - whole).max()) if regular else np.inf
     if rough > JITTER_ACCEPTED and rules.intersample is None:

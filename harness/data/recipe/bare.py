@@ -45,6 +45,7 @@ def describe_bare(
     """
     table = open_table(path, tables)
     known = _known_ports(path, model, ports)
+    chosen = chosen.by_signal(table, known)
     if known is None or chosen.outputs is not None or chosen.inputs is not None:
         found, said = chosen.sections(table, known)
         notes += said

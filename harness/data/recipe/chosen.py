@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypedDict, get_args
 
 from harness.data.recipe.ports import Ports
 from harness.data.sections import Gaps, SignalSection
-from harness.data.tables.headers import REFERENCE
+from harness.data.tables.headers import REFERENCE, clock_of
 from harness.data.tables.table import Table
 from harness.errors import InputError
 from harness.signals import Use
@@ -123,6 +123,32 @@ class Chosen:
     def anything(self) -> bool:
         """True if the caller said something."""
         return self != Chosen()
+
+    def by_signal(self, table: Table, ports: Ports | None) -> Chosen:
+        """Return the same with every unit under the name of its signal, where the caller gave its column's own title.
+
+        Raises
+        ------
+        InputError
+            If a signal gets two units.
+        """
+        known = () if ports is None else (*ports.inputs, *ports.outputs)
+        names = {TIME, *self.columns, *(channel.name for channel in known)}
+        names |= {table.split(title)[0] for title in (*(self.inputs or ()), *(self.outputs or ()))}
+        titled = {title: name for name, title in self.columns.items()}
+        if TIME not in self.columns and any(key not in names | set(titled) for key in self.units):
+            clock = clock_of(table.titles, (*titled, *(self.inputs or ()), *(self.outputs or ())))
+            titled |= {} if clock is None else dict.fromkeys((clock, table.split(clock)[0]), TIME)
+        units: dict[str, str] = {}
+        for key, unit in self.units.items():
+            name = key if key in names else titled.get(key, key)
+            if name in units:
+                raise InputError(
+                    f"two units of {name}", expected="one", got=f"{units[name]} and {unit}", remedy="leave out one",
+                    place="--unit",
+                )  # fmt: skip
+            units[name] = unit
+        return replace(self, units=units)
 
     def sections(self, table: Table, ports: Ports | None) -> tuple[dict[str, tuple[str, SignalSection]], list[str]]:
         """Return name and signal of each chosen column, by its title, and what there is to say.

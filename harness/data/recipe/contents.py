@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.conditioning.timebase import sample_time_of
+from harness.data.conditioning.clock import sample_time_of
 from harness.data.tables.headers import clock_of
 from harness.data.tables.table import Table
 from harness.errors import InputError

@@ -12,7 +12,8 @@ from typing import Any, Unpack
 import msgspec
 import numpy as np
 
-from harness.data.conditioning.timebase import Piece, TimeRules, pieces_of
+from harness.data.conditioning.clock import TimeRules
+from harness.data.conditioning.timebase import Piece, pieces_of
 from harness.data.conditioning.trends import conditioned
 from harness.data.conditioning.unstated import refuse_unlikely_seconds
 from harness.data.recipe.bare import describe_bare

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from harness.data.conditioning.clock import TimeRules
 from harness.data.conditioning.decimation import filtered, hold_means
-from harness.data.conditioning.timebase import TimeRules
 from harness.errors import InputError
 from harness.signals import FloatArray
 

@@ -130,40 +130,42 @@ def _way_in(so_far: str, array: Any) -> str:
 def _step(value: Any, kind: str, index: int | str, so_far: str) -> Any:
     """Return what one step of a selector leads to, or refuse it."""
     array = np.asarray(value)
-    got = f"{array.dtype.name} of shape {array.shape}"
-    if kind == "field":
-        names = array.dtype.names or ()
-        if index in names:
-            inner = array[index]
-            return inner.reshape(-1)[0] if inner.size == 1 and inner.dtype == object else inner
-        got = f"fields {', '.join(names)}" if names else got
-    elif kind == "cell":
-        assert isinstance(index, int)
-        if array.dtype == object and index < array.size:
-            return array.reshape(-1, order="F")[index]
-        if array.dtype.names and index < array.size:
-            return array.reshape(-1, order="F")[index]
-    elif kind == "row" and array.dtype.names and (array.ndim == 1 or 1 in array.shape):
-        assert isinstance(index, int)
-        if index < array.size:
-            return array.reshape(-1)[index]
-    elif array.ndim == 3 and kind == "row" and array.shape[1] == 1 and array.dtype.kind in "biuf":  # Simulink's
-        assert isinstance(index, int)
-        if index < array.shape[0]:
-            return array[index]
-    elif array.ndim == 2 and array.dtype.kind in "biuf":
-        assert isinstance(index, int)
-        if index < array.shape[0 if kind == "row" else 1]:
-            return array[index] if kind == "row" else array[:, index]
+    found = _in_field(array, index) if isinstance(index, str) else _in_place(array, kind, index)
+    if found is not None:
+        return found
+    names = array.dtype.names or ()
     raise InputError(
         f"{so_far}{_written(kind, index)} is not there",
         expected={
             "field": f"a struct with the field {index}",
             "cell": f"a cell array with more than {index} cells",
         }.get(kind, f"a matrix with more than {index} {kind}s"),
-        got=got,
+        got=f"fields {', '.join(names)}" if kind == "field" and names else f"{array.dtype.name} of shape {array.shape}",
         remedy="correct the selector; indices count from 0",
     )
+
+
+def _in_field(array: Any, name: str) -> Any:
+    """Return a field of a struct; None if it has none of that name."""
+    if name not in (array.dtype.names or ()):
+        return None
+    inner = array[name]
+    return inner.reshape(-1)[0] if inner.size == 1 and inner.dtype == object else inner
+
+
+def _in_place(array: Any, kind: str, index: int) -> Any:
+    """Return a cell, row or column by its number; None where there is none."""
+    numbers = array.dtype.kind in "biuf"
+    if kind == "cell":
+        cells = array.reshape(-1, order="F") if array.dtype == object or array.dtype.names else ()
+        return cells[index] if index < len(cells) else None
+    if kind == "row" and array.dtype.names and (array.ndim == 1 or 1 in array.shape):
+        return array.reshape(-1)[index] if index < array.size else None
+    if kind == "row" and array.ndim == 3 and array.shape[1] == 1 and numbers:  # Simulink's
+        return array[index] if index < array.shape[0] else None
+    if array.ndim != 2 or not numbers or index >= array.shape[0 if kind == "row" else 1]:
+        return None
+    return array[index] if kind == "row" else array[:, index]
 
 
 def _written(kind: str, index: int | str) -> str:

@@ -103,6 +103,20 @@ class TextFile:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
         self._leave_out_comments()
         self._leave_out_above(hint)
+        self._read_header(lines, hint)
+        if not self._lines:
+            raise InputError(
+                "no rows", expected="rows of numbers below the header", got="only a header", remedy="check the export"
+            )
+        self._accept_decimal_commas()
+        self._square()
+        if not text.endswith(("\n", "\r")):
+            self._leave_out_cut_end()
+        self._body: bytes | None = None
+        self._clocks: set[str] = set()
+
+    def _read_header(self, lines: list[str], hint: re.Match[str] | None) -> None:
+        """Find the delimiter and the titles, and leave the rows of numbers."""
         first = self._lines[0][1]
         best = _delimiter_of(first)
         self._delimiter = best if best in first else "|" if "|" in first else None
@@ -126,16 +140,6 @@ class TextFile:
             ):
                 self.titles = named
                 self._lines = self._lines[1:]
-        if not self._lines:
-            raise InputError(
-                "no rows", expected="rows of numbers below the header", got="only a header", remedy="check the export"
-            )
-        self._accept_decimal_commas()
-        self._square()
-        if not text.endswith(("\n", "\r")):
-            self._leave_out_cut_end()
-        self._body: bytes | None = None
-        self._clocks: set[str] = set()
 
     def values(self, title: str) -> FloatArray:
         """Return one column (N,)."""

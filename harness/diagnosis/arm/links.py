@@ -17,26 +17,17 @@ import numpy as np
 from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
-from harness.diagnosis.policy import Policy
+from harness.diagnosis.policy import ARM_POLICY, Policy
 from harness.diagnosis.search.outcome import Outcome
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
-__all__ = ["CAD", "LINK", "Elements", "LinkSet", "exchanged", "settled"]
+__all__ = ["LINK", "Elements", "LinkSet", "exchanged", "settled"]
 
 LINK = "link_mass"
 LOAD = ("payload", "payload_off_centre")
 FINEST = 1e-10
 """Share of a column's power below which the others make it."""
-CAD = 0.05
-"""Relative error of a link's mass up to which it is not named beside other links: CAD is right within a tenth, and
-errors of the motion ask for that much."""
-SETS = 3
-"""Sets that are fitted with errors of their own, the best in the common metric first."""
-FORBIDDEN = 1e15
-"""Log-likelihood that nothing brings: finite, so that leaving what is forbidden is a gain."""
-MOVES = 200
-"""Moves of one exchange, at most: sets of a robot's links settle after fewer than twenty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +61,11 @@ class Elements:
     def value(self, chosen: frozenset[str]) -> float:
         """Return the log-likelihood that a set brings, less its price."""
         columns = [k for name in self.places if name in chosen for k in self.places[name]]
-        too_many = max(len(chosen & self.alone) - 1, 0)
-        return self._gain(columns) - sum(self.price[name] for name in chosen) - FORBIDDEN * too_many
+        return self._gain(columns) - sum(self.price[name] for name in chosen)
+
+    def clashes(self, chosen: frozenset[str]) -> int:
+        """Return how many elements of a set are the body of another one of it."""
+        return max(len(chosen & self.alone) - 1, 0)
 
     def _gain(self, columns: list[int]) -> float:
         """Return the log-likelihood that columns bring within their bounds; one that would leave them stays there."""
@@ -119,24 +113,26 @@ def settled(elements: Elements, starts: Sequence[frozenset[str]], tie: float) ->
     [['a']]
     """
     reached = dict.fromkeys(_settled(elements, start, tie) for start in starts)
-    return sorted(reached, key=elements.value, reverse=True)
+    return sorted(reached, key=lambda one: (-elements.clashes(one), elements.value(one)), reverse=True)
 
 
 def _settled(elements: Elements, start: frozenset[str], tie: float) -> frozenset[str]:
-    """Return where adding, dropping and exchanging end."""
-    now, worth = start, elements.value(start)
-    for _ in range(MOVES):
+    """Return where adding, dropping and exchanging end; a clash goes first, whatever it brings."""
+    now, worth, clashes = start, elements.value(start), elements.clashes(start)
+    while True:  # every move leads to a better set, and there are finitely many
         inside, outside = [name for name in elements.places if name in now], set(elements.places) - now
         moves = [(0.0, now - {name}) for name in inside]
         moves += [(0.0, now | {name}) for name in sorted(outside)]
         moves += [(tie, now - {one} | {other}) for one in inside for other in sorted(outside)]
-        gains = [(elements.value(new) - worth - least, at) for at, (least, new) in enumerate(moves)]
-        most, at = max(gains, default=(0.0, 0))
-        if most <= 0.0:
-            break
+        gains = [
+            (clashes - elements.clashes(new), elements.value(new) - worth - least, at)
+            for at, (least, new) in enumerate(moves)
+        ]
+        fewer, most, at = max(gains, default=(0, 0.0, 0))
+        if (fewer, most) <= (0, 0.0):
+            return now
         now = frozenset(moves[at][1])
-        worth = elements.value(now)
-    return now
+        worth, clashes = elements.value(now), elements.clashes(now)
 
 
 def exchanged(form: RegressionForm, outcome: Outcome, policy: Policy) -> list[LinkSet]:
@@ -177,7 +173,7 @@ def exchanged(form: RegressionForm, outcome: Outcome, policy: Policy) -> list[Li
     turning = frozenset(name for name in rotors if outcome.model.values.get(name, 0.0) > 0)
     loads = frozenset(name for name, one in known.items() if one.effect.name in LOAD)
     starts = [begun | turning, begun, frozenset(elements.places) - loads, frozenset(elements.places), frozenset()]
-    sets = dict.fromkeys([*settled(elements, starts, policy.tie)[:SETS], begun | turning])
+    sets = dict.fromkeys([*settled(elements, starts, policy.tie)[: ARM_POLICY.sets], begun | turning])
     return [_named(elements, known, rotors, one, policy.tie) for one in sets if len(one & one_body) < 2]
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from harness.diagnosis.arm.effects import GAIN, Wide
-from harness.diagnosis.arm.links import CAD, LINK, LinkSet, exchanged
+from harness.diagnosis.arm.links import LINK, LinkSet, exchanged
 from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
@@ -122,35 +122,12 @@ def wide_search(
         policy, most=arm_policy.wide, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z
     )
     outcome = search(form, nominal, candidates, policy=own, say=say)
-    small = [
-        accepted
-        for accepted in outcome.accepted
-        if accepted.placed.effect.name != GAIN
-        and regression.beside_friction(accepted.placed, outcome.model) < arm_policy.detail
-    ]
-    notes = []
-    if small:
-        large = tuple(accepted for accepted in outcome.accepted if accepted not in small)
-        again = form.fit([accepted.placed for accepted in large], [outcome.model.values], outcome.model)
-        outcome = replace(outcome, accepted=large, model=again or outcome.nominal)
-        names = ", ".join(str(accepted.placed) for accepted in small)
-        notes.append(
-            f"{names} left out: less than {100 * arm_policy.detail:g} % of the friction beside it, whose law is not "
-            "known so well"
-        )
-    beside: Sequence[int] | None = None
-    sets = [] if len(calibrated) else exchanged(form, outcome, policy)
-    if sets:
-        fitted = []
-        for chosen in sets:
-            lean = RegressionForm(WideRegression(arm, runs, joints, calibrated, arm_policy, chosen.rotors), arm_policy)
-            if (one := _by_exchange(lean, outcome, chosen, own)) is not None:
-                fitted.append((one, chosen.rotors))
-        most = max((value(one.model) for one, _ in fitted), default=0.0)
-        alike = [pair for pair in fitted if value(pair[0].model) >= most - policy.tie]
-        better, turning = min(alike, key=lambda pair: len(pair[0].accepted), default=(outcome, ()))
-        if named(better.model.effects) != named(outcome.model.effects):
-            outcome, beside = better, turning
+    outcome, notes = _without_small(form, outcome, arm_policy)
+
+    def lean(turning: Sequence[int]) -> RegressionForm:
+        return RegressionForm(WideRegression(arm, runs, joints, calibrated, arm_policy, turning), arm_policy)
+
+    outcome, beside = (outcome, None) if len(calibrated) else _as_a_set(form, outcome, lean, policy, own)
     gains = {
         accepted.placed.at: tuple(other for group in accepted.tie[1:] for other in group)
         for accepted in outcome.accepted
@@ -163,10 +140,53 @@ def wide_search(
         return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
     rotors = {k: fit.values[name] for k in joints if _seen(fit, name := f"{arm.positions[k].name} {ROTOR}", policy)}
     if outcome.accepted:  # a rotor that is not there would take a part of what is, a few grams of a payload
-        there = list(rotors)
-        lean = RegressionForm(WideRegression(arm, runs, joints, calibrated, arm_policy, there), arm_policy)
-        fit = lean.fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
+        fit = lean(list(rotors)).fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
     return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
+
+
+def _without_small(form: RegressionForm, outcome: Outcome, policy: ArmPolicy) -> tuple[Outcome, list[str]]:
+    """Return an outcome without what its joint's friction hides, and what is to be said of that."""
+    regression = form.regression
+    assert isinstance(regression, WideRegression)
+    small = [
+        accepted
+        for accepted in outcome.accepted
+        if accepted.placed.effect.name != GAIN
+        and regression.beside_friction(accepted.placed, outcome.model) < policy.detail
+    ]
+    if not small:
+        return outcome, []
+    large = tuple(accepted for accepted in outcome.accepted if accepted not in small)
+    again = form.fit([accepted.placed for accepted in large], [outcome.model.values], outcome.model)
+    names = ", ".join(str(accepted.placed) for accepted in small)
+    return replace(outcome, accepted=large, model=again or outcome.nominal), [
+        f"{names} left out: less than {100 * policy.detail:g} % of the friction beside it, whose law is not known so "
+        "well"
+    ]
+
+
+def _as_a_set(
+    form: RegressionForm,
+    outcome: Outcome,
+    lean: Callable[[Sequence[int]], RegressionForm],
+    policy: Policy,
+    own: Policy,
+) -> tuple[Outcome, Sequence[int] | None]:
+    """Return the best set of links that exchange finds, and the joints that keep a rotor; None where nothing changes.
+
+    Of sets that do as well the smallest one.
+    """
+    found = [
+        (one, chosen.rotors)
+        for chosen in exchanged(form, outcome, policy)
+        if (one := _by_exchange(lean(chosen.rotors), outcome, chosen, own)) is not None
+    ]
+    most = max((value(one.model) for one, _ in found), default=0.0)
+    alike = [pair for pair in found if value(pair[0].model) >= most - policy.tie]
+    better, turning = min(alike, key=lambda pair: len(pair[0].accepted), default=(outcome, ()))
+    if named(better.model.effects) == named(outcome.model.effects):
+        return outcome, None
+    return better, turning
 
 
 def _by_exchange(form: RegressionForm, outcome: Outcome, chosen: LinkSet, policy: Policy) -> Outcome | None:
@@ -189,7 +209,7 @@ def _by_exchange(form: RegressionForm, outcome: Outcome, chosen: LinkSet, policy
             and (
                 gain.evidence < policy.evidence
                 or form.change(fit, placed) < policy.least
-                or (placed.effect.name == LINK and abs(fit.values[placed.name("scale")]) < CAD)
+                or (placed.effect.name == LINK and abs(fit.values[placed.name("scale")]) < ARM_POLICY.link)
             )
         ]
         if not weak:

@@ -178,10 +178,12 @@ class WideRegression:
 def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     """Return what every joint could do by itself (N, n, 6 n).
 
-    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque, acceleration.
+    Sign of the speed, speed, 1, size of the torque that the bodies need times the sign, rate of the torque,
+    acceleration.
 
-    The rate stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
-    step by which an integrator is late.
+    The size of the measured torque would explain a torque that is all friction by itself. The rate stands for a torque
+    that is recorded a fraction of a sample too late (tau - s tau'), and for the half step by which an integrator is
+    late.
 
     Parameters
     ----------
@@ -191,10 +193,11 @@ def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     """
     rows, n = run.motion.u.shape
     result = np.zeros((rows, n, len(OWN) * n))
+    needed = np.abs(run.calmed(run.rigid))
     for k in range(n):
         v = run.motion.v[:, k]
         sign = np.tanh(v / level[k])
-        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k], run.calm.a[:, k])
+        parts = (sign, v, np.ones(rows), needed[:, k] * sign, -run.first[:, k], run.calm.a[:, k])
         for place, column in enumerate(parts):
             result[:, k, len(OWN) * k + place] = column
     return result

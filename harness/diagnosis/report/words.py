@@ -28,10 +28,6 @@ def change_text(factor: float | None) -> str:
     return f"{digits(times, 3)} times {'smaller' if factor > 1 else 'larger'}"
 
 
-_FEW = 3
-"""Effects that a sentence names one by one: a model has no more, an arm may have them at every joint."""
-
-
 def digits(value: float, count: int = 4) -> str:
     """Return a number in that many digits that count, without a power of ten below ten millions.
 
@@ -56,7 +52,7 @@ def named(effects: Sequence[Mapping[str, Any]]) -> str:
     places: dict[str, list[str]] = {}
     for effect in effects:
         places.setdefault(effect["name"].replace("_", " "), []).append(effect["at"])
-    if len(effects) > _FEW:
+    if len(effects) > POLICY.most:  # of an arm: every joint may have some
         return "; ".join(f"{name} at {', '.join(at)}" for name, at in places.items())
     return " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in effects)
 
