@@ -178,12 +178,12 @@ class WideRegression:
 def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     """Return what every joint could do by itself (N, n, 6 n).
 
-    Sign of the speed, speed, 1, size of the torque that the bodies need times the sign, rate of the torque,
-    acceleration.
+    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque, acceleration.
 
-    The size of the measured torque would explain a torque that is all friction by itself. The rate stands for a torque
-    that is recorded a fraction of a sample too late (tau - s tau'), and for the half step by which an integrator is
-    late.
+    The rate stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
+    step by which an integrator is late. The size of the torque explains by itself a torque that is all friction: here
+    that is meant, such a joint says nothing of the whole arm. (The torque that the bodies need in its place left the
+    corners of a joint that sticks to be explained, and an elasticity of another joint did so in 2 of 4 logs.)
 
     Parameters
     ----------
@@ -193,11 +193,10 @@ def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     """
     rows, n = run.motion.u.shape
     result = np.zeros((rows, n, len(OWN) * n))
-    needed = np.abs(run.calmed(run.rigid))
     for k in range(n):
         v = run.motion.v[:, k]
         sign = np.tanh(v / level[k])
-        parts = (sign, v, np.ones(rows), needed[:, k] * sign, -run.first[:, k], run.calm.a[:, k])
+        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k], run.calm.a[:, k])
         for place, column in enumerate(parts):
             result[:, k, len(OWN) * k + place] = column
     return result
