@@ -42,17 +42,10 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
     >>> stacked_titles([["t", "u"], ["0", "1"]]) is None
     True
     """
-    width = len(rows[0]) if rows else 0
-    count = 0
-    while count < min(len(rows) - 1, MOST_ROWS) and len(rows[count]) == width and _is_head(rows[count]):
-        count += 1
-    if (
-        count < 2
-        or width < 2
-        or len(rows[count]) != width
-        or sum(map(is_number, rows[count])) + _commas(rows[count]) < 2
-    ):
+    count = _head_rows(rows)
+    if count < 2:
         return None
+    width = len(rows[0])
     head = [list(row) for row in rows[:count]]
     units = head.pop() if all(is_unit_cell(cell) for cell in head[-1] if cell) else [""] * width
     if len(head) < 2 and not any(_BRACKETED.fullmatch(cell) for row in head for cell in row):
@@ -70,6 +63,16 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
     return None if titles is None else (titles, count)
 
 
+def _head_rows(rows: Sequence[Sequence[str]]) -> int:
+    """Return how many rows of words stand above a row of numbers, all of one width; 0 where they do not."""
+    width, count = len(rows[0]) if rows else 0, 0
+    while count < min(len(rows) - 1, MOST_ROWS) and len(rows[count]) == width and _is_head(rows[count]):
+        count += 1
+    if width < 2 or len(rows[count]) != width:
+        return 0
+    return count if sum(map(is_number, rows[count])) + _commas(rows[count]) > 1 else 0
+
+
 def _names(head: Sequence[Sequence[str]], used: Sequence[int]) -> list[str] | None:
     """Return the names that rows without units give; None where they do not name all used columns, or twice."""
     whole = [row for row in head if all(row[k] for k in used) and len({row[k] for k in used}) == len(used)]
@@ -84,12 +87,19 @@ def _names(head: Sequence[Sequence[str]], used: Sequence[int]) -> list[str] | No
     names = [next((row[k] for row in reversed(head) if row[k]), "") for k in range(len(head[0]))]
     above = [[row[k] for row in reversed(filled) if row[k]] for k in range(len(head[0]))]
     for step in range(1, len(head)):
-        shared = [k for k in used if [names[j] for j in used].count(names[k]) > 1]
-        for k in shared:
-            more = [text for text in above[k] if text != names[k].rpartition(".")[2]]
-            names[k] = f"{more[step - 1]}.{names[k]}" if len(more) >= step else names[k]
+        names = _told_apart(names, above, used, step)
     chosen = [names[k] for k in used]
     return names if all(chosen) and len(set(chosen)) == len(chosen) else None
+
+
+def _told_apart(names: Sequence[str], above: Sequence[Sequence[str]], used: Sequence[int], step: int) -> list[str]:
+    """Return names with a text from above in front of each that another used column has too."""
+    apart = list(names)
+    for k in used:
+        more = [text for text in above[k] if text != names[k].rpartition(".")[2]]
+        if [names[j] for j in used].count(names[k]) > 1 and len(more) >= step:
+            apart[k] = f"{more[step - 1]}.{names[k]}"
+    return apart
 
 
 def _is_head(row: Sequence[str]) -> bool:

@@ -194,17 +194,20 @@ class TextFile:
         begin = wrong[-1] + 1
         if begin > MOST_ABOVE or width in counts[:begin] or (begin == 1 and abs(counts[0] - width) < 2):
             return
-        above = [[cell.strip(' "') for cell in line.split(sign)] for _, line in self._lines[:begin]]
-        rows = [cells for cells in above if sum(map(is_number, cells)) > 1 and not cells[0][:1].isalpha()]
-        if len(rows) > 2:  # a table of its own, another run perhaps
-            return
-        below = [[cell.strip(' "') for cell in line.split(sign)] for _, line in self._lines[begin:][: MOST_ROWS + 2]]
-        titles = below[0]
-        if len(self._lines) - begin < 3 or any(map(is_number, titles)):
-            return
-        if not all(titles[:-1]) and stacked_titles(below) is None:
-            return
-        self._leave_out(begin)
+        if self._begins_at(begin, sign):
+            self._leave_out(begin)
+
+    def _begins_at(self, begin: int, sign: str) -> bool:
+        """Return True if titles begin at a line, and those above are no table of their own: another run, perhaps."""
+        above, below = (
+            [[cell.strip(' "') for cell in line.split(sign)] for _, line in lines]
+            for lines in (self._lines[:begin], self._lines[begin:][: MOST_ROWS + 2])
+        )
+        if sum(sum(map(is_number, cells)) > 1 and not cells[0][:1].isalpha() for cells in above) > 2:
+            return False
+        if len(self._lines) - begin < 3 or any(map(is_number, below[0])):
+            return False
+        return all(below[0][:-1]) or stacked_titles(below) is not None
 
     def _leave_out_above_blanks(self) -> None:
         """Leave out lines above a table whose columns stand apart by blanks, titles right above rows of numbers."""
