@@ -567,6 +567,11 @@ class DataPolicy:
         "samples kept in one period of the fastest motion",
         "dry friction shows in tens of harmonics of the swing",
     )
+    per_force: int = _number(
+        6,
+        "samples kept in one period of the fastest force, where an input brings forces of its own",
+        "three times what a period needs: where it reverses, friction changes the acceleration at once",
+    )
     fewest: int = _number(
         500, "samples that every thinned record must still have", "blocks of 25 samples for 20 standard errors"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -89,6 +90,40 @@ def test_a_mass_is_at_every_kept_instant_where_the_input_as_it_was_takes_it(
     speeds = np.concatenate([[0.0], np.cumsum(step * (a + b) / 2)])
     places = np.concatenate([[0.0], np.cumsum(step * speeds[:-1] + step**2 * (a / 3 + b / 6))])
     np.testing.assert_allclose(places, place[::factor], rtol=0, atol=1e-12)
+
+
+@given(seed=st.integers(0, 10_000), ripple=st.floats(0.0, 0.03))
+@settings(max_examples=15, deadline=None)
+def test_a_log_of_a_servo_is_thinned_as_far_as_its_exact_encoder_does_not_feel_it(seed: int, ripple: float) -> None:
+    rng, h, decay, noise = np.random.default_rng(seed), 0.001, 2.0, 1e-7
+    n = 12_000
+    t = np.arange(n) * h
+    swings = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.0)) for f in (0.3, 0.5, 0.8, 1.1))
+    u = np.round(swings, 2) + ripple * rng.standard_normal(n)  # held from row to row, steps of a converter
+    fade, reach = np.exp(-decay * h), -np.expm1(-decay * h) / decay
+    speed, place = np.zeros(n), np.zeros(n)
+    for k in range(n - 1):  # exact: a mass with a damper
+        speed[k + 1] = fade * speed[k] + reach * u[k]
+        place[k + 1] = place[k] + reach * speed[k] + (h - reach) / decay * u[k]
+    y = place + noise * rng.standard_normal(n)
+    spec = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), h)
+    thin = thinned_dataset(Dataset("servo", (Run(Trajectory(t, u[:, None], y[:, None], spec)),)))
+    assert thin.factor >= 15
+    nodes, step = thin.dataset.estimation[0].u[:, 0], thin.factor * h
+    fade, reach = np.exp(-decay * step), -np.expm1(-decay * step) / decay
+    first, second = (step - reach) / decay, (step**2 / 2 - (step - reach) / decay) / decay / step
+    run = [(0.0, 0.0)]
+    for here, there in itertools.pairwise(nodes):
+        v, q = run[-1]
+        ramp = (there - here) / step
+        run.append(
+            (
+                fade * v + reach * here + ramp * (step - reach) / decay,
+                q + reach * v + first * here + second * step * ramp,
+            )
+        )
+    missed = np.array(run)[:, 1] - place[:: thin.factor]
+    assert np.std(missed) <= 0.15 * noise
 
 
 @given(factor=st.integers(2, 8), period=st.sampled_from([None, 2 * np.pi]))

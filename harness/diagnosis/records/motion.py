@@ -77,7 +77,9 @@ def measured_coordinates(system: AnySystem) -> dict[str, tuple[int | None, int |
     return columns or None
 
 
-def motion_band(position: FloatArray, sample_time: float, above: float = 10.0) -> tuple[float, float]:
+def motion_band(
+    position: FloatArray, sample_time: float, above: float = 10.0, *, derivative: int = 1
+) -> tuple[float, float]:
     """Return where the motion lives in the spectrum of ``position`` (N,).
 
     Parameters
@@ -87,11 +89,13 @@ def motion_band(position: FloatArray, sample_time: float, above: float = 10.0) -
         [s]
     above : float
         Times by which a position that is clear stands above its noise, in power.
+    derivative : int
+        1 for the band of the rate, 2 for that of the acceleration: of the forces.
 
     Returns
     -------
     band : float
-        Frequency [Hz] below which 95 % of the power of the rate lies.
+        Frequency [Hz] below which 95 % of the power of the rate, or of the acceleration, lies.
     clear : float
         Highest frequency [Hz] up to which the position stands clear of its noise.
     """
@@ -104,7 +108,7 @@ def motion_band(position: FloatArray, sample_time: float, above: float = 10.0) -
     noise = float(np.median(power[-max(power.size // 4, 1) :]))
     clear = power > above * noise
     last = int(np.argmin(clear[1:])) + 1 if not clear[1:].all() else power.size - 1
-    weighted = np.where(np.arange(power.size) < max(last, 2), power * f**2, 0.0)
+    weighted = np.where(np.arange(power.size) < max(last, 2), power * f ** (2 * derivative), 0.0)
     total = np.cumsum(weighted)
     if total[-1] <= 0:
         return 0.05 / sample_time, 0.05 / sample_time

@@ -78,17 +78,19 @@ def thinned_dataset(dataset: Dataset) -> Thinned:
     dt = dataset.spec.sample_time
     runs = [run.trajectory for run in dataset]
     moves = any(np.ptp(run.u, axis=0).any() for run in runs)
-    bands = [motion_band(run.y[:, j], dt)[0] for run in runs for j in range(run.spec.ny) if np.ptp(run.y[:, j]) > 0]
-    if not bands or (moves and dataset.intersample == "smooth"):
+    columns = [run.y[:, j] for run in runs for j in range(run.spec.ny) if np.ptp(run.y[:, j]) > 0]
+    if not columns or (moves and dataset.intersample == "smooth"):
         return Thinned.not_at_all(dataset)
-    factor = int(1 / (DATA_POLICY.per_period * max(bands) * dt))
+    band, forces = (max(motion_band(read, dt, derivative=order)[0] for read in columns) for order in (1, 2))
+    rate = max(DATA_POLICY.per_period * band, DATA_POLICY.per_force * forces if moves else 0.0)
+    factor = int(1 / (rate * dt))
     factor = min(factor, min(len(run) for run in runs) // (DATA_POLICY.fewest + (0 if moves else 2 * SPAN)))
-    while factor > 1 and moves and not _follows_inputs(runs, factor, dataset.intersample):
+    while factor > 1 and moves and not _follows_inputs(runs, factor, dataset.intersample, band):
         factor -= 1
     if factor < 2:
         return Thinned.not_at_all(dataset)
     words = (
-        f"the motion lies below {max(bands):.3g} Hz: the search looks at {1 / (factor * dt):.4g} Hz instead of "
+        f"the motion lies below {band:.3g} Hz: the search looks at {1 / (factor * dt):.4g} Hz instead of "
         f"{1 / dt:.4g} Hz; free runs are compared at the full rate"
     )
     found = thinned_by(dataset, factor) if moves else _filtered(dataset, factor)
@@ -316,29 +318,34 @@ def hat_projection(u: FloatArray, factor: int, intersample: str = "zoh") -> Floa
     return np.asarray(solveh_banded(mass, load))
 
 
-def _follows_inputs(runs: Sequence[Trajectory], factor: int, intersample: str) -> bool:
+def _follows_inputs(runs: Sequence[Trajectory], factor: int, intersample: str, band: float) -> bool:
     """Return True if piecewise linear inputs leave little of those that were applied, and move the plant as these do.
 
-    Between two kept instants a mass is elsewhere for a moment, and what depends on its place goes on from there: by no
-    more than the part of the noise that an average may be off. How much an input accelerates an output is taken from
-    their sizes.
+    Between two kept instants a mass is elsewhere for a moment. At the second it is where it was, but for the forces
+    that depended on its place and its rate: a motion whose band ends at a frequency [Hz] forgets the share of a moment
+    that its phase turns by from one instant to the other. That must be no more than the part of the noise that an
+    average may be off. How much an input accelerates an output is taken from their sizes.
     """
     spec = runs[0].spec
-    left, whole, astray, count = (np.zeros(spec.nu) for _ in range(4))
+    left, whole, astray = (np.zeros(spec.nu) for _ in range(3))
     for run in runs:
         nodes = hat_projection(run.u, factor, intersample)
-        rows = (np.arange((len(nodes) - 1) * factor) + (0.0 if intersample == "foh" else 0.5)) / factor
+        rows = np.arange((len(nodes) - 1) * factor + 1) / factor
         for k in range(spec.nu):
-            used = run.u[: len(rows), k]
-            rest = used - np.interp(rows, np.arange(len(nodes)), nodes[:, k])
+            begin = run.u[: len(rows) - 1, k]
+            end = run.u[1 : len(rows), k] if intersample == "foh" else begin
+            line = np.interp(rows, np.arange(len(nodes)), nodes[:, k])
+            rest = 0.5 * (begin + end) - 0.5 * (line[:-1] + line[1:])
+            speed = np.concatenate([[0.0], np.cumsum(rest)[:-1]])  # of a mass, at the beginning of each row
+            place = np.cumsum(speed + (begin - line[:-1]) / 3 + (end - line[1:]) / 6)
             left[k] += float(np.sum(rest**2))
-            whole[k] += float(np.sum((used - used.mean()) ** 2))
-            astray[k] += float(np.sum(np.cumsum(np.cumsum(rest)) ** 2))
-        count += len(rows)
+            whole[k] += float(np.sum((begin - begin.mean()) ** 2))
+            astray[k] += float(np.sum(place**2))
     moving = whole > 0
     if np.any(left[moving] > DATA_POLICY.input_left * whole[moving]):
         return False
-    most = float(np.sqrt(np.max(astray[moving] / whole[moving], initial=0.0)))
+    turn = 2 * np.pi * band * factor * spec.sample_time
+    most = turn * float(np.sqrt(np.max(astray[moving] / whole[moving], initial=0.0)))
     noise = sensor_noise(runs)
     return all(most * _acceleration(runs, j, factor, noise[j]) <= DATA_POLICY.jump * noise[j] for j in range(spec.ny))
 
