@@ -125,6 +125,23 @@ def test_words_for_nothing_are_one_finding(clean: tuple[FloatArray, FloatArray])
     assert np.abs(record.y).max() < 10
 
 
+def test_glitches_of_a_coarse_encoder_that_share_a_value_by_chance_are_no_words(
+    clean: tuple[FloatArray, FloatArray],
+) -> None:
+    u, y = clean
+    step = 2 * np.pi / 500
+    read = np.round(y / step)
+    rows = np.arange(60, N - 60, 45)
+    read[rows] += np.where(np.arange(rows.size) % 2, 8, -8)
+    values, counts = np.unique(read[rows], return_counts=True)
+    assert (counts > 1).any() and 0.0 not in values  # noqa: PT018
+    record, oddities = found(u, step * read)
+    assert {odd.kind for odd in oddities} == {"spike"}
+    assert len(oddities) == 1
+    assert record.missing is not None
+    assert set(np.flatnonzero(record.missing[:, 0])) == set(rows)
+
+
 def test_a_glitch_of_the_log_is_mended_and_a_push_is_not(clean: tuple[FloatArray, FloatArray]) -> None:
     u, y = clean
     pushed = u.copy()
@@ -209,6 +226,17 @@ def test_lost_rows_are_named_where_the_motion_would_have_to_meet(first: int, man
         assert rows == [first]
     assert all(abs(row - first) <= 1 for row in rows)
     assert not [one for one in found(u, y)[1] if one.kind == "leap"]
+
+
+@given(seed=st.integers(0, 1000), finest=st.floats(1e-5, 1e-3))
+@settings(max_examples=15, deadline=None)
+def test_an_encoder_that_goes_to_and_fro_by_a_count_at_rest_does_not_leap(seed: int, finest: float) -> None:
+    rng, t = np.random.default_rng(seed), np.arange(3000) * 0.001
+    servo = np.where(t > 0.5, -np.expm1(-np.maximum(t - 0.5, 0.0) / 0.08), 0.0)  # a step, and then rest
+    counts = np.round(servo / finest) + (rng.random(t.size) < 0.02)
+    flips = np.repeat(rng.integers(0, 2, 60), 50)  # a count to and fro, for a while
+    u = np.where(t > 0.5, 1.0, 0.0)
+    assert not [odd for odd in found(u, finest * (counts + flips))[1] if odd.kind == "leap"]
 
 
 def test_a_stop_is_no_leap(clean: tuple[FloatArray, FloatArray]) -> None:

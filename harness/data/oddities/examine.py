@@ -16,6 +16,7 @@ from harness.data.oddities.levels import coarse_step, saturated, stuck
 from harness.data.oddities.numbers import ODD
 from harness.data.oddities.pace import band_of, trend_of
 from harness.data.oddities.spikes import Spikes, alike, spikes_of, unfelt
+from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, Oddity, Trajectory
 
 __all__ = ["examined", "lines"]
@@ -228,7 +229,8 @@ class _Look:
         """Find rows between which a position leaps."""
         if channel.unit not in POSITIONS or self.missing[:, column].mean() > ODD.most:
             return
-        rows, sizes = leaps_of(np.where(self.missing[:, column], self.y[:, column], plain))
+        step = resolution([self.record.y[~self.missing[:, column], column]])
+        rows, sizes = leaps_of(np.where(self.missing[:, column], self.y[:, column], plain), step)
         for row, size in zip(rows, sizes, strict=True):
             when = f"row {row} (t = {self.record.t[row]:g} s)"
             words = (

@@ -23,7 +23,7 @@ BADLY = 3.0
 """Times its usual scatter about a parabola up to which a side counts as followed."""
 
 
-def leaps_of(y: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+def leaps_of(y: FloatArray, step: float = 0.0) -> tuple[npt.NDArray[np.intp], FloatArray]:
     """Return the rows before which a position leaps, and by how much.
 
     The motion before and after, each followed by a parabola of its own, would have to meet between two rows. A kick or
@@ -33,6 +33,8 @@ def leaps_of(y: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
     ----------
     y : array (N,)
         A position, an angle without the jumps of a turn.
+    step : float
+        Of the sensor: at rest a reading goes to and fro by one.
 
     Returns
     -------
@@ -62,7 +64,9 @@ def leaps_of(y: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
     usual = 1.4826 * float(np.median(np.abs(gap)))
     largest = np.maximum(np.abs(np.diff(before, axis=1)).max(axis=1), np.abs(np.diff(after, axis=1)).max(axis=1))
     bound = ODD.heavy * float(norm.isf(0.5 * ODD.rate / len(y))) * usual
-    leaps = (np.abs(gap) > np.maximum(bound, STRIDES * largest)) & (scatter <= BADLY * float(np.median(scatter)))
+    leaps = (np.abs(gap) > np.maximum(bound, STRIDES * np.maximum(largest, step))) & (
+        scatter <= BADLY * float(np.median(scatter))
+    )
     rows = np.flatnonzero(leaps)
     return rows + SIDE, gap[rows]
 

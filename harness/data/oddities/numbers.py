@@ -41,6 +41,11 @@ class OddNumbers:
         "and over what as many kicks of the plant would leave: kicks are mechanics and stay",
         "additive against innovational outlier, Chen & Liu 1993, sec. 3",
     )
+    by_chance: float = _number(
+        0.01,
+        "chance that odd readings share some value that ordinary ones take as well: below it the value is a word",
+        "binomial, over all values of the channel",
+    )
     smallest: float = _number(1e-3, "spike over the spread of its channel below which it is no matter", "a thousandth")
     beyond: float = _number(1e100, "size beyond which a number is no reading", "squares of it overflow in averages")
     most: float = _number(0.05, "share of rows beyond which they are no exceptions: none is left out", "one in twenty")

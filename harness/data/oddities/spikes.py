@@ -185,14 +185,27 @@ def _columns(pattern: FloatArray, rows: npt.NDArray[np.intp], first: int, last: 
 def alike(y: FloatArray, rows: npt.NDArray[np.intp]) -> list[tuple[float | None, npt.NDArray[np.intp]]]:
     """Return odd rows in groups: those that read the same value, and the rest with None.
 
+    A sensor with coarse steps reads the same value twice by chance, and reads it in ordinary rows as well: what odd
+    rows share is a group of its own only where it is too rare elsewhere for that.
+
     Examples
     --------
     >>> y = np.array([0.1, 9999.0, 0.2, 9999.0, 7.0])
     >>> [(value, list(map(int, rows))) for value, rows in alike(y, np.array([1, 3, 4]))]
     [(9999.0, [1, 3]), (None, [4])]
     """
+    from scipy.stats import binom
+
     values, counts = np.unique(y[rows], return_counts=True)
-    words = [float(value) for value, count in zip(values, counts, strict=True) if count > 1 or _is_word(float(value))]
+    ordinary, often = np.unique(np.delete(y, rows), return_counts=True)
+    places = np.minimum(np.searchsorted(ordinary, values), max(ordinary.size - 1, 0))
+    known = np.where(ordinary[places] == values, often[places], 0) if ordinary.size else np.zeros(values.size)
+    by_chance = ordinary.size * binom.sf(counts - 1, rows.size, known / max(y.size - rows.size, 1))
+    words = [
+        float(value)
+        for value, count, chance in zip(values, counts, by_chance, strict=True)
+        if (count > 1 and chance < ODD.by_chance) or _is_word(float(value))
+    ]
     groups: list[tuple[float | None, npt.NDArray[np.intp]]] = [(word, rows[y[rows] == word]) for word in words]
     rest = rows[~np.isin(y[rows], words)]
     return [*groups, (None, rest)] if rest.size else groups
