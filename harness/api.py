@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from harness.data.recipe.chosen import Signals
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
+    from harness.effects.effect import Effect
     from harness.fleet import FleetResult
     from harness.frequency.identified import IdentifiedResponse
     from harness.learned import LearnedResidual
@@ -955,12 +956,12 @@ def _said(model: Model) -> tuple[str, ...]:
 def close_loop(
     dataset: Any,
     *,
-    out: str | Path,
+    out: str | Path | None = None,
     model: str | None = None,
     validation: Any = None,
     undriven: Sequence[str] = (),
     dictionary: str = "",
-    effects: Sequence[str] = (),
+    effects: Sequence[str | Effect] = (),
     resume: bool = False,
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
@@ -970,10 +971,11 @@ def close_loop(
 
     Parameters
     ----------
-    dataset : path or str
-        ``dataset.toml``, a CSV or Parquet file, or the name of a recording (``sysid list recordings``).
-    out : path
-        Folder for ``report.html`` and ``report.json``.
+    dataset : path, str, table or records
+        ``dataset.toml``, a CSV or Parquet file, the name of a recording (``sysid list recordings``), or what
+        :func:`identify` takes: a DataFrame, a mapping of arrays, a :class:`Trajectory`, a :class:`Dataset`.
+    out : path, optional
+        Folder for ``report.html``, ``report.json`` and ``model.json``; nothing is written without it.
     model : str, optional
         Nominal model: a built-in name, ``FILE.py:NAME``; overrides the one that the data set names.
     validation : path, optional
@@ -983,8 +985,9 @@ def close_loop(
     dictionary : str
         Which effects are given, tried and left out, such as ``"coulomb_friction(theta); *delay*?"`` or
         ``"!thermal_*"``; all are tried without it. See :class:`harness.diagnosis.wanted.Wanted`.
-    effects : sequence of str
-        Laws of your own beside the built-in ones, each ``FILE.py:NAME``.
+    effects : sequence of str or Effect
+        Laws of your own beside the built-in ones, each ``FILE.py:NAME`` or made with
+        :func:`harness.effects.effect.effect`.
     resume : bool
         Continue what an interrupted call left in ``out``.
     force : bool

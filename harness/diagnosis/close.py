@@ -232,7 +232,7 @@ def close_loop(
 def close_loop_file(
     dataset: str | Path,
     *,
-    out: str | Path,
+    out: str | Path | None = None,
     model: str | None = None,
     validation: str | Path | None = None,
     resume: bool = False,
@@ -277,6 +277,13 @@ def close_loop_file(
 
 def _looked_at(dataset: Dataset) -> Dataset:
     """Return a data set that was examined, what was found among its warnings."""
+    if not isinstance(dataset, Dataset):
+        raise InputError(
+            "the data of a diagnosis",
+            expected="a Dataset",
+            got=f"a {type(dataset).__name__}",
+            remedy="harness.close_loop reads files, tables and arrays",
+        )
     if dataset.oddities is not None:
         return dataset
     found = examined(dataset)

@@ -39,23 +39,26 @@ class Laws:
     faults: tuple[str, ...] = ()
 
 
-def with_effects_of(files: Sequence[str]) -> list[Effect] | None:
-    """Return the built-in effects with those that files of a user define; None without files.
+def with_effects_of(given: Sequence[str | Effect]) -> list[Effect] | None:
+    """Return the built-in effects with those of a user; None without any.
 
     Parameters
     ----------
-    files : sequence of str
-        Each ``FILE.py:NAME``.
+    given : sequence of str or Effect
+        Each an effect, or ``FILE.py:NAME``.
 
     Raises
     ------
     InputError
         If a file has no effect of that name, or its name is taken.
     """
-    if not files:
+    if not given:
         return None
     own: list[Effect] = []
-    for text in files:
+    for text in given:
+        if isinstance(text, Effect):
+            own.append(text)
+            continue
         path, _, name = text.rpartition(":") if ".py:" in text else (text, "", "")
         made, where = from_file(Path(path), name)
         if not isinstance(made, Effect):

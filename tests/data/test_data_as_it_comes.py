@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness import api
+from harness import api, diagnosis
 from harness.data import load_dataset, to_pandas, to_polars, to_xarray
 from harness.errors import InputError
 from harness.signals import Trajectory
@@ -219,3 +219,7 @@ def test_identify_and_close_loop_take_them(tmp_path: Path) -> None:
     assert fitted.simulation_error["validation"][0].nrmse[0] < 0.02
     report = api.close_loop(rows.measured(), validation=other.measured(), model="pendulum", out=tmp_path / "out")
     assert report.verdict == "nothing_missing"
+    read = api.close_loop(rows.measured(), validation=other.measured(), model="pendulum", dictionary="*friction*?")
+    assert (read.verdict, read.folder) == ("nothing_missing", None)
+    with pytest.raises(InputError, match=r"expected a Dataset, got a str.*harness.close_loop reads files"):
+        diagnosis.close_loop("log.csv", "pendulum")  # type: ignore[arg-type]

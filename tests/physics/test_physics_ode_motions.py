@@ -106,3 +106,13 @@ def test_a_coordinate_that_is_a_state_moves_at_its_speed() -> None:
     ode.rhs = [2 * c, (force - s) / m]
     with pytest.raises(InputError, match="rate of 's'"):
         ode.system()
+
+
+def test_one_motion_is_not_integrated_twice() -> None:
+    """An angle beside the coordinate would be a second one that no effect of the joint knows."""
+    ode = Ode("servo", x="angle w", u="v", p="J b", units={**UNITS, "angle": "rad"}, motions={"shaft": ("w", "J")},
+              parameters={"J": 1e-4, "b": 1e-5})  # fmt: skip
+    (_, w), (v,), (inertia, b) = ode.x, ode.u, ode.p
+    ode.rhs = [w, (v - b * w) / inertia]
+    with pytest.raises(InputError, match=r"state 'angle'.*the same motion twice.*name the coordinate 'angle'"):
+        ode.system()

@@ -203,7 +203,7 @@ def alike(y: FloatArray, rows: npt.NDArray[np.intp]) -> list[tuple[float | None,
     by_chance = ordinary.size * binom.sf(counts - 1, rows.size, known / max(y.size - rows.size, 1))
     words = [
         float(value)
-        for value, count, chance in zip(values, counts, by_chance, strict=True)
+        for value, count, chance in zip(values, counts, np.atleast_1d(by_chance), strict=True)
         if (count > 1 and chance < ODD.by_chance) or _is_word(float(value))
     ]
     groups: list[tuple[float | None, npt.NDArray[np.intp]]] = [(word, rows[y[rows] == word]) for word in words]

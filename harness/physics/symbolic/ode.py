@@ -197,6 +197,14 @@ class Ode:
                     got=str(slopes[coordinate]),
                     remedy="write its right-hand side so, or choose another name for the coordinate",
                 )
+            same = [state for state, slope in slopes.items() if state != coordinate and str(slope) == speed]
+            if same:
+                raise InputError(
+                    f"state {same[0]!r} of {self.name!r}",
+                    expected=f"one integral of the speed {speed}, the coordinate",
+                    got=f"{same[0]}' = {speed} beside the coordinate {coordinate!r}: the same motion twice",
+                    remedy=f"name the coordinate {same[0]!r}",
+                )
         moving = [*self.motions, *speeds]
         return [*moving, *(str(state) for state in self.x if str(state) not in moving)]
 
