@@ -97,7 +97,12 @@ class Diagnosis:
         """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.leftover.best is not None or self.latent_share > self.policy.large
         refused = not self.outcome.accepted and self.outcome.promised(self.policy) is not None
-        return left or refused or bool(self.outcome.withdrawn) or self.disagree or bool(self.rival)
+        return left or refused or bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
+
+    @property
+    def astray(self) -> bool:
+        """True where the nominal model runs far further from the validation records than from the others."""
+        return not self.outcome.accepted and self.runs.further > self.policy.further
 
     @property
     def disagree(self) -> bool:

@@ -45,6 +45,7 @@ def diagnosis(
     apart: float = 0.0,
     promised: str = "",
     nearer: bool = True,
+    further: float = 1.0,
     before: float | None = None,
     law: Placed = DRAG,
 ) -> Diagnosis:
@@ -66,7 +67,7 @@ def diagnosis(
     form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])), latent=True)
     rest: dict[str, Any] = {
         "leftover": SimpleNamespace(best=best),
-        "runs": SimpleNamespace(left=left, worse=lambda policy: worse, nearer=lambda policy: nearer),
+        "runs": SimpleNamespace(left=left, further=further, worse=lambda policy: worse, nearer=lambda policy: nearer),
     }
     nothing: Any = None
     made = Diagnosis(nothing, nothing, form, outcome, rest["leftover"], rest["runs"], misfit, POLICY)
@@ -105,6 +106,9 @@ def test_the_verdict_asks_first_whether_the_model_fits() -> None:
     assert diagnosis(apart=200.0).verdict == "unexplained"
     assert diagnosis(apart=20.0).verdict == "nothing_missing"
     assert diagnosis(promised="backlash@theta").verdict == "unexplained"
+    assert diagnosis(further=6.0).verdict == "unexplained"
+    assert diagnosis(further=3.0).verdict == "nothing_missing"
+    assert diagnosis(accepted=True, further=6.0).verdict == "effects_found"
     assert diagnosis(accepted=True, promised="backlash@theta").grade == "explained", "an answer has rivals"
     assert diagnosis(accepted=True, misfit=("it does not",)).verdict == "model_does_not_fit"
 

@@ -506,6 +506,8 @@ def _cause(found: Diagnosis) -> str:
         return f"{gain}, but {refusals_text(refused.refusals)}"
     if found.disagree:
         return "the validation records want other parameters than the estimation records"
+    if found.astray:
+        return f"free runs err {found.runs.further:.2g} times as far on the validation records as on the others"
     return "the force that nobody measured is too large for a disturbance"
 
 

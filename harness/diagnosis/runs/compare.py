@@ -60,6 +60,17 @@ class FreeRuns:
         change, error = self._change(policy)
         return change > policy.tie_z * error
 
+    @property
+    def further(self) -> float:
+        """Times as far as on the estimation records that the final model errs on the others, the worst output."""
+        if self.after is None or not self.after.finite:
+            return np.inf
+        estimation, validation = (
+            np.sqrt(np.mean(np.concatenate(list(errors)) ** 2, axis=0))
+            for errors in (self.after.estimation, self.after.validation)
+        )
+        return float(np.max(validation / np.maximum(estimation, 1e-300)))
+
     def nearer(self, policy: Policy) -> bool:
         """Return True if the final model runs nearer to the validation records than the nominal one, by as much.
 
