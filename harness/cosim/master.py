@@ -132,15 +132,13 @@ class Coupled:
         shown, seen = self._outputs_seen(outputs, external)
         self._sequence = self._in_sequence(list(parts) if sequence is None else sequence)
         self._self_fed, self._direct = self._direct_groups(refuse_loops=loops == "refuse")
-        knowing = [part for part in self._parts if "truth" in part.plant.abilities]
-        states = [replace(c, name=f"{part.name}.{c.name}") for part in knowing for c in part.plant.spec.states]
         touched = reached_at_once(self._parts, self._wires)
         through = self._feeds_through(seen, touched)
-        told: dict[Ability, bool] = {"truth": bool(knowing), "feedthrough": bool(through)}
-        abilities = self._rollback(iterations) | {name for name, there in told.items() if there}
         self._show = shower([(i, one.transform) for i, one in zip(seen, shown, strict=True)])
-        self._spec = PlantSpec(tuple(external), tuple(one.channel for one in shown), step, tuple(states), through)
-        self._abilities = frozenset(abilities)
+        channels = tuple(external), tuple(one.channel for one in shown)
+        self._abilities, states = self._told(through)
+        self._abilities |= self._rollback(iterations)
+        self._spec = PlantSpec(*channels, step, states, through)
         self._on_close: list[Callable[[], object]] = []
         self._outside = slice(self._ny, self._ny + len(external))
         self._shape = (len(external),)
@@ -183,6 +181,13 @@ class Coupled:
     def _feeds_through(self, seen: Sequence[int], touched: Sequence[Part]) -> bool:
         """Return True if an output is an external input, or of a part that one reaches within the step."""
         return any(i >= self._ny or any(part.outputs.start <= i < part.outputs.stop for part in touched) for i in seen)
+
+    def _told(self, through: bool) -> tuple[frozenset[Ability], tuple[Channel, ...]]:
+        """Return what the system can tell of itself, and the states of the parts that tell theirs."""
+        knowing = [part for part in self._parts if "truth" in part.plant.abilities]
+        states = [replace(c, name=f"{part.name}.{c.name}") for part in knowing for c in part.plant.spec.states]
+        told: dict[Ability, bool] = {"truth": bool(knowing), "feedthrough": through}
+        return frozenset(name for name, there in told.items() if there), tuple(states)
 
     def _in_sequence(self, names: Sequence[str]) -> list[Part]:
         """Return the parts in their order within a step."""
