@@ -12,6 +12,7 @@ import numpy as np
 from harness.diagnosis.contested import at_optimum, carried, simple_fits_of, uncontested
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.dictionary import laws_of
+from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
@@ -105,10 +106,13 @@ def diagnose(
         rival = ""
         if not (wrong or given):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
-        outcome = with_rounding(remembered, outcome, dataset, candidates, policy, share=np.array(thinned.noise))
+        share = np.array(thinned.noise)
+        outcome = with_rounding(
+            remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
+        )
         # grade what is left
         outcome, runs, leftover, moved = what_free_runs_say(
-            kind, form, outcome, dataset, policy, say, simple, share=np.array(thinned.noise)
+            kind, form, outcome, dataset, policy, say, simple, share=share
         )
         outcome = widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Kind
@@ -57,7 +58,7 @@ def carried(form: WholeForm, fit: Fit, policy: Policy, share: float | None = Non
 
     ``share`` of the typical force is what it is then larger than: what counts as an effect unless another is given.
     """
-    noise = fit.detail.points["estimation"].noise
+    noise = likelihood_detail(fit).points["estimation"].noise
     if form.latent:
         force = np.sqrt(noise.s**2 + noise.w**2)
         return bool((force > (policy.disturbed if share is None else share) * form.noise_model.force_scale).any())

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.forms.apart import Apart
+from harness.diagnosis.forms.fit_records import likelihood_detail, reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import PLAN_POLICY, Policy
 from harness.diagnosis.records.thinning import Thinned
@@ -63,7 +64,7 @@ class Diagnosis:
     def sensor_noise(self, fit: Fit) -> FloatArray:
         """Return the standard deviation of the noise of the readings, as they are in the data (ny,)."""
         share = 1.0 if self.thinned is None else np.array(self.thinned.noise)
-        return np.asarray(fit.detail.points["estimation"].noise.r / share)
+        return np.asarray(reading_noise(fit) / share)
 
     @property
     def test(self) -> ScoreTest:
@@ -132,7 +133,7 @@ class Diagnosis:
 
     def _latent_shares(self, fit: Fit) -> FloatArray:
         """Return the sizes of the latent forces of a fit (nl,), each over the typical force of its port."""
-        noise = fit.detail.points["estimation"].noise
+        noise = likelihood_detail(fit).points["estimation"].noise
         return np.asarray(np.sqrt(noise.s**2 + noise.w**2) / self.form.noise_model.force_scale)
 
     def _explains_nothing(self) -> bool:

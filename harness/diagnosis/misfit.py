@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from harness.diagnosis.forms.fit_records import likelihood_detail, reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.runs.compare import FreeRuns
@@ -50,9 +51,9 @@ def misfit_reasons(
             return (noisy,)
         share = "diverges" if not np.isfinite(left) else f"leaves {100 * np.sqrt(left):.0f} % of the motion"
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
-    noise = final.detail.points["estimation"].noise
+    noise = likelihood_detail(final).points["estimation"].noise
     forces = np.sqrt(noise.s**2 + noise.w**2)
-    for port, size, scale in zip(final.detail.passes.forces, forces, form.noise_model.force_scale,
+    for port, size, scale in zip(likelihood_detail(final).passes.forces, forces, form.noise_model.force_scale,
                                  strict=True):  # fmt: skip
         if size > policy.misfit_force * scale:
             least = "at least " if f"s@{port.port}" in final.on_bound else ""
@@ -76,13 +77,17 @@ def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, fa
     asked, at two standard errors, the free run is no evidence until the next window. The fit looks at one of ``factor``
     samples of the free run; where it looks at stretches of the records only, nothing tells.
     """
-    noise = final.detail.points["estimation"].noise
+    noise = likelihood_detail(final).points["estimation"].noise
     small = np.sqrt(noise.s**2 + noise.w**2) <= policy.large * form.noise_model.force_scale
     if not form.latent or not small.all() or runs.after is None or not runs.after.finite:
         return False
     paths, _ = form.paths(final, "validation")
     size = np.sqrt(runs.motion)
-    steps = None if runs.horizon.seconds is None else max(round(runs.horizon.seconds / final.detail.passes.dt), 1)
+    steps = (
+        None
+        if runs.horizon.seconds is None
+        else max(round(runs.horizon.seconds / likelihood_detail(final).passes.dt), 1)
+    )
     squares: list[FloatArray] = []
     errors = [error[::factor] for error in runs.after.validation]
     if list(map(len, errors)) != [len(passed.e) for passed in paths]:
@@ -110,7 +115,7 @@ def mostly_noise(form: WholeForm, nominal: Fit, policy: Policy) -> list[str]:
 
     They are where the motion is less than the share of what is read that a model which fits may leave.
     """
-    deviation = np.asarray(nominal.detail.points["estimation"].noise.r, dtype=float)
+    deviation = reading_noise(nominal)
     shares = _told_noise(deviation, form.records["estimation"]) / form.noise_model.output_scale**2
     noisy = shares.size > 0 and bool((1.0 - shares <= policy.misfit_nrmse**2).all())
     return [_noisy(form, shares)] if noisy else []

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.diagnosis.contested import follows_whole
 from harness.diagnosis.dictionary import Laws, placed
+from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Kind
@@ -132,7 +133,7 @@ def what_free_runs_say(
     horizon = kind.horizon(form.nominal, outcome.nominal.values, dataset)
 
     def run_freely(outcome: Outcome) -> FreeRuns:
-        noise = outcome.model.detail.points["estimation"].noise.r / share
+        noise = reading_noise(outcome.model) / share
         output = kind.runs(form, dataset, noise, horizon)
         nearest = simple.nominal.values if simple is not None and form.latent and simple.nominal is not None else None
         return free_runs(output, horizon, outcome.nominal, outcome.model, nearest)

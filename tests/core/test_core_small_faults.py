@@ -295,12 +295,13 @@ def test_rounding_is_named_from_its_share_of_the_noise_on(share: float, named: b
     placed = Placed(effect, "y")
     run = SimpleNamespace(y=readings)
     dataset: Any = SimpleNamespace(spec=SPEC, estimation=[run], validation=[run])
-    points = {"estimation": SimpleNamespace(noise=SimpleNamespace(r=np.array([noise])))}
     terms = {use: [readings[:, 0]] for use in ("estimation", "validation")}
-    model = SimpleNamespace(detail=SimpleNamespace(points=points), effects=[], values={}, terms=terms)
+    model = SimpleNamespace(effects=[], values={}, terms=terms)
     form: Any = SimpleNamespace(fit=lambda effects, starts, base: base)
     nothing: Any = model
-    outcome = with_rounding(form, Outcome(form, nothing, nothing), dataset, [placed])
+    outcome = with_rounding(
+        form, Outcome(form, nothing, nothing), dataset, [placed], noise_of=lambda fit: np.array([noise])
+    )
     assert [one.placed for one in outcome.accepted] == [placed] * named
     for one in outcome.accepted:
         assert one.evidence == one.validation == pytest.approx(-400 * np.log(POLICY.chance))

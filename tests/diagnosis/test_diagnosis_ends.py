@@ -77,7 +77,7 @@ class Cornered(Likelihood):
         self.noise_model = NoiseModel(np.ones(1), np.ones(1))
         self.filter: Any = SimpleNamespace(ny=0)
 
-    def _layout(self) -> tuple[list[str], FloatArray, FloatArray, FloatArray]:
+    def layout(self) -> tuple[list[str], FloatArray, FloatArray, FloatArray]:
         return ["limit", "b"], np.zeros(2, dtype=bool), np.full(2, -10.0), np.full(2, 10.0)
 
     def _value(self, z: FloatArray) -> tuple[float, list[Filtered]]:
@@ -134,7 +134,7 @@ def test_what_coarse_steps_seem_to_gain_is_not_followed_with_finer_ones(
     law = Placed(builtin()["quadratic_drag"], "theta")
     begun = form.begin([law], [nominal.values], nominal)
     assert begun is not None
-    coarse = begun.detail[1].substeps
+    coarse = begun.detail.passes.substeps
     tried: list[int] = []
 
     def substeps(system: object, values: Mapping[str, float]) -> int:

@@ -133,4 +133,4 @@ def test_a_candidate_is_simulated_with_steps_as_fine_as_what_it_is_compared_with
     beside, alone = (form.begin(effects, [start], base) for effects in ([first, second], [second]))
     assert beside is not None
     assert alone is not None
-    assert [one.detail[1].substeps for one in (beside, alone)] == [4 * own, own]
+    assert [one.detail.passes.substeps for one in (beside, alone)] == [4 * own, own]

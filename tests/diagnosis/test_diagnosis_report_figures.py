@@ -180,6 +180,7 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
         ),
         ({"rival": (60.0, 40.0)}, "by 60 in log-likelihood, but its fit did not converge"),
         ({"disagree": True}, "the validation records want other parameters"),
+        ({"further": 6.84}, "free runs err 6.8 times as far on the validation records as on the others"),
         ({}, "the force that nobody measured is too large for a disturbance"),
     ],
 )
@@ -193,6 +194,8 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
         ),
         policy=POLICY,
         disagree=more.get("disagree", False),
+        astray="further" in more,
+        runs=SimpleNamespace(further=more.get("further")),
     )
     assert words in evidence_json._cause(found)  # type: ignore[arg-type]
 

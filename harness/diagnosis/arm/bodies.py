@@ -14,7 +14,7 @@ import numpy as np
 
 from harness.diagnosis.arm.joint import CLOCK, JointRegression
 from harness.diagnosis.arm.motion import ArmRun
-from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.regression import RegressionForm, regression_detail
 from harness.diagnosis.arm.rotor import ROTOR
 from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.arm.wide_regression import WideRegression
@@ -102,7 +102,7 @@ def bodies_of_arm(
     equation = regression.equation(wide.fit.effects)
     p = np.zeros(len(equation.system.parameters))
     parts = equation.residual(p, "estimation")
-    errors = wide.fit.detail.errors
+    errors = regression_detail(wide.fit).errors
     residual = form.whitened([r for r, _ in parts], "estimation", errors)
     rows = form.whitened([j for _, j in parts], "estimation", errors)
     own = [k for k, name in enumerate(equation.system.parameter_names) if name in regression.own]
@@ -128,7 +128,7 @@ def bodies_of_joints(
         names = equation.system.parameter_names
         p = np.array([0.0 if name in form.regression.own else fit.values[name] for name in names])
         parts = equation.residual(p, "estimation")
-        errors = fit.detail.errors
+        errors = regression_detail(fit).errors
         rows = form.whitened([j for _, j in parts], "estimation", errors)
         free = [k for k, name in enumerate(names) if name in form.regression.own]
         residual = form.whitened([r for r, _ in parts], "estimation", errors)

@@ -11,6 +11,7 @@ import numpy as np
 from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.joint import CLOCK, JointRegression
 from harness.diagnosis.arm.motion import ArmRun, moving_rows
+from harness.diagnosis.arm.regression import regression_detail
 from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.search.fit import Fit
@@ -91,7 +92,7 @@ class JointDiagnosis:
 
     def _residual(self, regression: JointRegression, fit: Fit, use: str) -> list[FloatArray]:
         """Return the residual torque (rows, 1) of a fit for every record."""
-        known = fit.detail.residual.get(use)
+        known = regression_detail(fit).residual.get(use)
         if known is not None:
             return list(known)
         equation = regression.equation(fit.effects)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.diagnosis.arm.effects import GAIN
-from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.regression import RegressionForm, regression_detail
 from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
 from harness.diagnosis.policy import ARM_POLICY, Policy
 from harness.diagnosis.search.outcome import Outcome
@@ -168,7 +168,9 @@ def exchanged(form: RegressionForm, outcome: Outcome, policy: Policy) -> list[Li
     rotors = {name: k for k in regression.joints if (name := regression.own_name(k, ROTOR)) in full.values}
     last = [key for key, one in regression.effects.items() if one.placed.effect.name == LINK][-1:]
     one_body = frozenset([*last, *(key for key in known if known[key].effect.name in LOAD)])
-    elements = replace(_elements(form, full.detail.errors, known, rotors, policy, full.samples), alone=one_body)
+    elements = replace(
+        _elements(form, regression_detail(full).errors, known, rotors, policy, full.samples), alone=one_body
+    )
     begun = frozenset(map(str, found))
     turning = frozenset(name for name in rotors if outcome.model.values.get(name, 0.0) > 0)
     loads = frozenset(name for name, one in known.items() if one.effect.name in LOAD)

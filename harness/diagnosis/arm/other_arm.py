@@ -16,7 +16,7 @@ from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.geometry import runs_of_another_arm
 from harness.diagnosis.arm.motion import ArmRun
-from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.regression import RegressionForm, regression_detail
 from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.arm.wide_regression import WideRegression
 from harness.diagnosis.policy import ArmPolicy, Policy
@@ -111,7 +111,7 @@ def free_bodies(
         return np.asarray(np.sqrt(squares / np.maximum(counts.sum(axis=0), 1)))
 
     left, without = left_by(freed, fit.values), left_by(runs, wide.outcome.nominal.values)
-    found = rms(wide.fit.detail.residual["validation"])
+    found = rms(regression_detail(wide.fit).residual["validation"])
     rigid, moved = (
         np.concatenate([run.slim(torque[:, places], places) for run, torque in each])
         for each in (

@@ -9,6 +9,7 @@ import numpy as np
 
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.motion import moving_rows
+from harness.diagnosis.arm.regression import regression_detail
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing, legend
 from harness.diagnosis.report.figures import draw as draw_pictures
@@ -130,7 +131,7 @@ def _joint_by_itself(
     motion = regression.motions["validation"][longest]
     inside = regression.counts["validation"][longest][:, 0] > 0
     rate = decimated(motion.v, motion)[inside, 0]
-    before = -joint.nominal.detail.residual["validation"][longest][inside, 0]
+    before = -regression_detail(joint.nominal).residual["validation"][longest][inside, 0]
     if not own_effects:
         return rate, before, before, None
     effects = [accepted.placed for accepted in joint.outcome.accepted]

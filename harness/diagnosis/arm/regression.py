@@ -20,7 +20,7 @@ from harness.physics.compiled.kalman_pass import Filtered
 from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
-__all__ = ["USES", "Change", "Detail", "Equation", "RegressionForm", "TorqueRegression"]
+__all__ = ["USES", "Change", "Equation", "RegressionDetail", "RegressionForm", "TorqueRegression", "regression_detail"]
 
 USES = ("estimation", "validation")
 ROUNDS = 12
@@ -98,12 +98,26 @@ class TorqueRegression(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Detail:
-    """The errors by joint, and the residual torques (rows, n) by use and record."""
+class RegressionDetail:
+    """What a regression keeps of a fit: the errors by joint, and the residual torques (rows, n) by use and record."""
 
     errors: tuple[Coloured, ...]
     residual: dict[str, list[FloatArray]]
     jacobian: dict[str, list[FloatArray]]
+
+
+def regression_detail(fit: Fit) -> RegressionDetail:
+    """Return what a regression keeps of a fit of its own."""
+    assert isinstance(fit.detail, RegressionDetail)
+    return fit.detail
+
+
+@dataclass(frozen=True, eq=False)
+class _FirstSteps:
+    """The equation that is fitted, and where its first steps led: value, parameters, errors, whether they end there."""
+
+    equation: Equation
+    best: tuple[float, FloatArray, tuple[Coloured, ...], bool]
 
 
 class RegressionForm(InOneGo):
@@ -150,7 +164,9 @@ class RegressionForm(InOneGo):
             return None
         known_errors = [self._rough]
         if base is not None:
-            known_errors = [fit.detail.errors for fit in (base, self.without_memory(base)) if fit is not None]
+            known_errors = [
+                regression_detail(fit).errors for fit in (base, self.without_memory(base)) if fit is not None
+            ]
         best: tuple[float, FloatArray, tuple[Coloured, ...], bool] | None = None
         for start, errors in itertools.product(starts, known_errors):
             known = {**equation.system.values(), **start}
@@ -162,12 +178,13 @@ class RegressionForm(InOneGo):
             return None
         value, p, errors, _ = best
         names = equation.system.parameter_names
-        return Begun(tuple(effects), value, dict(zip(names, map(float, p), strict=True)), (equation, best))
+        return Begun(tuple(effects), value, dict(zip(names, map(float, p), strict=True)), _FirstSteps(equation, best))
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         del base
-        equation, (value, p, errors, converged) = begun.detail
+        assert isinstance(begun.detail, _FirstSteps)
+        equation, (value, p, errors, converged) = begun.detail.equation, begun.detail.best
         for _ in range(ROUNDS):
             again = self._step(equation, p, errors)
             if again is None or again[0] < value:
@@ -207,7 +224,9 @@ class RegressionForm(InOneGo):
         residual = [r for r, _ in equation.residual(p, "estimation")]
         if not all(np.isfinite(part).all() for part in residual):
             return None
-        return self._fitted(fit.effects, equation, p, self._errors(residual, fit.detail.errors)[1], fit.converged)
+        return self._fitted(
+            fit.effects, equation, p, self._errors(residual, regression_detail(fit).errors)[1], fit.converged
+        )
 
     def _parameters(
         self, equation: Equation, p0: FloatArray, errors: Sequence[Coloured]
@@ -290,7 +309,7 @@ class RegressionForm(InOneGo):
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
             converged, tuple(bound),
             own={names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
-            innovations=innovations, detail=Detail(errors, residual, jacobian),
+            innovations=innovations, detail=RegressionDetail(errors, residual, jacobian),
         )  # fmt: skip
 
     def change(self, fit: Fit, placed: Placed) -> float:
@@ -298,7 +317,7 @@ class RegressionForm(InOneGo):
         less = self.regression.equation([effect for effect in fit.effects if str(effect) != str(placed)])
         p = np.array([fit.values[name] for name in less.system.parameter_names])
         bare = [r for r, _ in less.residual(p, "estimation")]
-        changed = self._rms([a - b for a, b in zip(bare, fit.detail.residual["estimation"], strict=True)])
+        changed = self._rms([a - b for a, b in zip(bare, regression_detail(fit).residual["estimation"], strict=True)])
         return float(np.max(changed / np.maximum(self.regression.size, 1e-300), initial=0.0))
 
     def distance(self, fit: Fit, other: Fit) -> float:
@@ -359,7 +378,7 @@ class RegressionForm(InOneGo):
 
     def linearised(self, fit: Fit) -> Linearised:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        detail: Detail = fit.detail
+        detail = regression_detail(fit)
         own = self._own(fit.free)
         shared = [k for k in range(len(fit.free)) if k not in own]
         return Linearised(
@@ -378,7 +397,7 @@ class RegressionForm(InOneGo):
         An error with lines in its spectrum takes up whatever is left of a motion of a few sines, and no promise is left
         of an effect along that motion.
         """
-        detail: Detail = fit.detail
+        detail = regression_detail(fit)
         rows = max(len(part) for part in detail.residual["estimation"])
         long = [error.memory > EFFORT.memory * rows for error in detail.errors]
         if not any(long):
@@ -401,7 +420,7 @@ class RegressionForm(InOneGo):
 
     def _answered(self, fit: Fit, change: Change) -> Column:
         """Return what a change does to the whitened residual."""
-        errors = fit.detail.errors
+        errors = regression_detail(fit).errors
         made = {use: self.whitened(change.torque[use], use, errors) for use in USES}
         return Column(change.placed, change.given, change.names, made["estimation"], made["validation"], change.kind)
 

@@ -33,6 +33,7 @@ import numpy as np
 
 from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.found import ArmDiagnosis
+from harness.diagnosis.arm.regression import regression_detail
 from harness.diagnosis.arm.rotor import ROTOR, in_the_bodies
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.estimates import effect_data, known
@@ -213,7 +214,7 @@ def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str,
         "not_tried": [],
     }
     if judged is not None:
-        error = judged.final.detail.errors[0]
+        error = regression_detail(judged.final).errors[0]
         entry["effects"] = [] if found.misfit else [str(accepted.placed) for accepted in judged.outcome.accepted]
         entry["clock_s"] = None if judged.clock is None else known(judged.clock)
         entry["left"] = {

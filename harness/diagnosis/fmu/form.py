@@ -15,6 +15,7 @@ from harness.diagnosis.fmu.passes import FreePass, Run
 from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_of
 from harness.diagnosis.fmu.pushes import Moved, pushes, test_pushes
 from harness.diagnosis.forms.directions import Direction
+from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
 from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.search.fit import Column, Fit
@@ -101,10 +102,10 @@ class FmuForm(LikelihoodForm[FmuSystem]):
 
     def _moved(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Moved]]:
         """Return the motion of every record of some uses along the free run of a fit."""
-        simulator: FmuSimulator = fit.detail.passes.simulator
+        simulator: FmuSimulator = likelihood_detail(fit).passes.simulator
         moved: dict[str, list[Moved]] = {}
         for use in uses:
-            point = fit.detail.points[use]
+            point = likelihood_detail(fit).points[use]
             moved[use] = []
             for record, x0 in zip(self.records[use], point.x0, strict=True):
                 seen = simulator.sampled.inputs(record.u[None], point.p[None], False)[0][0]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.predictive import predictive, spread_of
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.fit import Fit
@@ -77,7 +78,7 @@ def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
         Of the validation records.
     fit : Fit
     """
-    point = fit.detail.points["validation"]
+    point = likelihood_detail(fit).points["validation"]
     own = [name for name in likelihood.names if name not in fit.free or name in fit.own]
     try:
         before = likelihood.maximise(point, free=own, exact=False)
@@ -101,11 +102,11 @@ def _within_spread(likelihood: Likelihood, fit: Fit, after: LikelihoodFit) -> li
     Parameters are where they are likeliest within what the estimation records leave open; how far that is costs, spread
     evenly. Noise has several maxima: what it is beside other parameters it may be beside these.
     """
-    start = fit.detail.best.point.p.copy()
+    start = likelihood_detail(fit).best.point.p.copy()
     for name in fit.own:
         k = likelihood.system.parameter_names.index(name)
         start[k] = after.point.p[k]
-    spread = spread_of(fit.detail.best, fit.free, list(fit.own))
+    spread = spread_of(likelihood_detail(fit).best, fit.free, list(fit.own))
     expected = predictive(likelihood, replace(after.point, p=start), fit.free, spread)
     paths = likelihood.filtered(expected.point)
     if paths is None:

@@ -11,9 +11,10 @@ from harness.diagnosis.forms.changed import changed_share
 from harness.diagnosis.forms.coherence import in_parts, incoherence, without
 from harness.diagnosis.forms.damping import damping_along
 from harness.diagnosis.forms.directions import Direction, directions, line_directions, test_functions
+from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.innovations import answered
 from harness.diagnosis.forms.lightened import lightened
-from harness.diagnosis.forms.likelihood_form import USES, Detail, LikelihoodForm
+from harness.diagnosis.forms.likelihood_form import USES, FirstSteps, LikelihoodForm
 from harness.diagnosis.forms.suspects import hidden
 from harness.diagnosis.forms.trace import Trace
 from harness.diagnosis.policy import EFFORT, POLICY
@@ -30,7 +31,6 @@ from harness.physics.compiled.simulator import default_substeps
 from harness.physics.compiled.smoother import Smoothed, smoothed
 from harness.physics.compiled.system import System
 from harness.physics.fitting.likelihood_fit import first_state, force_scale
-from harness.physics.fitting.maximum import Point
 from harness.physics.fitting.start import first_values
 from harness.signals import FloatArray, Trajectory
 
@@ -130,8 +130,10 @@ class EquationsForm(LikelihoodForm[System]):
 
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
         """See :class:`harness.diagnosis.search.fit.Form`: hidden resonances and play besides."""
-        point: Point = base.detail.points["estimation"] if rival is None else rival.detail[3][0].point
-        noise = point.noise
+        noise = likelihood_detail(base).points["estimation"].noise
+        if rival is not None:
+            assert isinstance(rival.detail, FirstSteps)
+            noise = rival.detail.tried[0].point.noise
         left = np.sqrt(noise.s**2 + noise.w**2) / self.noise_model.force_scale
         common = super().suspects(base, rival, candidates)
         if not left.max(initial=0.0) > EFFORT.negligible:
@@ -214,7 +216,7 @@ class EquationsForm(LikelihoodForm[System]):
 
     def _traces(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Trace]]:
         """Return the smoothed motion of every record of some uses."""
-        detail: Detail = fit.detail
+        detail = likelihood_detail(fit)
         if self.latent:
             ports = tuple(force.port for force in detail.passes.forces)
         else:

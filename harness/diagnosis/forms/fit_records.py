@@ -1,16 +1,53 @@
-"""Finished fits as plain numbers, and back: an interrupted diagnosis goes on with the same bits."""
+"""What a likelihood keeps of a fit, and fits as plain numbers: an interrupted diagnosis goes on with the same bits."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from harness.physics.compiled.kalman_pass import Filtered, Noise
+from harness.diagnosis.forms.predictive import Predictive
+from harness.diagnosis.search.fit import Fit
+from harness.physics.compiled.kalman_pass import Filtered, Noise, Pass
+from harness.physics.compiled.smoother import Smoothed
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit, Point
+from harness.signals import FloatArray
 
-__all__ = ["fit_from_record", "fit_record", "point_from_record", "point_record"]
+__all__ = [
+    "LikelihoodDetail",
+    "fit_from_record",
+    "fit_record",
+    "likelihood_detail",
+    "point_from_record",
+    "point_record",
+    "reading_noise",
+]
+
+
+@dataclass(eq=False)
+class LikelihoodDetail:
+    """Points and passes by use, the filter that made them, what the parameters' spread costs, and phases by halves."""
+
+    points: dict[str, Point]
+    passes: Pass
+    best: LikelihoodFit
+    predictive: Predictive
+    told: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+    paths: dict[str, list[Filtered]] = field(default_factory=dict)
+    smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
+
+
+def likelihood_detail(fit: Fit) -> LikelihoodDetail:
+    """Return what the likelihood keeps of a fit of its own."""
+    assert isinstance(fit.detail, LikelihoodDetail)
+    return fit.detail
+
+
+def reading_noise(fit: Fit) -> FloatArray:
+    """Return the standard deviation of the noise of the readings that were judged (ny,)."""
+    return np.asarray(likelihood_detail(fit).points["estimation"].noise.r, dtype=float)
 
 
 def point_record(point: Point) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from harness.diagnosis.forms.directions import Direction
+from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.search.fit import Column, Fit, Linearised
 from harness.effects.effect import Placed
@@ -49,7 +50,7 @@ def linearised(
             wide[:, count + number * own : count + (number + 1) * own] = j[:, count:]
             parts.append(wide)
         nuisance[use] = np.concatenate(parts)
-    return Linearised(residual, nuisance, tuple(fit.free), spread, fit.detail.predictive.moved, states)
+    return Linearised(residual, nuisance, tuple(fit.free), spread, likelihood_detail(fit).predictive.moved, states)
 
 
 def answered(

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Self, cast
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Generic, Self, cast
 
 import numpy as np
 
 from harness.diagnosis.forms.apart import Apart, apart
-from harness.diagnosis.forms.fit_records import fit_from_record, fit_record, point_from_record, point_record
+from harness.diagnosis.forms.fit_records import (
+    LikelihoodDetail,
+    fit_from_record,
+    fit_record,
+    likelihood_detail,
+    point_from_record,
+    point_record,
+)
 from harness.diagnosis.forms.halves import judged_by_halves, told_by_halves
 from harness.diagnosis.forms.innovations import linearised
 from harness.diagnosis.forms.predictive import Predictive, predictive, spread_of
@@ -33,7 +40,7 @@ from harness.signals import Dataset, FloatArray, Trajectory
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["USES", "Detail", "LikelihoodForm"]
+__all__ = ["USES", "FirstSteps", "LikelihoodForm"]
 
 NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
@@ -43,17 +50,14 @@ _LONG = 60
 """Iterations of a fit that is to come to its end."""
 
 
-@dataclass(eq=False)
-class Detail:
-    """Points and passes by use, the filter that made them, what the parameters' spread costs, and phases by halves."""
+@dataclass(frozen=True, eq=False)
+class FirstSteps(Generic[SystemT]):
+    """What a fit of the likelihood goes on from: the system, its filter, and where the first steps led, best first."""
 
-    points: dict[str, Point]
+    system: SystemT
     passes: Pass
-    best: LikelihoodFit
-    predictive: Predictive
-    told: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
-    paths: dict[str, list[Filtered]] = field(default_factory=dict)
-    smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
+    likelihood: Likelihood
+    tried: list[LikelihoodFit]
 
 
 class LikelihoodForm(InOneGo, SystemForm[SystemT]):
@@ -118,14 +122,16 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             vectors = [_within(system, _awake(system, _known(system, start))) for start in starts]
             substeps = int(np.median([self.substeps(system, values) for values in vectors]))
             if base is not None and self._within_it(base, effects):
-                substeps = max(substeps, base.detail.passes.substeps)  # coarser ones would be compared with finer ones
+                substeps = max(
+                    substeps, likelihood_detail(base).passes.substeps
+                )  # coarser ones would be compared with finer ones
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
                 likelihood, points = self._to_start(system, passes, vectors, starts, effects, base)
                 tried = self._looked(likelihood, points, spare=base is not None, hope=hope)
                 if tried:
-                    detail = system, passes, likelihood, tried
-                    return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, detail, tried[0].pace, system)
+                    detail, first = FirstSteps(system, passes, likelihood, tried), tried[0]
+                    return Begun(tuple(effects), -first.nll, first.parameters, detail, first.pace, system)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):  # two transmissions at one joint, say
             return None
         return None
@@ -279,7 +285,9 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        system, passes, likelihood, tried = begun.detail
+        first = begun.detail
+        assert isinstance(first, FirstSteps)
+        system, passes, likelihood, tried = first.system, first.passes, first.likelihood, first.tried
         bars = [
             fit for fit in (rival, base) if fit is not None and (fit is rival or self._within_it(fit, begun.effects))
         ]
@@ -317,7 +325,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     def record(self, fit: Fit) -> dict[str, Any]:
         """Return a finished fit as plain numbers."""
-        detail: Detail = fit.detail
+        detail = likelihood_detail(fit)
         return {
             "best": fit_record(detail.best),
             "validation": point_record(detail.points["validation"]),
@@ -382,7 +390,9 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
                 "estimation": [(passed.e, passed.s) for passed in best.filtered],
                 "validation": [(passed.e, passed.s) for passed in outside],
             },
-            detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
+            detail=LikelihoodDetail(
+                {"estimation": best.point, "validation": expected.point}, passes, best, expected, told
+            ),
             beyond=best.beyond,
             free_run=not self.latent,
         )
@@ -396,7 +406,11 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
         Free runs of processes have coloured errors: their evidence is overstated.
         """
-        return apart(self._likelihood(fit.model, "validation", fit.detail.passes), fit) if self.latent else None
+        return (
+            apart(self._likelihood(fit.model, "validation", likelihood_detail(fit).passes), fit)
+            if self.latent
+            else None
+        )
 
     def with_deviations(self, fit: Fit) -> Fit:
         """Return a fit with deviations for a coloured error of its free runs; one with latent forces as it is."""
@@ -455,7 +469,11 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
     ) -> list[tuple[float, Point]]:
         """Return where the fit of what belongs to the validation records starts from, each with its value."""
         system, passes = cast("SystemT", likelihood.system), likelihood.filter
-        noises = [best.point.noise] if base is None else [best.point.noise, base.detail.points["validation"].noise]
+        noises = (
+            [best.point.noise]
+            if base is None
+            else [best.point.noise, likelihood_detail(base).points["validation"].noise]
+        )
         longest = max(len(run) for run in self.records["validation"]) * self.dt
         points: list[tuple[float, Point]] = []
         for part in EFFORT.own_starts if own else (0.0,):
@@ -499,10 +517,10 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         """Return the noise to start from: that of the base, which other effects may change, else several."""
         if base is None:
             return first_noises(self.noise_model, self._first_noise, self.dt)
-        noise = base.detail.points["estimation"].noise
+        noise = likelihood_detail(base).points["estimation"].noise
         if effects and {*map(str, effects)} == {*map(str, base.effects)}:
             return [noise]
-        return [self._woken(noise, base.detail.best)]
+        return [self._woken(noise, likelihood_detail(base).best)]
 
     def _woken(self, noise: Noise, seen: LikelihoodFit) -> Noise:
         """Return noise of which no part is lost, neither a latent force nor a sensor's: it may be needed elsewhere.
@@ -529,7 +547,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
                 x[: self.nominal.nx] = self.first_state(system, record, p)[: self.nominal.nx]
             else:
                 old = [channel.name for channel in base.model.states]
-                start = base.detail.points[use].x0[number]
+                start = likelihood_detail(base).points[use].x0[number]
                 fresh = []
                 for k, name in enumerate(names):
                     if name in old:
@@ -549,7 +567,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     def paths(self, fit: Fit, use: str) -> tuple[list[Filtered], list[Smoothed]]:
         """Return the pass of a fit over every record of a use, and the smoothed states; found once."""
-        detail: Detail = fit.detail
+        detail = likelihood_detail(fit)
         if use not in detail.paths:
             point = detail.points[use]
             names = [*fit.system.parameter_names]
@@ -574,22 +592,22 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         if not self.latent:
             return None
         longest = max(len(run) for run in self.records["estimation"]) * self.dt
-        noise = fit.detail.points["estimation"].noise
+        noise = likelihood_detail(fit).points["estimation"].noise
         slow = (noise.tau > EFFORT.memory * longest) & (noise.s > EFFORT.negligible * self.noise_model.force_scale)
         if not slow.any():
             return None
         points = {}
-        for use, point in fit.detail.points.items():
+        for use, point in likelihood_detail(fit).points.items():
             tau = np.where(slow, 0.1 * EFFORT.memory * longest, point.noise.tau)
             s = point.noise.s * np.sqrt(np.minimum(tau / point.noise.tau, 1.0))
             points[use] = replace(point, noise=replace(point.noise, s=s, tau=tau))
-        return replace(fit, detail=replace(fit.detail, points=points, paths={}, smooth={}))
+        return replace(fit, detail=replace(likelihood_detail(fit), points=points, paths={}, smooth={}))
 
     def linearised(self, fit: Fit) -> Linearised:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         own = _own(fit.effects)
-        spread = spread_of(fit.detail.best, fit.free, own)
-        states = _states(fit.detail.passes, fit.detail.points["estimation"])
+        spread = spread_of(likelihood_detail(fit).best, fit.free, own)
+        states = _states(likelihood_detail(fit).passes, likelihood_detail(fit).points["estimation"])
         return linearised(fit, {use: self.paths(fit, use)[0] for use in USES}, spread, states)
 
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
@@ -614,7 +632,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         if not tried:
             return None
         held = tried[0]
-        detail = system, passes, likelihood, [replace(held, converged=False)]
+        detail = FirstSteps(system, passes, likelihood, [replace(held, converged=False)])
         return self.finish(Begun((placed,), -held.nll, held.parameters, detail, held.pace, system), plain)
 
 

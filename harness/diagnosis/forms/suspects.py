@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import EFFORT
 from harness.diagnosis.records.stretches import uncut
@@ -71,7 +72,7 @@ def piled_up(form: HoldingForm, base: Fit, candidates: Sequence[Placed]) -> list
     """
     names = [channel.name for channel in form.nominal.outputs]
     # a model that does not fit at all may blame a force for everything, and nothing on the sensor
-    noise = np.maximum(base.detail.points["estimation"].noise.r, sensor_noise(form.records["estimation"]))
+    noise = np.maximum(reading_noise(base), sensor_noise(form.records["estimation"]))
     suspects = []
     for placed in candidates:
         main = placed.effect.main

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.table import Accepted
@@ -84,7 +85,7 @@ def scaled_together(system: AnySystem, fit: Fit, dataset: Dataset) -> list[str]:
 
 def ratios(fit: Fit, names: Sequence[str]) -> dict[str, Any]:
     """Return what each parameter is of the first one, with the interval that their covariance gives."""
-    best = fit.detail.best
+    best = likelihood_detail(fit).best
     made: dict[str, Any] = {}
     for name in names[1:]:
         below, above = fit.values[names[0]], fit.values[name]

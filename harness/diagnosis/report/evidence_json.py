@@ -61,6 +61,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.motion import measured_coordinates
 from harness.diagnosis.report.estimates import effect_data, estimate, known, ratios, scaled_together
@@ -231,7 +232,7 @@ def _parameters(fit: Fit, together: Sequence[str]) -> dict[str, Any]:
 
 def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
     """Return the noise of sensors and forces."""
-    noise = fit.detail.points["estimation"].noise
+    noise = likelihood_detail(fit).points["estimation"].noise
     return {
         "sensors": {
             channel.name: {"r": known(float(r)), "unit": channel.unit}
@@ -247,7 +248,12 @@ def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
                 "at_least": f"s@{force.port}" in fit.on_bound and bool(s > scale),
             }
             for force, s, tau, w, scale in zip(
-                fit.detail.passes.forces, noise.s, noise.tau, noise.w, found.form.noise_model.force_scale, strict=True
+                likelihood_detail(fit).passes.forces,
+                noise.s,
+                noise.tau,
+                noise.w,
+                found.form.noise_model.force_scale,
+                strict=True,
             )
         },
     }

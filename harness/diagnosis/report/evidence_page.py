@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from harness.diagnosis.forms.fit_records import likelihood_detail, reading_noise
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.evidence_json import FREE, answer_of, innovations
 from harness.diagnosis.report.figures import Overlay, Pictures, ResidualView, draw
@@ -125,7 +126,7 @@ def _overlays(found: Diagnosis, changed: bool) -> list[Overlay]:
 def _force(found: Diagnosis, fit: Fit, port: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return states (N, nx), a latent force (N,) and its standard deviation on the first estimation record."""
     _, smooth = found.form.paths(fit, "estimation")
-    row = fit.detail.passes.start_size + port
+    row = likelihood_detail(fit).passes.start_size + port
     return smooth[0].x, smooth[0].x[:, row], smooth[0].deviation[:, row]
 
 
@@ -139,7 +140,7 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
     record = found.form.records["estimation"][0]
     views = []
     final = answer_of(found).fit
-    ports = list(found.nominal.detail.passes.forces)
+    ports = list(likelihood_detail(found.nominal).passes.forces)
     sizes = [float(np.std(_force(found, found.nominal, k)[1])) / s for k, s in
              enumerate(found.form.noise_model.force_scale)]  # fmt: skip
     shown = sorted(np.argsort(sizes)[::-1][:MOST_PORTS])
@@ -187,7 +188,7 @@ def _output_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
         axes = [(channel.name, channel.unit, record.y[:, j])]
         axes += _driven(found, record)
         axes.append(("time", "s", record.t))
-        sd = float(final.detail.points["estimation"].noise.r[j])
+        sd = float(reading_noise(final)[j])
         told = np.isfinite(before[:, j])  # the others are missing readings
         left = after[told, j] if changed else None
         views += [

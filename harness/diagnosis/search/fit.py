@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, cast
+from typing import Literal, Protocol, cast
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class Fit:
     innovations: dict[str, list[tuple[FloatArray, FloatArray]]] = field(default_factory=dict, repr=False)
     own: dict[str, float] = field(default_factory=dict)
     incoherence: dict[str, float] = field(default_factory=dict)
-    detail: Any = field(default=None, repr=False)
+    detail: object = field(default=None, repr=False)
     beyond: bool = False
     free_run: bool = False
 
@@ -164,7 +164,7 @@ class Begun:
     effects: tuple[Placed, ...]
     log_likelihood: float
     values: dict[str, float]
-    detail: Any = field(repr=False)
+    detail: object = field(repr=False)
     pace: float = 0.0
     system: Parametrised | None = field(default=None, repr=False)
 

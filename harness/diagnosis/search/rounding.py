@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
-from harness.diagnosis.search.fit import Form
+from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.table import Accepted
 from harness.effects.effect import Placed
@@ -25,7 +25,7 @@ def with_rounding(
     candidates: Sequence[Placed],
     policy: Policy = POLICY,
     *,
-    share: FloatArray | None = None,
+    noise_of: Callable[[Fit], FloatArray],
 ) -> Outcome:
     """Return what was found with the rounding of outputs, where it makes a part of the noise.
 
@@ -36,8 +36,8 @@ def with_rounding(
     dataset : Dataset
     candidates : sequence of Placed
     policy : Policy
-    share : array (ny,), optional
-        Noise of the readings that the form judges over that of those in the data.
+    noise_of : callable
+        Gives the standard deviation of the noise of the readings in the data (ny,) that a fit has found.
     """
     names = [channel.name for channel in dataset.spec.outputs]
     for placed in candidates:
@@ -51,9 +51,7 @@ def with_rounding(
         tests = {use: quantisation_test(read) for use, read in readings.items()}
         step = tests["estimation"].step
         model = outcome.model
-        noise = float(model.detail.points["estimation"].noise.r[column]) / (
-            1.0 if share is None else float(share[column])
-        )
+        noise = float(noise_of(model)[column])
         if not all(test.quantised for test in tests.values()) or step**2 / 12 < policy.rounding * noise**2:
             continue
         fit = form.fit([*model.effects, placed], [{**model.values, placed.name("step"): step}], model)
