@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from harness.data.conditioning.unstated import refuse_unlikely_seconds
 from harness.data.tables.headers import clock_of
 from harness.data.tables.table import Table
 from harness.errors import InputError
@@ -29,8 +30,8 @@ class ReplayedInput(Conditions):
 
     The run begins at the first stamp and ends at the last; ``samples`` or ``duration`` cut it. Stamps may lie at any
     distance, twice the same stamp is a jump, and titles may carry a unit (``time [ms]``, ``Zeit (ms)``, ``u [kN]``,
-    ``u_kN``); times without a unit are seconds. A file that holds nothing but the inputs has no times: its rows are
-    samples of the plant.
+    ``u_kN``); times without a unit are seconds, where they are less than 1 apart. A file that holds nothing but the
+    inputs has no times: its rows are samples of the plant.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ class ReplayedInput(Conditions):
                 file=self.file,
             )
         title = self._clock(table, spec)
-        excitation = values if title is None else self._played(_seconds(table, title), values, spec)
+        excitation = values if title is None else self._played(_seconds(table, title), values, spec, table)
         if self.samples is not None or self.duration is not None:
             n = self.length(spec)
             if n > excitation.shape[0]:
@@ -108,7 +109,7 @@ class ReplayedInput(Conditions):
             )
         return None
 
-    def _played(self, time: FloatArray, values: FloatArray, spec: PlantSpec) -> FloatArray:
+    def _played(self, time: FloatArray, values: FloatArray, spec: PlantSpec, table: Table) -> FloatArray:
         """Return the inputs (N, nu) at the sample instants."""
         bad = ~np.isfinite(time)
         bad[1:] |= np.diff(time) < 0
@@ -120,7 +121,7 @@ class ReplayedInput(Conditions):
                 got=f"{time[row]:.9g} s after {time[row - 1]:.9g} s" if row else f"{time[row]:g} s",
                 remedy="sort or repair the rows",
                 file=self.file,
-                place=f"row {row}",
+                place=table.where(row),
             )
         dt = spec.sample_time
         stamps = (time - time[0]) / dt  # in samples
@@ -142,11 +143,13 @@ class ReplayedInput(Conditions):
             straight: FloatArray = (1.0 - share) * values[before] + share * values[after]
             return straight
         if self.off_grid == "refuse":
-            self._refuse_between(time, stamps, values, dt)
+            self._refuse_between(time, stamps, values, dt, table)
         held: FloatArray = values[before]
         return held
 
-    def _refuse_between(self, time: FloatArray, stamps: FloatArray, values: FloatArray, dt: float) -> None:
+    def _refuse_between(
+        self, time: FloatArray, stamps: FloatArray, values: FloatArray, dt: float, table: Table
+    ) -> None:
         """Refuse a change that falls between two sample instants: the plant could only see it late."""
         changes = np.zeros(len(stamps), dtype=bool)
         changes[1:] = np.any(values[1:] != values[:-1], axis=1)
@@ -160,13 +163,22 @@ class ReplayedInput(Conditions):
                 remedy="give the plant a sample time that divides the stamps (--option sample_time=...), "
                 "interpolation=linear, or off_grid=next to let it change at the next sample",
                 file=self.file,
-                place=f"row {row}",
+                place=table.where(row),
             )
 
 
 def _seconds(table: Table, title: str) -> FloatArray:
-    """Return the stamps in seconds."""
-    return table.read_time(title)[0]
+    """Return the stamps in seconds; whole numbers without a unit are asked for it, as milliseconds look so too."""
+    time, stated = table.read_time(title)
+    if not stated:
+        try:
+            refuse_unlikely_seconds(time, title)
+        except InputError as error:
+            remedy = f'title it "{title} [s]", "{title} [ms]" or as it is meant'
+            raise InputError(
+                error.what, expected=error.expected, got=error.got, remedy=remedy, file=table.path
+            ) from error
+    return time
 
 
 def _column(table: Table, channel: Channel) -> FloatArray:

@@ -329,7 +329,7 @@ def _misfit(unit: str, target: str) -> InputError:
         "unit does not fit",
         expected=f"a unit that converts to {target!r}",
         got=repr(unit),
-        remedy="correct the unit, or declare a scale into the right one",
+        remedy=f"correct the unit, or declare unit = {target!r} and a scale in a dataset.toml",
     )
 
 

@@ -99,7 +99,9 @@ def test_a_draft_asks_and_nothing_is_taken_before_it_is_answered(tmp_path: Path)
     with pytest.raises(InputError, match=r"'\?'"):  # the unit of winkel
         load_dataset(out)
     out.write_text(text.replace('unit = "?"', 'unit = "rad"'))
-    assert load_dataset(out).dataset.estimation[0].y[:, 0] == pytest.approx(Y)
+    found = load_dataset(out).dataset  # one record: its last third validates
+    assert [(run.use, len(run.trajectory)) for run in found] == [("estimation", 40), ("validation", 20)]
+    assert np.concatenate([run.trajectory.y[:, 0] for run in found]) == pytest.approx(Y)
 
 
 def test_sheets_by_their_name(tmp_path: Path) -> None:

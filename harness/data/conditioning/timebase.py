@@ -12,11 +12,13 @@ import numpy.typing as npt
 from harness.data.conditioning.clock import (
     JITTER_ACCEPTED,
     JITTER_UNNOTICED,
+    ROUGH,
     TimeRules,
     clock_of_rows,
     tracked,
 )
 from harness.data.conditioning.decimation import EDGE, filtered, hold_means
+from harness.data.conditioning.repeats import REPEATED, complemented, refuse_two_in_one, without_duplicates
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -30,13 +32,6 @@ REGULAR = 0.9
 DENSER = 0.1
 """Part of a step by which readings must be further apart than the samples of a grid for some of these to have none: as
 much as a clock wanders."""
-
-TWICE = 0.25
-"""Part of a step by which the stamps of a row that was logged twice may differ."""
-
-REPEATED = 0.1
-"""Share of rows that may repeat a time stamp with other readings: beyond it the stamps are coarser than the steps, and
-to keep one row of each would leave instants that nobody knows."""
 
 SHORTEST = 20
 """Rows of a record: a model of second order in one input has three parameters and two initial values, and an estimate
@@ -106,6 +101,28 @@ def pieces_of(
         If the time is not usable and no declared remedy covers it.
     """
     notes: list[str] = []
+    pieces = _pieces_within(time, values, names, inputs, rules, common, where, notes)
+    if not pieces:
+        raise InputError(
+            "only fragments between the gaps",
+            expected=f"at least one piece of {SHORTEST} samples",
+            got=f"{len(values)} rows, cut where some are lost or hold nothing",
+            remedy="record anew, without losing rows",
+        )
+    return pieces, notes
+
+
+def _pieces_within(
+    time: FloatArray | None,
+    values: FloatArray,
+    names: tuple[str, ...],
+    inputs: tuple[bool, ...],
+    rules: TimeRules,
+    common: float | None,
+    where: Callable[[int], str],
+    notes: list[str],
+) -> list[Piece]:
+    """Return the pieces of a run, or of a stretch of it; none where gaps leave only fragments."""
     if time is None:
         if rules.sample_time is None:
             raise InputError(
@@ -118,32 +135,37 @@ def pieces_of(
         dt = rules.sample_time
         stamps: FloatArray = np.arange(values.shape[0], dtype=np.float64) * dt
     else:
+        blank = ~np.isfinite(time) & ~np.isfinite(values).any(axis=1)
+        if blank.any() and not blank.all():
+            notes.append(f"{int(blank.sum())} rows hold nothing, not even a time: they are left out")
+            where = _renamed(where, np.flatnonzero(~blank))
+            time, values = time[~blank], values[~blank]
         _check_finite(time, where)
-        time, values, rows = _without_duplicates(time, time, values, rules, notes)
+        if rules.gaps == "split" and (stretches := _stretches(time)):
+            return _restarted(stretches, time, values, names, inputs, rules, common, where, notes)
+        time, values, rows = complemented(time, values, notes)
+        where = _renamed(where, rows)
+        time, values, rows = without_duplicates(time, time, values, rules, notes)
         where = _renamed(where, rows)
         dt, index = clock_of_rows(time, rules, common, notes)
         if index is not None and not (np.diff(index) > 0).all():
-            _refuse_two_in_one(index, time, dt, rules, where)
-            time, values, rows = _without_duplicates(index, time, values, rules, notes)
+            refuse_two_in_one(index, time, dt, rules, where)
+            time, values, rows = without_duplicates(index, time, values, rules, notes)
             where, index = _renamed(where, rows), index[rows]
         _check_order(time if index is None else index, time, where)
         stamps = time if index is None else time[0] + index * dt
     present: BoolArray = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
     if rules.resample is not None:
-        return _resampled(stamps, values, present, dt, inputs, rules, notes), notes
-    if not present.all() and rules.gaps == "refuse":
-        row, column = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        missing = int((~present).sum())
-        raise InputError(
-            f"nothing recorded in {missing} of {len(present)} rows",
-            expected="a number in every row",
-            got=f"{values[row, column]} in {where(row)} of {names[column]}",
-            remedy=f"cut the run with rows = [start, stop], or declare {_remedy(inputs, rules, inputs[column])}",
-            place=f"{where(row)}, signal {names[column]}",
-        )
+        return _resampled(stamps, values, present, dt, inputs, rules, notes)
+    if not present.all():
+        _refuse_empty(stamps, values, present, names, inputs, rules, where)
     steps = np.diff(stamps)
     jumps = np.abs(steps - dt) > 0.5 * dt
-    if jumps.any() and (np.diff(tracked(stamps, dt)) == 1).all():
+    steady = np.abs(steps - dt) < 0.5 * dt
+    rough = bool(steady.any() and np.std(steps[steady]) > ROUGH * dt)
+    if jumps.any() and (
+        (np.diff(tracked(stamps, dt)) == 1).all() or (rough and round((stamps[-1] - stamps[0]) / dt) == len(stamps) - 1)
+    ):
         jumps = np.zeros_like(jumps)  # no row is lost: the steps vary, which is said below
     if jumps.any() and rules.gaps == "refuse":
         k = int(np.argmax(jumps))
@@ -151,8 +173,13 @@ def pieces_of(
             f"time is not uniform ({int(jumps.sum())} gaps)",
             expected=f"a step of {dt:g} s between rows",
             got=f"{steps[k]:g} s between {where(k)} and {where(k + 1)} (t = {stamps[k]:g} s)",
-            remedy=f"declare {_remedy(inputs, rules, True)} in a dataset.toml (of a bare table: --gaps split), or cut "
-            "the run by rows = [start, stop]",
+            remedy=(
+                f"declare sample_time = {dt:.6g} if a clock took the rows and the stamps are rough, with "
+                if rough and rules.sample_time is None and _is_clock(stamps, float(f"{dt:.6g}"))
+                else "declare "
+            )
+            + f"{_remedy(inputs, rules, True)} in a dataset.toml (of a bare table: --gaps split), or cut the run by "
+            "rows = [start, stop]",
             place=where(k + 1),
         )
     cuts = np.flatnonzero(~present[:-1] | ~present[1:] | jumps) + 1
@@ -169,14 +196,95 @@ def pieces_of(
             f"{' ...' if len(kept) > 8 else ''} samples; {lost} of {len(stamps)} rows dropped "
             f"(empty, or in pieces shorter than {SHORTEST})"
         )
-    if not kept:
+    return [_uniform(stamps[rows], values[rows], _renamed(where, rows), dt, notes) for rows in kept]
+
+
+def _stretches(time: FloatArray) -> list[npt.NDArray[np.int64]]:
+    """Return the rows of each stretch in which time runs on, those that are long enough; empty where it never falls."""
+    falls = np.flatnonzero(np.diff(time) < 0) + 1
+    if not falls.size:
+        return []
+    return [rows for rows in np.split(np.arange(len(time)), falls) if rows.size >= SHORTEST]
+
+
+def _restarted(
+    stretches: list[npt.NDArray[np.int64]],
+    time: FloatArray,
+    values: FloatArray,
+    names: tuple[str, ...],
+    inputs: tuple[bool, ...],
+    rules: TimeRules,
+    common: float | None,
+    where: Callable[[int], str],
+    notes: list[str],
+) -> list[Piece]:
+    """Return the pieces of a run whose clock begins anew: what stands behind is a record of its own."""
+    pieces: list[Piece] = []
+    lost = len(time) - sum(rows.size for rows in stretches)
+    begins = ", ".join(where(int(rows[0])) for rows in stretches[:6]) + (" ..." if len(stretches) > 6 else "")
+    notes.append(
+        f"gaps: time runs back, so {len(stretches)} stretches, which begin in {begins}, are records of their own"
+        + (f"; {lost} of {len(time)} rows dropped (in stretches shorter than {SHORTEST})" if lost else "")
+    )
+    for rows in stretches:
+        near = _renamed(where, rows)
+        found = _pieces_within(time[rows], values[rows], names, inputs, rules, common, near, notes)
+        common = found[0].sample_time if found and common is None else common
+        pieces += found
+    return pieces
+
+
+def _refuse_empty(
+    time: FloatArray,
+    values: FloatArray,
+    present: BoolArray,
+    names: tuple[str, ...],
+    inputs: tuple[bool, ...],
+    rules: TimeRules,
+    where: Callable[[int], str],
+) -> None:
+    """Refuse empty cells that nothing is declared for, by a remedy that helps.
+
+    Raises
+    ------
+    InputError
+        If a signal holds nothing at all, or rows are empty and neither split nor resampled.
+    """
+    there = np.isfinite(values)
+    void = [name for name, column in zip(names, there.T, strict=True) if not column.any()]
+    if void:
         raise InputError(
-            "only fragments between the gaps",
-            expected=f"at least one piece of {SHORTEST} samples",
-            got=f"{len(stamps)} rows with {cuts.size} cuts",
-            remedy="record anew, without losing rows",
+            f"no number in any of {len(values)} rows of {', '.join(void)}",
+            expected="readings",
+            got="empty cells",
+            remedy="choose another column (sysid list FILE shows what they hold); formulas of a workbook hold numbers "
+            "once a spreadsheet has saved them",
+            place=f"signal {void[0]}",
         )
-    return [_uniform(stamps[rows], values[rows], _renamed(where, rows), dt, notes) for rows in kept], notes
+    ends = np.flatnonzero(np.diff(np.concatenate(([False], present, [False])).astype(np.int8)))
+    fragments = np.diff(ends)[::2].max(initial=0) < SHORTEST
+    in_turn = bool(fragments and there.sum(axis=0).min() >= SHORTEST)  # each signal alone is a record
+    if rules.resample is not None or (rules.gaps == "split" and not in_turn):
+        return
+    row, column = (int(i) for i in np.argwhere(~there)[0])
+    missing = int((~present).sum())
+    remedy = f"cut the run with rows = [start, stop], or declare {_remedy(inputs, rules, inputs[column])}"
+    if in_turn:
+        slowest = max(float(np.median(np.diff(time[filled]))) for filled in there.T if filled.sum() > 1)
+        held = [
+            name for name, is_input, filled in zip(names, inputs, there.T, strict=True) if is_input and not filled.all()
+        ]
+        remedy = (
+            f"write a dataset.toml with [resample] sample_time = {slowest:.4g}, or another: signals are filled in turn"
+            + (f', and intersample = "zoh" if {held[0]} is held from one reading to the next' if held else "")
+        )
+    raise InputError(
+        f"nothing recorded in {missing} of {len(present)} rows",
+        expected="a number in every row",
+        got=f"{values[row, column]} in {where(row)} of {names[column]}",
+        remedy=remedy,
+        place=f"{where(row)}, signal {names[column]}",
+    )
 
 
 def _renamed(where: Callable[[int], str], rows: npt.NDArray[np.int64]) -> Callable[[int], str]:
@@ -191,56 +299,6 @@ def _remedy(inputs: tuple[bool, ...], rules: TimeRules, lost: bool) -> str:
         if lost and any(inputs) and rules.intersample in (None, "zoh")
         else 'gaps = "split" or [resample]'
     )
-
-
-def _without_duplicates(
-    keys: npt.NDArray[Any], time: FloatArray, values: FloatArray, rules: TimeRules, notes: list[str]
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
-    """Return the rows with keys (time stamps or samples) of their own, as declared, and their rows in the file."""
-    rows = np.arange(len(time))
-    if rules.duplicates == "refuse" or len(time) < 2:
-        return time, values, rows
-    first = np.concatenate(([True], np.diff(keys) != 0))
-    if first.all():
-        return time, values, rows
-    differ = ~first[1:] & ~np.isclose(values[1:], values[:-1], rtol=0.0, atol=0.0, equal_nan=True).all(axis=1)
-    if differ.mean() > REPEATED:
-        raise InputError(
-            f"{int(differ.sum())} of {len(time)} rows repeat the time stamp of the row before with other readings",
-            expected=f"at most {REPEATED:.0%} of the rows: more are no doubled rows, but stamps coarser than the steps",
-            got=f"{int(first.sum())} time stamps for {len(time)} rows, and duplicates = {rules.duplicates!r}",
-            remedy="declare sample_time without duplicates if a clock took the rows, or record finer time stamps",
-            place="duplicates",
-        )
-    groups = np.cumsum(first) - 1
-    count = int(groups[-1]) + 1
-    last = np.concatenate((first[1:], [True]))
-    kept = last if rules.duplicates == "last" else first
-    chosen = values[kept]
-    if rules.duplicates == "mean":
-        chosen = np.column_stack([np.bincount(groups, column) for column in values.T]) / np.bincount(groups)[:, None]
-    other = f"; {int(differ.sum())} of them have other readings" if differ.any() else ""
-    notes.append(
-        f"{len(time) - count} rows repeat the time stamp of the row before: the {rules.duplicates} counts{other}"
-    )
-    return time[kept], chosen, rows[kept]
-
-
-def _refuse_two_in_one(
-    index: npt.NDArray[np.int64], time: FloatArray, dt: float, rules: TimeRules, where: Callable[[int], str]
-) -> None:
-    """Refuse rows in one sample of a clock whose stamps are apart: they are no doubled rows, of which one is enough."""
-    apart = (np.diff(index) == 0) & (np.diff(time) > TWICE * dt)
-    if rules.duplicates != "refuse" and apart.any():
-        row = int(np.argmax(apart)) + 1
-        raise InputError(
-            "two rows in one sample of the declared clock",
-            expected=f"stamps of doubled rows within {TWICE:g} of {dt:g} s, or rows in samples of their own",
-            got=f"{time[row] - time[row - 1]:.3g} s between {where(row - 1)} and {where(row)}",
-            remedy="correct sample_time, or cut the run there by rows = [start, stop]: the stamps are too rough to say "
-            "which samples these rows are",
-            place=where(row),
-        )
 
 
 def _check_finite(time: FloatArray, where: Callable[[int], str]) -> None:
@@ -259,19 +317,31 @@ def _check_finite(time: FloatArray, where: Callable[[int], str]) -> None:
 def _check_order(keys: npt.NDArray[Any], time: FloatArray, where: Callable[[int], str]) -> None:
     """Refuse time stamps (or the samples that they stand for) that do not increase."""
     back = np.diff(keys) <= 0
-    if back.any():
-        row = int(np.argmax(back)) + 1
-        stands = keys[row] == keys[row - 1]
-        raise InputError(
-            "time stands still" if stands else "time runs back",
-            expected=f"more than {time[row - 1]:g} s in {where(row)}",
-            got=f"{time[row]:g} s",
-            remedy='declare duplicates = "first", "last" or "mean" in a dataset.toml'
-            + (", or sample_time where the stamps are coarser than the steps" if time[row] == time[row - 1] else "")
-            if stands
-            else 'sort or cut the rows first; neither [resample] nor gaps = "split" mends this',
-            place=where(row),
-        )
+    if not back.any():
+        return
+    row = int(np.argmax(back)) + 1
+    expected, got = f"more than {time[row - 1]:.9g} s in {where(row)}", f"{time[row]:.9g} s"
+    twice = 'declare duplicates = "first", "last" or "mean" in a dataset.toml'
+    if keys[row] == keys[row - 1] and time[row] > time[row - 1]:
+        what = "two rows in one sample of the declared clock"
+        expected, got = "a sample for each row", f"{time[row - 1]:.9g} s and {time[row]:.9g} s"
+        remedy = f"correct sample_time, or leave it out and declare [resample]; {twice} if rows were doubled"
+    elif keys[row] == keys[row - 1]:
+        what = "time stands still"
+        if np.mean(np.diff(time) == 0) > REPEATED:
+            remedy = "declare sample_time (sysid: --sample-time), as the stamps are coarser than the steps"
+        else:
+            remedy = f"{twice}, or sample_time where the stamps are coarser than the steps"
+    else:
+        what = "time runs back"
+        stretches = _stretches(time)
+        remedy = "sort the rows by their time, if it is right"
+        if sum(map(len, stretches)) > REGULAR * len(time):
+            remedy = (
+                'declare gaps = "split" in a dataset.toml (of a bare table: --gaps split) if the clock begins anew '
+                f"there, and {len(stretches)} stretches become records; sort the rows if their times are right"
+            )
+    raise InputError(what, expected=expected, got=got, remedy=remedy, place=where(row))
 
 
 def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], dt: float, notes: list[str]) -> Piece:
@@ -286,8 +356,12 @@ def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], 
             "time is not uniform (clock jitter)",
             expected=f"{time[0] + k * own:.9g} s in {where(k)}, within {JITTER_ACCEPTED:.0%} of {dt:g} s",
             got=f"{time[k]:.9g} s ({jitter:.0%} of a sample time off)",
-            remedy=f"declare sample_time = {dt:.6g} if a clock took the rows and the stamps are rough; or [resample], "
-            "and intersample, if the stamps are true",
+            remedy=(
+                f"declare sample_time = {dt:.6g} if a clock took the rows and the stamps are rough; or [resample], and "
+                "intersample, if the stamps are true"
+                if _is_clock(time, float(f"{dt:.6g}"))
+                else "declare [resample], and intersample, in a dataset.toml: no one clock explains the stamps"
+            ),
             place=where(k),
         )
     if jitter > JITTER_UNNOTICED:
@@ -296,6 +370,15 @@ def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], 
     if drift > 0.1:
         notes.append(f"the clock runs {own / dt - 1.0:+.1e} off: {drift:.2g} samples over the record, taken as uniform")
     return Piece(float(time[0]), values, dt)
+
+
+def _is_clock(time: FloatArray, dt: float) -> bool:
+    """Return True if a clock of a sample time [s] may have taken the rows: if it would be accepted where declared."""
+    try:
+        _, index = clock_of_rows(time, TimeRules(dt), None, [])
+    except InputError:
+        return False
+    return index is None or bool((np.diff(index) > 0).all())
 
 
 def _resampled(
@@ -426,11 +509,11 @@ def _interpolated(time: FloatArray, values: FloatArray, dt: float, inputs: tuple
     n = int(np.floor((time[-1] - time[0]) / dt + 1e-6)) + 1
     grid = time[0] + np.arange(n) * dt
     result, between = np.empty((n, values.shape[1])), np.zeros((n, values.shape[1]), dtype=np.bool_)
-    filters = rules.resample.antialias and n > 1 and _coarser(np.diff(time), dt)
     for column, is_input in enumerate(inputs):
         there = np.isfinite(values[:, column])  # an empty reading of one signal is none of the others'
         own, signal = time[there], values[there, column]
         cubic = rules.resample.method == "cubic" and not is_input
+        filters = rules.resample.antialias and n > 1 and len(own) > 1 and _coarser(np.diff(own), dt)
         between[:, column] = False if is_input else _between(own, grid)
         if is_input and _held(rules) and len(own) == n and np.abs(own - grid).max() <= 1e-6 * dt:
             result[:, column] = signal

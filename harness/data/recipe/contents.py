@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.conditioning.clock import sample_time_of
+from harness.data.conditioning.clock import ROUGH, sample_time_of
+from harness.data.conditioning.unstated import refuse_unlikely_seconds
 from harness.data.tables.headers import clock_of
-from harness.data.tables.table import Table
+from harness.data.tables.table import Table, open_table, suffix_of
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -34,9 +35,11 @@ class ChannelContent:
     minimum, maximum, mean, deviation : float or None
         Of its numbers, in its unit.
     every : float or None
-        Usual step [s] of a channel that has a clock of its own.
+        Usual step [s] of a channel that has a clock of its own, or is filled in some rows only.
     note : str
         Why it cannot be read as numbers.
+    begin, end : float or None
+        First and last stamp [s] of a channel that has a clock of its own.
     """
 
     column: str
@@ -50,6 +53,8 @@ class ChannelContent:
     deviation: float | None = None
     every: float | None = None
     note: str = ""
+    begin: float | None = None
+    end: float | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,12 @@ class Contents:
         Steps longer than one and a half sample times; steps that are not forward.
     notes : tuple of str
         What was noticed.
+    back : int
+        Of the unsteady steps those that run back.
+    unlikely, rough : bool
+        True where the time states no unit and is hardly seconds; where its steps vary.
+    sheet : str or None
+        Of a workbook, where one of several had to be chosen.
     """
 
     path: str
@@ -85,6 +96,10 @@ class Contents:
     holes: int = 0
     unsteady: int = 0
     notes: tuple[str, ...] = ()
+    back: int = 0
+    unlikely: bool = False
+    rough: bool = False
+    sheet: str | None = None
 
     def facts(self) -> list[str]:
         """Return lines for a person."""
@@ -97,6 +112,7 @@ class Contents:
             lines.append(f"time: {self.clock}, which does not run")
         else:
             unit = "" if self.clock_stated else " (no unit stated: seconds?)"
+            unit = " (no unit stated, and hardly seconds: say which)" if self.unlikely else unit
             lines.append(
                 f"time: {self.clock}{unit}, {self.length:.6g} s from {self.start:.6g} s, "
                 f"every {self.sample_time:.6g} s ({1 / self.sample_time:.6g} Hz)"
@@ -134,8 +150,8 @@ def contents_of(path: str | Path) -> Contents:
     (0.01, 'V', 3.0)
     """
     path = Path(path)
-    table = Table(path)
-    notes: list[str] = []
+    sheet, notes = _sheet(path)
+    table = open_table(path, {}, sheet)
     columns = [(title, selector) for title in table.titles for selector in _selectors(table, title)]
     try:
         clock = clock_of([title for title in table.titles if title])
@@ -150,17 +166,19 @@ def contents_of(path: str | Path) -> Contents:
         return Contents(path.name, channels, rows, None, True, float(start), float(end - start), None, 0, 0,
                         (*table.notes, *notes))  # fmt: skip
     if clock is None:
-        return Contents(path.name, channels, rows, notes=(*table.notes, *notes))
+        return Contents(path.name, channels, rows, notes=(*table.notes, *notes), sheet=sheet)
     try:
         time, stated = table.read_time(clock)
     except InputError as error:
-        return Contents(path.name, channels, rows, clock, notes=(*table.notes, f"time: {error}"))
+        return Contents(path.name, channels, rows, clock, notes=(*table.notes, f"time: {error}"), sheet=sheet)
     steps = np.diff(time[np.isfinite(time)])
     forward = steps[steps > 0]
     notes += [*table.notes] + [f"{int((~np.isfinite(time)).sum())} rows without a time"] * (not np.isfinite(time).all())
     if not forward.size:
-        return Contents(path.name, channels, max(rows, len(time)), clock, stated, notes=tuple(notes))
+        return Contents(path.name, channels, max(rows, len(time)), clock, stated, notes=tuple(notes), sheet=sheet)
     dt = sample_time_of(np.concatenate(([0.0], np.cumsum(forward))))
+    channels = tuple(_timed(table, channel, time) for channel in channels)
+    notes += [note for note in table.notes if note not in notes]  # what reading the time has shown
     return Contents(
         path.name,
         channels,
@@ -173,7 +191,41 @@ def contents_of(path: str | Path) -> Contents:
         int((steps > 1.5 * dt).sum()),
         int((steps <= 0).sum()),
         tuple(notes),
+        int((steps < 0).sum()),
+        not stated and _hardly_seconds(time),
+        rough=float(np.std(forward[np.abs(forward - dt) < 0.5 * dt])) > ROUGH * dt,
+        sheet=sheet,
     )
+
+
+def _timed(table: Table, channel: ChannelContent, time: FloatArray) -> ChannelContent:
+    """Return a channel that is filled in some rows only with its own usual step [s]."""
+    if not 0 < channel.empty < channel.rows - 1 or channel.rows != len(time):
+        return channel
+    filled = np.isfinite(table.read(channel.column)[0]) & np.isfinite(time)
+    steps = np.diff(time[filled])
+    return replace(channel, every=float(np.median(steps))) if steps.size else channel
+
+
+def _sheet(path: Path) -> tuple[str | None, list[str]]:
+    """Return the sheet of a workbook that is shown where several hold numbers and the first does not, and its note."""
+    if suffix_of(path) not in (".xlsx", ".xlsm") or not path.is_file():
+        return None, []
+    from harness.data.tables.excel import sheets_of
+
+    sheets = sheets_of(path)
+    if len(sheets) < 2:
+        return None, []
+    return sheets[0], [f"sheets with rows of numbers: {', '.join(map(repr, sheets[:8]))}; {sheets[0]!r} is shown"]
+
+
+def _hardly_seconds(time: FloatArray) -> bool:
+    """Return True if stamps without a unit would be refused as seconds."""
+    try:
+        refuse_unlikely_seconds(time, "time")
+    except InputError:
+        return True
+    return False
 
 
 def _selectors(table: Table, title: str) -> list[str]:
@@ -195,8 +247,10 @@ def _channel(table: Table, title: str, selector: str) -> ChannelContent:
     holes = int((steps > 5 * every).sum()) if every is not None else 0
     note = f"{holes} holes" if holes else ""
     empty = int((~np.isfinite(values)).sum())
+    begin, end = (None, None) if own is None or not len(own[0][0]) else (float(own[0][0][0]), float(own[0][0][-1]))
     return replace(
-        ChannelContent(selector, name, unit or "", len(values), empty, every=every, note=note), **_sizes(values)
+        ChannelContent(selector, name, unit or "", len(values), empty, every=every, note=note, begin=begin, end=end),
+        **_sizes(values),
     )
 
 

@@ -156,7 +156,9 @@ def _explained(error: msgspec.ValidationError, file: str | Path | None) -> Input
             "missing key",
             expected=f"the key {key}",
             got="none",
-            remedy=f"add {key} = ...",
+            remedy="add a table [signals.NAME] with role and column for each; sysid new dataset FILE drafts them"
+            if key == "signals"
+            else f"add {key} = ...",
             file=file,
             place=f"{place}.{key}".lstrip("."),
         )

@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from harness.data.conditioning.timebase import SHORTEST
 from harness.data.recipe.contents import ChannelContent, Contents, contents_of
 from harness.data.recipe.description import OPEN
 from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
@@ -60,39 +61,84 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
         lines += _lacking(first, ports)
     for number, path in enumerate(paths):
         name = path if folder is None else _from(path, folder)
-        use = "estimation" if number == 0 else "validation"
-        lines += ["[[runs]]", f"file = {_quoted(str(name))}", f'use = "{use}"']
-        if number == 0 and len(paths) == 1:
-            cut = 2 * first.rows // 3
-            lines.append(
-                f"# another record to validate on is better; to divide this one: rows = [0, {cut}], and a second"
-            )
-            lines.append(f'# [[runs]] of the same file with use = "validation" and rows = [{cut}, {first.rows}]')
-        lines += [f"# {note}" for note in found[number].notes if found[number].clock is not None] + [""]
+        rows = _grid_rows(first, ports) if first.clock is None and first.length is not None else first.rows
+        cut = 2 * rows // 3
+        divided = len(paths) == 1 and rows - cut >= SHORTEST
+        uses = ("estimation", "validation") if divided else ("estimation" if number == 0 else "validation",)
+        if divided:
+            lines.append("# one record: its last third validates (another record is better)")
+        for use in uses:
+            lines += ["[[runs]]", f"file = {_quoted(str(name))}", f'use = "{use}"']
+            if found[number].sheet is not None:
+                lines.append(f"sheet = {_quoted(found[number].sheet or '')}  # the first one with numbers: another?")
+            if divided:
+                lines.append(f"rows = {[0, cut] if use == uses[0] else [cut, rows]}")
+            notes = found[number].notes if use == uses[0] and found[number].clock is not None else ()
+            lines += [f"# {note}" for note in notes] + [""]
     return "\n".join(lines)
+
+
+def _used(found: Contents, ports: Ports | None) -> list[tuple[ChannelContent, str]]:
+    """Return the channels that the model has a port for, with their roles; all, as outputs, where it has none."""
+    matches = [] if ports is None else [(channel, _port(channel, ports)) for channel in found.channels]
+    used = [(channel, match[1]) for channel, match in matches if match is not None]
+    return used or [(channel, "output") for channel in found.channels]
+
+
+def _grid_rows(found: Contents, ports: Ports | None) -> int:
+    """Return how many samples the drafted grid has: from the last channel to begin to the first output to end."""
+    used = _used(found, ports)
+    if (
+        len({(channel.begin, channel.end, channel.rows) for channel, _ in used}) == 1
+    ):  # one topic: its messages are rows
+        return used[0][0].rows
+    ends = [channel.end or 0.0 for channel, role in used if role == "output"] or [used[0][0].end or 0.0]
+    shared = min(ends) - max(channel.begin or 0.0 for channel, _ in used)
+    return int(shared / _slowest(found, ports) + 1e-6) + 1 if shared > 0.0 else 0
+
+
+def _slowest(found: Contents, ports: Ports | None) -> float:
+    """Return the usual step [s] of the slowest channel with a clock of its own that is used."""
+    return float(f"{max(channel.every or 0.0 for channel, _ in _used(found, ports)):.4g}")
 
 
 def _clock(found: Contents, ports: Ports | None) -> list[str]:
     """Return the lines about time."""
     if found.clock is None and found.length is not None:
-        used = [channel for channel in found.channels if ports is not None and _port(channel, ports) is not None]
-        slowest = max(channel.every or 0.0 for channel in used or found.channels)
         return [
             "",
             "[resample]  # channels have clocks of their own: inputs are held from their stamps, outputs interpolated",
-            f"sample_time = {slowest:.4g}  # [s] the slowest channel's: another?",
+            f"sample_time = {_slowest(found, ports):.4g}  # [s] the slowest channel's: another?",
             'method = "linear"  # or "cubic"',
         ]
     if found.clock is None:
-        return ["sample_time = 0.0  # [s] no time column was found: what was the sample time?"]
+        return [f'sample_time = "{OPEN}"  # [s] no time column was found: what was it, or which column under [time]?']
     rate = "" if found.sample_time is None else f"  # steps of {found.sample_time:.6g} s over {found.length:.6g} s"
     lines = []
-    if found.holes:
-        lines += [f'# gaps = "split"  # {found.holes} holes: split the run there?']
-    if found.unsteady:
-        lines += [f'# duplicates = "first"  # {found.unsteady} rows do not go forward in time: which of two counts?']
+    slow = [channel for channel in found.channels if 2 * channel.empty >= channel.rows > channel.empty]
+    if found.rough:
+        lines += [
+            f"# sample_time = {found.sample_time:.6g}  # [s] the stamps are rough: did a clock of this take the rows?"
+        ]
+    if (found.holes or found.back) and not slow:
+        what = f"{found.holes} holes" if found.holes else ""
+        what += f"{' and ' if what else ''}{found.back} rows where time runs back" if found.back else ""
+        lines += [f'# gaps = "split"  # {what}: split the run there?']
+    if stands := found.unsteady - found.back:
+        lines += [f'# duplicates = "first"  # {stands} rows repeat the stamp of the one before: which of two counts?']
+    if slow:
+        every = max(channel.every or 0.0 for channel in slow)
+        names = ", ".join(channel.name for channel in slow[:4])
+        lines += [
+            '# intersample = "zoh"  # is an input held from one reading to the next?',
+            "",
+            f"# [resample]  # {names} filled in some rows only: one grid for all?",
+            f"# sample_time = {every:.4g}  # [s]",
+        ]
     lines += ["", "[time]", f"column = {_quoted(found.clock)}{rate}"]
-    if not found.clock_stated:
+    if found.unlikely:
+        lines.append(f'unit = "{OPEN}"  # the title states none, and seconds are unlikely: is it s, ms, us, ns or d?')
+    elif not found.clock_stated:
         lines.append('unit = "s"  # the title states none: is it s, ms, us or ns?')
     return lines
 
@@ -101,11 +147,11 @@ def _signal(channel: ChannelContent, ports: Ports | None) -> list[str]:
     """Return the table of one channel; as a comment where it holds no numbers, or the model has no such port."""
     head = f"[signals.{_quoted(channel.name)}]"
     if channel.note and channel.minimum is None:
-        return [f"# {channel.column}: {channel.note}", ""]
+        return [f"# {' '.join(channel.column.split())}: {channel.note}", ""]
     sizes = (
         "" if channel.minimum is None else f"  # {channel.minimum:.4g} to {channel.maximum:.4g} {channel.unit}".rstrip()
     )
-    sizes += f", {channel.empty} rows empty" if channel.empty else ""
+    sizes += f"{',' if sizes else '  #'} {channel.empty} rows empty" if channel.empty else ""
     match = None if ports is None else _port(channel, ports)
     if ports is not None and match is None:
         near = _fitting(channel, ports)

@@ -28,7 +28,7 @@ from harness.data.sections import Description, RunSection
 from harness.data.tables.bags import is_bag_folder
 from harness.data.tables.headers import clock_of
 from harness.data.tables.memory import in_memory
-from harness.data.tables.merging import merged
+from harness.data.tables.merging import in_turn, merged
 from harness.data.tables.table import BARE, FORMATS, Table, nearest, open_table, suffix_of, unknown_format
 from harness.errors import InputError
 from harness.resolution import resolution
@@ -161,12 +161,9 @@ def _load(
             raise unknown_format(path)
         if validation is not None:
             raise InputError(
-                "a validation file beside a dataset.toml",
-                expected='its own [[runs]] with use = "validation"',
-                got=str(validation),
-                remedy="add the run to the dataset.toml",
-                file=path,
-            )
+                "a validation file beside a dataset.toml", expected='its own [[runs]] with use = "validation"',
+                got=str(validation), remedy="add the run to the dataset.toml", file=path,
+            )  # fmt: skip
         if replace(chosen, whole=False).anything:
             raise InputError(
                 "columns chosen beside a dataset.toml",
@@ -410,6 +407,9 @@ class _Reader:
             )
         values = np.column_stack([columns[name] for name in names])
         chosen = self._rows(section, len(values))
+        if time is not None and self.rules.resample and (turns := in_turn(time[chosen], values[chosen])) is not None:
+            filled = dict(zip(names, turns[1], strict=True))
+            return self._together((turns[0], "rows in which each signal is filled"), filled, inputs, common)
         return pieces_of(
             None if time is None else time[chosen],
             values[chosen],
@@ -440,6 +440,17 @@ class _Reader:
                 remedy="remove [time]",
                 place="time",
             )
+        return self._together(own, columns, inputs, common, section)
+
+    def _together(
+        self,
+        own: tuple[list[FloatArray], str],
+        columns: dict[str, FloatArray],
+        inputs: tuple[bool, ...],
+        common: float | None,
+        section: RunSection | None = None,
+    ) -> tuple[list[Piece], list[str]]:
+        """Return the pieces of signals that have stamps of their own, cut to the rows of a run."""
         clocks, kind = own
         names, notes = tuple(columns), [f"time: {kind}"]
         first = clocks[0]
@@ -450,7 +461,7 @@ class _Reader:
                 clocks, list(columns.values()), names=names, inputs=inputs, rules=self.rules, notes=notes
             )
             rules = replace(self.rules, resample=None, sample_time=None)
-        chosen = self._rows(section, len(values))
+        chosen = slice(None) if section is None else self._rows(section, len(values))
         pieces, said = pieces_of(time[chosen], values[chosen], names=names, inputs=inputs, rules=rules, common=common)
         return pieces, notes + said
 
@@ -503,11 +514,17 @@ class _Reader:
         if not stated and self.description.sample_time is None:
             refuse_unlikely_seconds(time, str(column))
         asked_for = declared is not None or "time" in section.columns
-        if (
-            not asked_for and self.description.sample_time is not None and np.isnan(time[1:]).all()
-        ):  # a "Ts" is no clock
-            return None
-        return time
+        if asked_for or not np.isnan(time[1:]).all():
+            return time
+        if self.description.sample_time is None:  # a "Ts" is no clock
+            raise InputError(
+                "no time",
+                expected="sample_time = ... (s), or a time in every row",
+                got=f"one number of {column!r}",
+                remedy=f"declare sample_time = {time[:1].sum():g} if that is it (sysid: --sample-time)",
+                place="sample_time",
+            )
+        return None
 
     def _rows(self, section: RunSection, n: int) -> slice:
         """Return the rows that a run uses."""

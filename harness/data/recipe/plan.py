@@ -214,7 +214,7 @@ class Plan:
                 "unit does not fit",
                 expected=f"a unit that converts to {target} ({label} of {self.ports.model})",
                 got=repr(unit),
-                remedy="correct the unit or the port, or declare a scale into the right one",
+                remedy="correct the unit or the port, or declare the port's unit and a scale into it in a dataset.toml",
                 place=place,
             )
         if signal.derivative:

@@ -216,12 +216,12 @@ def _rates(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> tuple
                 f"(correlation {correlation:.2f})"
             )
             continue
-        near = [text for factor, text in _FACTORS if abs(slope / factor - 1.0) < 0.2]
+        near = sorted((abs(slope / factor - 1.0), text) for factor, text in _FACTORS if abs(slope / factor - 1.0) < 0.2)
         if near:
             raise InputError(
                 f"{names} contradict each other",
                 expected="a rate equal to the derivative of its position",
-                got=f"a derivative {slope:.4g} times the rate: {near[0]}",
+                got=f"a derivative {slope:.4g} times the rate: {near[0][1]}",
                 remedy="correct the unit, the scale or the sample time",
             )
         notes.append(f"{names}: the derivative of the position is {slope:.3g} times the measured rate")

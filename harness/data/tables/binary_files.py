@@ -153,8 +153,14 @@ class FeatherFile(ParquetFile):
     kind = "Feather"
 
     def _read(self, path: Path) -> Any:
+        import pyarrow as pa
         from pyarrow import feather
 
+        with path.open("rb") as file:
+            begin = file.read(4)
+        if begin == b"\xff\xff\xff\xff":  # a stream of Arrow, which has no word at its head
+            with pa.OSFile(str(path), "rb") as stream:
+                return pa.ipc.open_stream(stream).read_all()
         return feather.read_table(path)
 
 
@@ -257,6 +263,14 @@ class NumpyFile(_Variables):
                 content = np.load(file, allow_pickle=False)
                 variables = {"array": content} if isinstance(content, np.ndarray) else dict(content)
         except Exception as error:
+            if "allow_pickle" in str(error):
+                raise InputError(
+                    "an array of Python objects",
+                    expected="arrays of numbers",
+                    got="one that is pickled, which may run what it holds",
+                    remedy="save it as numbers: array.astype(float)",
+                    file=path,
+                ) from error
             raise broken(path, "numpy", error) from error
         super().__init__(variables)
 

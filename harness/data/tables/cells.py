@@ -132,7 +132,7 @@ def numbers_of(
     cells = [_DASH.sub("-", cell.strip()) if not cell.isascii() else cell.strip() for cell in cells]
     if (style := _grouped(cells)) is not None:
         cells = [cell if cell.lower() in EMPTY else _ungrouped(cell, *style) for cell in cells]
-        text = f"{'spaces' if style[0] == ' ' else repr(style[0])} between thousands are left out"
+        text = f"{'spaces or apostrophes' if style[0] == ' ' else repr(style[0])} between thousands are left out"
         if notes is not None and text not in notes:
             notes.append(text)
     signs = [cell for cell in cells if "," in cell]
@@ -209,16 +209,24 @@ def _number(text: str) -> float:
 def _no_number(cell: str, place: str, expected: str, why: str) -> InputError:
     """Return the refusal of a cell."""
     remedies = {
-        "comma": "export with decimal points",
+        "comma": "export with decimal points, and without signs between thousands",
         "thousands": "export without signs between thousands, or every number with as many decimals",
     }
     return InputError(
         "a cell that is no number" if why != "thousands" else "a number with two readings",
         expected=expected,
         got=repr(cell),
-        remedy=remedies.get(why, "correct or empty the cell"),
+        remedy=remedies.get(why, f"correct or empty the cell{_MIXED if _is_mixed(cell) else ''}"),
         place=place,
     )
+
+
+_MIXED = "; a unit belongs into the title, a time is read as in 2024-12-31T23:59:59.5 or in seconds"
+
+
+def _is_mixed(cell: str) -> bool:
+    """Return True if a cell holds digits and signs of a unit or of a time."""
+    return re.search(r"\d", cell) is not None and re.search(r"[^\W\d_]|[:%°]", cell) is not None
 
 
 def seconds_of(stamps: np.ndarray) -> FloatArray:

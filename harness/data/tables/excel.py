@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from harness.data.tables.stacked import MOST_ROWS, stacked_titles
 from harness.errors import InputError
 from harness.extras import optional
 
-__all__ = ["ExcelFile"]
+__all__ = ["ExcelFile", "sheets_of"]
 
 
 class ExcelFile(MemoryTable):
@@ -38,6 +39,26 @@ class ExcelFile(MemoryTable):
         columns = {title: [row[k] for row in body] for k, title in enumerate(titles) if title}
         first = len(rows) - len(body) + skipped + 1
         _refuse_truths(columns, first, path)
+        names = [cell for cell in body[0] if cell is not None] if body else []
+        if len(names) > 1 and all(isinstance(cell, str) and cell[:1].isalpha() for cell in names):
+            raise InputError(
+                "two rows of titles",
+                expected=f"rows of numbers under {', '.join(map(repr, titles[:6]))}",
+                got=", ".join(map(repr, names[:6])),
+                remedy="remove one of the two",
+                file=path,
+                place=f"row {first}",
+            )
+        again = [row + first for row, cells in enumerate(map(_texts, body)) if cells == head[0] and any(cells)]
+        if again:
+            raise InputError(
+                "the header stands again among the rows",
+                expected="one table",
+                got=f"its titles in row {again[0]}",
+                remedy="remove that row and what is empty above it, or put what stands below into a sheet of its own",
+                file=path,
+                place=f"row {again[0]}",
+            )
         super().__init__(columns, first=first)
         self.notes += said
         if len(sheets) > 1 and sheet is None:
@@ -49,17 +70,34 @@ class ExcelFile(MemoryTable):
             )
 
 
+def sheets_of(path: Path) -> list[str]:
+    """Return the sheets that have rows of numbers, where the first has none; empty where there is no choice to make.
+
+    Raises
+    ------
+    InputError
+        If it is no workbook.
+    """
+    sheets, rows = _read(path, None)
+    if len(sheets) < 2 or _has_numbers(rows):
+        return []
+    return [name for name in sheets[1:] if _has_numbers(_read(path, name)[1])]
+
+
 def _chosen(path: Path, sheet: str | None) -> tuple[list[str], str, list[list[Any]]]:
     """Return all sheets, the one that is read and its rows: the first, or the only one that has rows of numbers."""
+    if sheet is None and (tables := sheets_of(path)):
+        if len(tables) > 1:
+            raise InputError(
+                f"the first sheet holds no rows of numbers, and {len(tables)} others do",
+                expected="the sheet that is meant",
+                got=", ".join(map(repr, tables[:8])) + (" ..." if len(tables) > 8 else ""),
+                remedy=f'name it in a dataset.toml (sysid new dataset {path.name} drafts one): sheet = "{tables[0]}"',
+                file=path,
+            )
+        sheet = tables[0]
     sheets, rows = _read(path, sheet)
-    if sheet is not None:
-        return sheets, sheet, rows
-    if len(sheets) > 1 and not _has_numbers(rows):
-        others = {name: _read(path, name)[1] for name in sheets[1:]}
-        tables = [name for name, content in others.items() if _has_numbers(content)]
-        if len(tables) == 1:
-            return sheets, tables[0], others[tables[0]]
-    return sheets, sheets[0], rows
+    return sheets, sheet or sheets[0], rows
 
 
 def _without_empty(rows: list[list[Any]]) -> tuple[list[list[Any]], int]:
@@ -109,8 +147,8 @@ def _above(rows: list[list[Any]]) -> int:
 
 
 def _texts(row: list[Any]) -> list[str]:
-    """Return the cells of a row as texts without blanks about them."""
-    return ["" if cell is None else str(cell).strip() for cell in row]
+    """Return the cells of a row as texts without blanks about them, in one line."""
+    return ["" if cell is None else re.sub(r"\s*[\r\n]+\s*", " ", str(cell).strip()) for cell in row]
 
 
 def _refuse_truths(columns: dict[str, list[Any]], first: int, path: Path) -> None:

@@ -16,6 +16,7 @@ __all__ = [
     "TRUTH",
     "clock_of",
     "clock_unit",
+    "fraction_of",
     "split_header",
     "stated_unit",
     "words_of",
@@ -48,6 +49,7 @@ TIME_WORDS = frozenset(
     "time times t ts timestamp timestamps stamp datetime elapsed clock epoch unix unixtime zeit zeitstempel uhrzeit "
     "zeitpunkt dauer temps horodatage durée duree instant tiempo instante tempo istante durata tijd tijdstempel tid "
     "czas čas cas aika idő zaman vreme vrijeme waktu час время "
+    "χρόνος ώρα เวลา زمن الزمن وقت الوقت समय laikas timp timpul aeg laiks thời gian "
     "时间 時間 时间戳 時間戳 时刻 時刻 经过时间 経過時間 采样时间 测量时间 測定時間 タイム "
     "タイムスタンプ 시간 시각".split()
 )
@@ -69,11 +71,12 @@ TIME_UNITS = {
     word: unit
     for unit, words in {
         "s": "s sec secs second seconds sek sekunde sekunden seconde seconden secondes seg segs segundo segundos "
-        "secondo secondi sekunda sekundy sekund sekunder saniye сек секунда секунды секунд с 秒 初 초",
+        "secondo secondi sekunda sekundy sekund sekunder saniye sn sekundės secunde sekundit "
+        "δευτερόλεπτα ثانية сек секунда секунды секунд с 秒 初 초",
         "ms": "ms msec msecs msek mseg milli millis millisec millisecs millisecond milliseconds millisekunde "
         "millisekunden milliseconde milliseconden millisecondes milisegundo milisegundos milissegundo milissegundos "
-        "millisecondo millisecondi milisekunda milisekundy milisekund millisekunder milisaniye миллисекунда "
-        "миллисекунды миллисекунд мс мсек 毫秒 ミリ秒 밀리초",
+        "millisecondo millisecondi milisekunda milisekundy milisekund millisekunder milisaniye msn milisekundės "
+        "milisecunde millisekundit миллисекунда миллисекунды миллисекунд мс мсек 毫秒 ミリ秒 밀리초",
         "us": "us µs μs usec µsec μsec usecs micro micros microsec microsecs microsecond microseconds mikrosekunde "
         "mikrosekunden microseconde microsecondes microsegundo microsegundos microsecondo microsecondi mikrosekundy "
         "микросекунды мкс 微秒 マイクロ秒 마이크로초",
@@ -213,6 +216,36 @@ def _refuse_no_unit(title: str, plain: str, words: Sequence[str], first: int | N
             raise _no_time(title, word)
 
 
+def fraction_of(title: str, titles: Sequence[str]) -> str | None:
+    """Return the column that holds the fraction of the whole seconds in another, as ROS and C write them; None if none.
+
+    Examples
+    --------
+    >>> fraction_of("stamp.sec", ["stamp.sec", "stamp.nanosec", "u"]), fraction_of("secs", ["secs", "nsecs"])
+    ('stamp.nanosec', 'nsecs')
+    >>> fraction_of("time [s]", ["time [s]", "time [ms]"]) is None
+    True
+    """
+    stem, word = _last_word(title)
+    if word not in _WHOLE:
+        return None
+    found = [other for other in titles if _last_word(other)[0] == stem and _last_word(other)[1] in _WHOLE[word]]
+    return found[0] if len(found) == 1 else None
+
+
+_WHOLE = {
+    "sec": ("nsec", "nanosec", "usec"), "secs": ("nsecs", "nanosecs", "usecs"),
+    "s": ("ns", "us"), "seconds": ("nanoseconds", "microseconds"), "second": ("nanosecond", "microsecond"),
+}  # fmt: skip
+"""Words for whole seconds, and those for their fraction beside them (``timespec``, ``timeval``, stamps of ROS)."""
+
+
+def _last_word(title: str) -> tuple[str, str]:
+    """Return what stands before the last word of a title, and that word in small letters."""
+    found = re.fullmatch(r"(?P<stem>.*?)(?P<word>[A-Za-z]+)", title.strip())
+    return ("", "") if found is None else (found["stem"].lower(), found["word"].lower())
+
+
 def clock_of(titles: Sequence[str], taken: Collection[str] = ()) -> str | None:
     """Return the title of the time column; None if there is none.
 
@@ -251,12 +284,16 @@ def clock_of(titles: Sequence[str], taken: Collection[str] = ()) -> str | None:
 
 def _only(titles: Sequence[str]) -> str | None:
     """Return the one title; None for none."""
+    if len(titles) == 2 and titles[1] in (fraction_of(titles[0], titles),):
+        return titles[0]
     if len(titles) > 1:
         raise InputError(
             f"{len(titles)} columns may be the time",
             expected="one",
             got=", ".join(titles[:6]),
-            remedy='say which ([time] column = "..."; sysid: --column time=TITLE), or rename the others',
+            remedy="rename one, or give its number ([time] column = 0 in a dataset.toml)"
+            if len(set(titles)) < len(titles)
+            else 'say which ([time] column = "..."; sysid: --column time=TITLE), or rename the others',
             place="time",
         )
     return titles[0] if titles else None
@@ -322,7 +359,7 @@ def _no_time(title: str, what: str) -> InputError:
         f"the time column {title!r}",
         expected="one unit of time (s, ms, us, ns, min, h)",
         got=repr(what),
-        remedy='write it as in "time [ms]", or declare [time] unit = "ms" in a dataset.toml',
+        remedy='write it as in "time [ms]", or declare [time] unit = "ms" in a dataset.toml (sysid: --unit time=ms)',
         place="time.unit",
     )
 

@@ -11,7 +11,7 @@ from harness.data.conditioning.decimation import filtered, hold_means
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["merged"]
+__all__ = ["in_turn", "merged"]
 
 
 def merged(
@@ -100,6 +100,16 @@ def merged(
         f"stamps on, {', '.join(read)} interpolated ({section.method}); their own clocks: {shown}"
     )
     return grid, table
+
+
+def in_turn(time: FloatArray, values: FloatArray) -> tuple[list[FloatArray], list[FloatArray]] | None:
+    """Return the stamps and the readings of each signal where no row holds them all; None elsewhere."""
+    there = np.isfinite(values)
+    if not np.isfinite(time).all() or there.all(axis=1).any() or not there.any(axis=0).all():
+        return None
+    return [time[filled] for filled in there.T], [
+        column[filled] for column, filled in zip(values.T, there.T, strict=True)
+    ]
 
 
 def _step(clock: FloatArray) -> float:

@@ -9,8 +9,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
-from harness.data.tables.headers import TRUTH, clock_unit, split_header, stated_unit
-from harness.data.tables.stamps import is_date, is_time_of_day, with_dates
+import numpy as np
+
+from harness.data.tables.counts import DIGITS, dated, unwrapped
+from harness.data.tables.headers import TRUTH, clock_unit, fraction_of, split_header, stated_unit
+from harness.data.tables.stamps import clock, is_date, is_time_of_day, with_dates
 from harness.errors import InputError, no_file
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
@@ -169,6 +172,7 @@ class Table:
 
     def __init__(self, path: Path, source: Source | None = None) -> None:
         self.path = path
+        self._said: list[str] = []
         if source is not None:
             self._source = source
             return
@@ -195,7 +199,7 @@ class Table:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was noticed while reading."""
-        return tuple(getattr(self._source, "notes", ()))
+        return (*getattr(self._source, "notes", ()), *self._said)
 
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as an editor of the file counts it, or as the file itself does."""
@@ -249,11 +253,14 @@ class Table:
             stated = {title: self.stated(title, like) for title in titles if title.startswith(column.strip())}
             found = [title for title, parts in stated.items() if parts is not None and parts[0] == column.strip()]
         if len(found) > 1:
+            last = len(titles) - 1 - titles[::-1].index(found[-1])
             raise InputError(
                 f"column {column!r} is there {len(found)} times",
                 expected="one column of this name",
                 got=", ".join(found),
-                remedy="rename one, or name its title with the unit, or give its number (from 0)",
+                remedy="rename one, "
+                + ("name its title with the unit, " if len(set(found)) == len(found) else "")
+                + f"or give its number (column = {last} in a dataset.toml)",
                 file=self.path,
             )
         return found[0] if found else None
@@ -285,17 +292,68 @@ class Table:
             If the column is not there, or its title states something that is no unit of time.
         """
         title = self.find(column)
-        if title is not None and (dated := self._with_dates(title)) is not None:
-            return dated, True
+        if title is not None and (dates := self._with_dates(title)) is not None:
+            return dates, True
         values, unit = self.read(column if title is None else title)
         own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
-        if own is None and declared is None and title is not None:
+        spelt = title if title is not None else str(column)
+        if own is None:
+            field = spelt if title is not None else spelt.rpartition(".")[2].partition("[")[0]  # of log.time_ms
             try:
-                unit = clock_unit(title, path=bool(getattr(self._source, "paths", False)))
+                stated = clock_unit(field, path=title is None or bool(getattr(self._source, "paths", False)))
             except InputError as error:
-                raise error.located(file=self.path) from error
-        unit = own or declared or unit
+                if declared is None:
+                    raise error.located(file=self.path) from error
+                stated = None
+            if declared is not None and stated is not None and not _same_scale(stated, declared):
+                self._say(f"the title {spelt!r} says {stated}; {declared}, as declared, counts")
+            unit = declared or stated
+            if unit is None and title is not None and (dates := self._dated(title, values)) is not None:
+                return dates, True
+            if title is not None and (part := fraction_of(title, self.titles)) is not None:
+                values, unit = self._with_fraction(title, values, part), "s"
+        values, period, times = unwrapped(values)
+        if times:
+            self._say(f"{spelt} is a counter that begins anew after {period:.10g} ({times}x): it is taken to go on")
+        unit = own or unit
         return convert(values, unit or "s", "s"), unit is not None
+
+    def _say(self, note: str) -> None:
+        """Keep what was noticed, once."""
+        if note not in self._said:
+            self._said.append(note)
+
+    def _dated(self, title: str, values: FloatArray) -> FloatArray | None:
+        """Return dates and times that are written as digits alone in seconds from the first; None for other numbers."""
+        if not values.size or not DIGITS[0] <= values[0] < DIGITS[1]:
+            return None
+        texts = getattr(self._source, "texts", None)
+        if texts is None and values[0] > 2.0**53:  # milliseconds that a float cannot hold
+            return None
+        cells = [f"{value:.0f}" for value in values] if texts is None else texts(title)
+        stamps = dated(cells)
+        return None if stamps is None else clock(stamps, self._said, self.where)
+
+    def _with_fraction(self, title: str, whole: FloatArray, part: str) -> FloatArray:
+        """Return whole seconds with the fraction that another column holds.
+
+        Raises
+        ------
+        InputError
+            If either is no such number.
+        """
+        fraction = convert(self.read(part)[0], clock_unit(part, path=True) or "s", "s")
+        bad = (whole != np.round(whole)) | (fraction < 0) | (fraction >= 1)
+        if len(fraction) != len(whole) or bad.any():
+            raise InputError(
+                f"seconds in {title!r} with a fraction in {part!r}",
+                expected="whole seconds, and a fraction of less than one",
+                got=f"{whole[int(np.argmax(bad))]:.10g} and {fraction[int(np.argmax(bad))]:.10g} s",
+                remedy="rename the column that is none of both, or write one time column",
+                file=self.path,
+            )
+        self._say(f"time: whole seconds of {title!r} and their fraction in {part!r}")
+        return np.asarray((whole - whole[0]) + fraction)
 
     def _with_dates(self, title: str) -> FloatArray | None:
         """Return times of day with the dates that another column gives; None where there is none."""
@@ -361,7 +419,7 @@ class Table:
         else:
             names = {split_header(title)[0].lower(): title for title in titles}
             near = difflib.get_close_matches(column.lower(), list(names), n=2, cutoff=0.5)
-            near = near or [name for name in names if name and (name in column.lower() or column.lower() in name)][:2]
+            near = near or [name for name in names if _holds(name, column.lower()) or _holds(column.lower(), name)][:2]
             said = " or ".join(repr(names[name]) for name in near)
             remedy = f"did you mean {said}?" if near else "correct the name"
         return InputError(
@@ -371,6 +429,17 @@ class Table:
             remedy=remedy,
             file=self.path,
         )
+
+
+def _same_scale(unit: str, other: str) -> bool:
+    """Return True if two units of time are the same."""
+    one = np.ones(1)
+    return bool(np.isclose(convert(one, unit, "s"), convert(one, other, "s"))[0])
+
+
+def _holds(name: str, part: str) -> bool:
+    """Return True if a name holds another that is long enough not to stand in any."""
+    return len(part) > 2 and part in name
 
 
 def _is_element(title: str, name: str) -> bool:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import re
-import zlib
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.data.tables.cells import EMPTY, is_number, numbers_of, refuse_thousands, units_below
-from harness.data.tables.headers import TIME_WORDS, words_of
-from harness.data.tables.packing import most_unpacked
+from harness.data.tables.headers import clock_of
 from harness.data.tables.stacked import MOST_ROWS, stacked_titles
 from harness.data.tables.stamps import clock
+from harness.data.tables.texts import CODINGS, closed_lines, text_of
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -28,35 +27,8 @@ _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
 MOST_ABOVE = 100
 """Lines that a logger may write above its table."""
-_CODINGS = {
-    "cp1252": "Windows, Western Europe",
-    "cp1251": "Windows, Cyrillic",
-    "gb18030": "Chinese",
-    "cp932": "Windows, Japanese",
-    "cp949": "Windows, Korean",
-    "big5": "Traditional Chinese",
-    "cp1250": "Windows, Central Europe",
-    "koi8-r": "Russian",
-}
-"""Codings of one and two bytes that are tried, and whose they are."""
-_MAGIC = {
-    b"MDF ": ".mf4",
-    b"UnFinMF": ".mf4",
-    b"PAR1": ".parquet",
-    b"ARROW1": ".feather",
-    b"\x89HDF": ".h5",
-    b"PK\x03\x04": ".xlsx or .npz",
-    b"MATLAB ": ".mat",
-    b"\x93NUMPY": ".npy",
-    b"#ROSBAG": ".bag",
-    b"\x89MCAP": ".mcap",
-    b"SQLite format 3": ".db3",
-    b"\x1f\x8b": ".csv.gz",
-}
-"""How files of other formats begin, and their suffixes."""
-_HEAD = 4096
-"""Bytes in which a header stands."""
 _RULE = re.compile(r"[\s|+:=\-]*-{3,}[\s|+:=\-]*")
+_FRAME = re.compile(r"\+[-=+]{3,}\+")
 _OTHER_COMMENTS = (";", "//", "!", "*")
 _MINUS = re.compile("\u2212(?=[\\d.,])")
 _PARTS = re.compile(r"[+-]?\d*(?:[.,](?P<decimals>\d*))?(?:[eEdD][+-]?(?P<power>\d*))?")
@@ -82,17 +54,17 @@ class TextFile:
     """
 
     def __init__(self, path: Path) -> None:
-        text, coding = _text(path)
+        text, coding = text_of(path)
         if "\u2212" in text:
             text = _MINUS.sub("-", text)
         lines = text.splitlines()
         self.notes: list[str] = []
         self._commas_read = False
-        if coding in _CODINGS:
-            self.notes.append(f"the text is no UTF-8: its letters are read as {coding} ({_CODINGS[coding]})")
+        if coding in CODINGS:
+            self.notes.append(f"the text is no UTF-8: its letters are read as {coding} ({CODINGS[coding]})")
         self._lines = [
             (number, line)
-            for number, line in enumerate(lines, start=1)
+            for number, line in (closed_lines(lines) if '"' in text else enumerate(lines, start=1))
             if line.strip() and not line.lstrip().startswith(_COMMENTS)
         ]
         while len(self._lines) > 1 and not self._lines[-1][1].strip(" ,;\t|"):  # rows of a workbook that hold nothing
@@ -103,11 +75,15 @@ class TextFile:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
         self._leave_out_comments()
         self._leave_out_above(hint)
+        above = self._lines
         self._read_header(lines, hint)
+        self._leave_out_again({line for _, line in above[: len(above) - len(self._lines)]}, text)
         if not self._lines:
             raise InputError(
                 "no rows", expected="rows of numbers below the header", got="only a header", remedy="check the export"
             )
+        if not self._has_clock():
+            self._look_between(lines)
         self._accept_decimal_commas()
         self._square()
         if not text.endswith(("\n", "\r")):
@@ -172,8 +148,52 @@ class TextFile:
             begin = next((row for row, (_, line) in enumerate(self._lines) if not line.lstrip().startswith(mark)), 0)
             if begin and len(self._lines) - begin > 2 and mark not in self._lines[-2][1]:
                 self._leave_out(begin)
+        if self._lines[0][1].startswith("+-"):  # a table in a frame
+            self._lines = [pair for pair in self._lines if not _FRAME.fullmatch(pair[1].strip())] or self._lines
         if len(self._lines) > 2 and _RULE.fullmatch(self._lines[1][1]):
             del self._lines[1]
+
+    def _leave_out_again(self, head: set[str], text: str) -> None:
+        """Leave out lines that repeat one of the header, where a logger began anew, and say so."""
+        again = [line for line in head if text.count(line) > 1]
+        numbers = [number for number, line in self._lines if line in again] if again else []
+        if numbers and self._has_clock():  # whose steps show what was lost there
+            self._lines = [pair for pair in self._lines if pair[1] not in again]
+            shown = ", ".join(map(str, numbers[:6])) + (" ..." if len(numbers) > 6 else "")
+            self.notes.append(f"line {shown} repeats the header: it is no row")
+
+    def _look_between(self, lines: list[str]) -> None:
+        """Refuse empty lines among rows that no clock tells apart, as they part two records; say which are comments.
+
+        Raises
+        ------
+        InputError
+            With the first of them, unless there is one behind every row.
+        """
+        numbers = [number for number, _ in self._lines]
+        between = [
+            (end - 1, lines[end - 2].strip())
+            for begin, end in pairwise(numbers)
+            if end > begin + 1 and lines[begin - 1].count('"') % 2 == 0  # else a cell goes on over these lines
+        ]
+        empty = [number for number, text in between if not text]
+        if 0 < len(empty) < len(numbers) // 2:
+            raise InputError(
+                f"an empty line among the rows of a table without a time column ({len(empty)} in all)",
+                expected="rows of one record: nothing but a clock would show what is lost between two",
+                got=f"an empty line {empty[0]}",
+                remedy="remove it, or put what stands below it into a file of its own",
+                place=f"line {empty[0]}",
+            )
+        said = [f"line {number}, a comment among the rows, is left out" for number, text in between if text]
+        self.notes += said[:3] + ([f"{len(said) - 3} more comments are left out"] if len(said) > 3 else [])
+
+    def _has_clock(self) -> bool:
+        """Return True if a title, or more of them, say time."""
+        try:
+            return clock_of(self.titles) is not None
+        except InputError:
+            return True
 
     def _leave_out_above(self, hint: re.Match[str] | None) -> None:
         """Leave out what a logger writes above its table, where header and all rows have one form and it has not.
@@ -298,10 +318,11 @@ class TextFile:
             number, line = self._lines[row]
             cells = self._cells(line)
             if len(cells) < width or any(cells[width:]):
+                self._refuse_header(int(row))
                 raise InputError(
                     f"a row of {len(cells)} cells under {width} titles",
                     expected=f"{width} cells ({', '.join(map(repr, self.titles[:6]))}{' ...' if width > 6 else ''})",
-                    got=line.strip()[:80],
+                    got="".join(sign if sign.isprintable() else "?" for sign in line.strip()[:80]),
                     remedy="give every column a title and every row as many cells, empty where nothing was recorded",
                     place=f"line {number}",
                 )
@@ -363,7 +384,7 @@ class TextFile:
     def _plain(self, column: int) -> FloatArray | None:
         """Return a column by the reader of numpy; None at the first cell that is no number."""
         try:
-            return np.loadtxt(
+            found = np.loadtxt(
                 (line for _, line in self._lines),
                 delimiter=self._delimiter,
                 usecols=column,
@@ -374,6 +395,7 @@ class TextFile:
             )
         except (ValueError, IndexError):
             return None
+        return found if len(found) == len(self._lines) else None  # a quotation that nothing closes swallows rows
 
     def _slowly(self, column: int, title: str) -> FloatArray:
         """Return a column cell by cell: NaN for an empty one, a named refusal for one that is no number."""
@@ -388,7 +410,32 @@ class TextFile:
         if (stamps := clock(cells, self.notes, where)) is not None:
             self._clocks.add(title)
             return stamps
-        return numbers_of(cells, where, self.notes, commas=self._decimal_commas())
+        try:
+            return numbers_of(cells, where, self.notes, commas=self._decimal_commas())
+        except InputError:
+            for number, cell in enumerate(cells):
+                if cell[:1].isalpha():
+                    self._refuse_header(number)
+            raise
+
+    def _refuse_header(self, row: int) -> None:
+        """Refuse a row of words alone: other columns, or another order of them, begin there.
+
+        Raises
+        ------
+        InputError
+            If it is one.
+        """
+        number, line = self._lines[row]
+        cells = [cell for cell in self._cells(line) if cell]
+        if len(cells) > 1 and all(cell[:1].isalpha() and cell.lower() not in EMPTY for cell in cells):
+            raise InputError(
+                "another header among the rows" if row else "two rows of titles",
+                expected=f"one table, under {', '.join(map(repr, self.titles[:6]))}",
+                got=line.strip()[:80],
+                remedy="put what stands below it into a file of its own" if row else "remove one of the two",
+                place=f"line {number}",
+            )
 
     def _refuse_thousands(self, column: int, values: FloatArray) -> None:
         """Refuse numbers that were read with points which may stand between thousands."""
@@ -444,69 +491,9 @@ def _delimiter_of(line: str) -> str:
     return max(_DELIMITERS, key=line.count)
 
 
-def _coding(raw: bytes) -> str:
-    """Return the coding of a text that is no UTF-8: the first in which its beginning holds a word for time."""
-    for coding in _CODINGS:
-        words = words_of(raw[:_HEAD].decode(coding, "ignore"))
-        if any(not word.isascii() and word in TIME_WORDS for word in words):
-            return coding
-    return "cp1252"
-
-
 def _are_numbers(cells: list[str]) -> bool:
     """Return True if all cells are numbers, perhaps with decimal commas."""
     return all(is_number(cell) or is_number(cell.replace(",", ".", 1)) for cell in cells)
-
-
-def _text(path: Path) -> tuple[str, str]:
-    """Return the text of a file, unpacked where it is packed, and its coding."""
-    raw = path.read_bytes()
-    for begin, suffix in _MAGIC.items() if path.suffix.lower() != ".gz" else ():
-        if raw.startswith(begin):
-            raise InputError(
-                "a file of another format",
-                expected=f"a table in text, as {path.suffix} says",
-                got=f"a file that begins with {begin!r}",
-                remedy=f"rename it to end in {suffix}",
-            )
-    if path.suffix.lower() == ".gz":
-        try:
-            with gzip.GzipFile(fileobj=io.BytesIO(raw)) as packed:
-                most = most_unpacked(len(raw))
-                raw = packed.read(most + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise InputError(
-                "not a gzip file", expected="a table packed by gzip", got=str(error), remedy="check the file"
-            ) from error
-        if len(raw) > most:
-            raise InputError(
-                "a packed table",
-                expected=f"at most {most >> 20} MiB unpacked",
-                got="more",
-                remedy="unpack it yourself, or cut or thin it",
-            )
-    if raw[:4] in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
-        coding = "utf-32"
-    elif raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        coding = "utf-16"
-    elif raw[1:2] == b"\0" or raw[:1] == b"\0":  # a title begins with a letter of ASCII in every table that we read
-        coding = "utf-16-le" if raw[1:2] == b"\0" else "utf-16-be"
-    else:
-        coding = "utf-8-sig"
-    others = dict.fromkeys((_coding(raw), "cp1252")) if coding == "utf-8-sig" and b"\0" not in raw[:4096] else ()
-    for tried in (coding, *others):
-        try:
-            text = raw.decode(tried)
-        except UnicodeDecodeError as error:
-            last = error
-            continue
-        return text, tried
-    raise InputError(
-        "not a text file",
-        expected="text in UTF-8, UTF-16 or cp1252",
-        got=str(last)[:120],
-        remedy="save it as UTF-8 CSV",
-    ) from last
 
 
 def _values(array: Any) -> FloatArray:

@@ -1,0 +1,87 @@
+"""Clocks that are written as whole numbers: counters that begin anew, and dates and times without any sign."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from harness.signals import FloatArray
+
+__all__ = ["DIGITS", "dated", "unwrapped"]
+
+BITS = (16, 24, 32)
+"""Widths of the counters of microcontrollers and field buses; one of 8 bits passes for a record of 256 rows."""
+FINER = (1e-3, 1e-6)
+"""What a program divides the count of 32 bits by to have it in milliseconds or seconds."""
+WITHIN = 0.5
+"""Part of a step within which the step over the end of a counter is as long as the others."""
+
+DIGITS = (1.9e13, 2.1e20)
+"""Between these lie numbers such as 20241231235959, also with three or six digits of a fraction behind them."""
+_DAY = r"(?P<day>(?:19|20)\d\d(?:0[1-9]|1[0-2])(?:0[1-9]|[12]\d|3[01]))"
+_TIME = r"(?P<time>(?:[01]\d|2[0-3])[0-5]\d[0-5]\d)"
+_DIGITS = re.compile(rf"{_DAY}{_TIME}(?:[.,]?(?P<part>\d{{3}}|\d{{6}})|[.,](?P<rest>\d+))?", re.ASCII)
+
+
+def unwrapped(counts: FloatArray) -> tuple[FloatArray, float, int]:
+    """Return the stamps of a counter that began anew where it was full, as if it had gone on; its period and how often.
+
+    What falls by the period of a counter, but for the usual step, is one: a second record would begin where the first
+    began.
+
+    Parameters
+    ----------
+    counts : array (N,)
+        In the unit of the counter.
+
+    Returns
+    -------
+    counts : array (N,)
+        As they came where any fall has another reason.
+    period : float
+        0 where nothing was done.
+    times : int
+
+    Examples
+    --------
+    >>> stamps, period, times = unwrapped(np.array([65500.0, 65520.0, 4.0, 24.0]))
+    >>> stamps.tolist(), period, times
+    ([65500.0, 65520.0, 65540.0, 65560.0], 65536.0, 1)
+    >>> unwrapped(np.array([0.0, 10.0, 20.0, 0.0, 10.0]))[2]
+    0
+    """
+    steps = np.diff(counts)
+    falls = np.flatnonzero(steps < 0)
+    if not falls.size or not np.isfinite(counts).all() or not (steps > 0).any():
+        return counts, 0.0, 0
+    typical = float(np.median(steps[steps > 0]))
+    whole = bool((counts == np.round(counts)).all())
+    periods = [2.0**bits for bits in BITS if whole or bits == max(BITS)]
+    periods += [2.0 ** max(BITS) * part for part in FINER if not whole]
+    for period in periods:
+        over = np.abs(steps[falls] + period - typical)
+        anew = (counts[falls + 1] == counts[0]).any() or np.ptp(counts) >= period
+        if (over <= WITHIN * typical).all() and not anew:
+            return counts + period * np.concatenate(([0], np.cumsum(steps < 0))), period, int(falls.size)
+    return counts, 0.0, 0
+
+
+def dated(cells: Sequence[str]) -> list[str] | None:
+    """Return stamps such as ``20241231235959.5`` or ``20241231235959500`` as ISO 8601; None if any is another number.
+
+    Examples
+    --------
+    >>> dated(["20241231235959.5", "20250101000000"]), dated(["20241231235959500"]), dated(["1709640000000"])
+    (['20241231T235959.5', '20250101T000000'], ['20241231T235959.500'], None)
+    """
+    found = [_DIGITS.fullmatch(cell.strip()) for cell in cells]
+    if not found or None in found:
+        return None
+    parts = [one["part"] or one["rest"] for one in found if one is not None]
+    return [
+        f"{one['day']}T{one['time']}" + (f".{part}" if part else "")
+        for one, part in zip(found, parts, strict=True)
+        if one is not None
+    ]
