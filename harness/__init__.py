@@ -48,7 +48,7 @@ _HOMES = {
     "equation_error": "scoring",
     "simulation_error": "scoring",
     "regret": "scoring",
-    "load_dataset": "data",
+    "load_dataset": "api",
     "create": "registry",
     "effect": "effects",
     "load_model": "fitted",

@@ -23,7 +23,7 @@ from harness.parts.files import describe_fmu, is_plant_file, is_system, make_pla
 from harness.parts.listing import LISTED, describe_part, list_parts
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
-from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory, Use
+from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Trajectory, Use
 from harness.trust import names_fmu
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from harness.conformance import CheckResult
     from harness.cosim.convergence import Convergence
     from harness.cosim.free_run import FreeRun
-    from harness.data import Nominal
+    from harness.data import LoadedDataset, Nominal
     from harness.data.oddities import DataCheck
     from harness.data.recipe.chosen import Signals
     from harness.diagnosis import Report
@@ -81,6 +81,7 @@ __all__ = [
     "isolability",
     "learn_residual",
     "list_parts",
+    "load_dataset",
     "load_model",
     "new",
     "order",
@@ -610,6 +611,47 @@ class Identified(Usable):
         return page(f"{type(self.model).__name__}: {self.model.spec}", *parts)
 
 
+def load_dataset(
+    dataset: Any,
+    *,
+    model: str | None = None,
+    validation: Any = None,
+    ports: tuple[Sequence[Channel], Sequence[Channel]] | None = None,
+    undriven: Sequence[str] = (),
+    **signals: Unpack[Signals],
+) -> LoadedDataset:
+    """Read a data set, or a recording by its name, check it, and convert it to SI units.
+
+    Parameters
+    ----------
+    dataset : path, str, table or records
+        The name of a recording (``sysid list recordings``), or what :func:`harness.data.load_dataset` reads.
+    model, validation, ports, undriven, **signals
+        See there.
+
+    Returns
+    -------
+    harness.data.LoadedDataset
+        What was noticed stands in ``dataset.warnings``.
+
+    Raises
+    ------
+    InputError
+        If there is no such recording, or a file, column, unit, time axis or value cannot be used.
+
+    Examples
+    --------
+    >>> t = np.arange(90) * 0.1
+    >>> found = load_dataset({"t [s]": t, "u [N m]": np.sin(t), "theta [rad]": np.cos(t)}, model="pendulum")
+    >>> found.dataset.spec.sample_time
+    0.1
+    """
+    from harness import data
+
+    path = registry.dataset_path(dataset)
+    return data.load_dataset(path, model=model, validation=validation, ports=ports, undriven=undriven, **signals)
+
+
 def identify_response(
     data: Any,
     *,
@@ -749,7 +791,6 @@ def identify(
     """
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
-    from harness.data import load_dataset
     from harness.scoring import equation_error, simulation_error
     from harness.scoring.predictive import probability_score
 
@@ -769,9 +810,7 @@ def identify(
         and hasattr(registry.load("identifiers", identifier), "channels")
     ):
         signals = {**signals, **_channels(registry.create("identifiers", identifier, **dict(options or {})), dataset)}
-    loaded = load_dataset(
-        registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven, **signals
-    )
+    loaded = load_dataset(dataset, model=model, validation=validation, undriven=undriven, **signals)
     data = loaded.dataset
     made = registry.create("identifiers", identifier, **_with_model(identifier, dict(options or {}), loaded.nominal))
     if not isinstance(made, Identifier):
@@ -889,7 +928,6 @@ def calibrate(
     {'m': 1.5, 'k': 4.0}
     """
     from harness import calibration
-    from harness.data import load_dataset
 
     for path in (out, ssv, model_out):
         if path is not None:
@@ -903,7 +941,7 @@ def calibrate(
             remedy="a model of equations is fitted by --identifier output-error",
         )
     loaded = load_dataset(
-        registry.dataset_path(dataset),
+        dataset,
         model=None if system else name,
         validation=validation,
         undriven=undriven,
@@ -1012,13 +1050,10 @@ def close_loop(
         own, which cannot end this one.
     """
     from harness import diagnosis
-    from harness.data import load_dataset
     from harness.diagnosis.dictionary import with_effects_of
 
     laws = with_effects_of(effects)
-    loaded: Any = load_dataset(
-        registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven, **signals
-    )
+    loaded: Any = load_dataset(dataset, model=model, validation=validation, undriven=undriven, **signals)
     how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
     how |= {"dictionary": laws, "wanted": dictionary}
     if loaded.nominal is not None and names_fmu(loaded.nominal.model):
@@ -1114,7 +1149,6 @@ def learn_residual(
     """
     from harness import learned as room
     from harness.comparison.models import read_model
-    from harness.data import load_dataset
 
     target = Path(out)
     _refuse_overwrite(target / "learned.json" if target.is_dir() else target, force=force)
@@ -1270,7 +1304,6 @@ def compare(
     """
     from harness import comparison as room
     from harness.comparison.models import read_model
-    from harness.data import load_dataset
     from harness.data.whole_files import whole_file
 
     if out is not None:
@@ -1278,7 +1311,7 @@ def compare(
     found = {str(path): read_model(path) for path in models}
     spec = next(iter(found.values())).spec
     data = load_dataset(
-        registry.dataset_path(dataset),
+        dataset,
         model=model,
         validation=validation,
         undriven=undriven,
@@ -1336,10 +1369,9 @@ def spectrum(
         If the records have no input, or are too short.
     """
     from harness import comparison as room
-    from harness.data import load_dataset
 
     _refuse_picture(out, force=force)
-    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven, **signals).dataset
+    data = load_dataset(dataset, model=model, undriven=undriven, **signals).dataset
     _note_oddities(data, note)
     found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
     _draw(found.plot, out)
@@ -1392,7 +1424,6 @@ def order(
         If the data or the options cannot be used, or no model of any order is found.
     """
     from harness import comparison as room
-    from harness.data import load_dataset
 
     _refuse_picture(out, force=force)
     path = registry.dataset_path(dataset)
@@ -1450,7 +1481,6 @@ def arx_orders(
         If the data or the orders cannot be used.
     """
     from harness import comparison as room
-    from harness.data import load_dataset
 
     _refuse_picture(out, force=force)
     path = registry.dataset_path(dataset)
@@ -1503,7 +1533,6 @@ def modes(
     InputError
         If the data or the options cannot be used.
     """
-    from harness.data import load_dataset
     from harness.modal import identify_modes
 
     folder = None if out is None else Path(out)
@@ -1511,7 +1540,7 @@ def modes(
         raise InputError(
             "the output exists", expected="a new folder", got="an existing one", remedy="--force", file=folder
         )
-    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven, **signals).dataset
+    data = load_dataset(dataset, model=model, undriven=undriven, **signals).dataset
     _note_oddities(data, note)
     found = identify_modes(
         (*data.estimation, *data.validation),
@@ -1609,9 +1638,7 @@ def _channels(part: Any, subject: Any) -> Signals:
 def _subject(takes: Takes, subject: Any, more: dict[str, Any], signals: Signals) -> Any:
     """Return the thing that an analysis looks at."""
     if takes == "data":
-        from harness.data import load_dataset
-
-        return load_dataset(registry.dataset_path(subject), **signals).dataset
+        return load_dataset(subject, **signals).dataset
     if takes == "records" and not _planned_for(subject):
         return _subject("data", subject, more, signals)
     if not isinstance(subject, str | Path):
@@ -1671,7 +1698,6 @@ def check_data(
     InputError
         If the data cannot be used at all.
     """
-    from harness.data import load_dataset
     from harness.data.oddities import DataCheck
     from harness.data.whole_files import whole_file
     from harness.diagnosis.records.inputs_check import inputs_checked

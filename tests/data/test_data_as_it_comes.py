@@ -223,3 +223,11 @@ def test_identify_and_close_loop_take_them(tmp_path: Path) -> None:
     assert (read.verdict, read.folder) == ("nothing_missing", None)
     with pytest.raises(InputError, match=r"expected a Dataset, got a str.*harness.close_loop reads files"):
         diagnosis.close_loop("log.csv", "pendulum")  # type: ignore[arg-type]
+
+
+def test_a_recording_is_loaded_by_its_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("SYSID_HARNESS_DATA", str(tmp_path))
+    with pytest.raises(InputError, match="emps"):  # found, and its files are said to be missing
+        api.load_dataset("emps")
+    with pytest.raises(InputError, match="did you mean emps"):
+        api.load_dataset("empss")
