@@ -60,10 +60,13 @@ class Feedback:
         Share of the input's unpredictable part that past outputs explain, of the input where it is most.
     probability : float
         Of a share at least so large in open loop.
+    unforeseen : float
+        What the input's own past leaves of it, relative to its standard deviation.
     """
 
     share: float
     probability: float
+    unforeseen: float = 1.0
 
     @property
     def found(self) -> bool:
@@ -318,9 +321,9 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     """
     if records[0].spec.nu == 0:
         return Feedback(0.0, 1.0)
-    shares, chances, _ = _granger(records, lags)
+    shares, chances, alone = _granger(records, lags)
     worst = int(np.argmax(shares))
-    return Feedback(float(shares[worst]), min(1.0, float(chances[worst]) * shares.size))
+    return Feedback(float(shares[worst]), min(1.0, float(chances[worst]) * shares.size), float(alone[worst]))
 
 
 def dependence_text(direction: FloatArray, size: FloatArray, names: Sequence[str]) -> str:

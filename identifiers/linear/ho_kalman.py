@@ -18,6 +18,7 @@ from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.loops.judge import loop_told
 from identifiers.common.neighbours import coefficients_without, spread_of
 from identifiers.common.normal import scaled_equations, solved
 from identifiers.common.observers import stationary_gain
@@ -221,6 +222,7 @@ class HoKalman:
     stable: bool = False
     least_excitation: float = 2.0
 
+    @loop_told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a balanced model; in innovation form with ``observer``, else in output-error form."""
         what = "ho-kalman"

@@ -17,6 +17,7 @@ from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.loops.judge import hidden_by_load, loop_told
 from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.observers import innovation_form, stationary_gain
 from identifiers.common.records import missing_notes, moving, real_signals, usable
@@ -24,7 +25,6 @@ from identifiers.common.ridge import ridge_by_cross_validation
 from identifiers.common.scaling import Scaling, scaled
 from identifiers.common.stability import clip_eigenvalues
 from identifiers.linear.directions import Directions, lively_directions
-from identifiers.linear.hidden_by_load import hidden_by_load
 from identifiers.linear.state_space_estimate import state_space_estimate
 
 __all__ = ["Subspace"]
@@ -122,6 +122,7 @@ class Subspace:
     stable: bool = False
     least_excitation: float = 2.0
 
+    @loop_told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form."""
         if self.past is not None:

@@ -1,9 +1,10 @@
-"""Prediction-error method with free initial states: ARX, ARMAX, output error, Box-Jenkins, orders by channel."""
+"""Prediction-error method with free initial states: state space, ARX, ARMAX, output error, Box-Jenkins."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -12,25 +13,32 @@ from harness.errors import FitError
 from harness.judgement import Feedback, feedback_of, refuse_undetermined
 from harness.models.arx_orders import Delay, input_delays
 from harness.models.determined import KEY, determined_bands
+from harness.models.lqr import spectral_radius
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.loops.judge import ANSWERED, COLOURED, hidden_by_load, loop_told
 from identifiers.common.neighbours import spread_of, steps_without
 from identifiers.common.observers import innovation_form
 from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable, without_holes
 from identifiers.common.scaling import scaled
 from identifiers.common.stability import RADIUS
-from identifiers.linear.hidden_by_load import hidden_by_load
+from identifiers.linear.directions import lively_directions
 from identifiers.linear.polynomials.estimate import Fitted, in_units, prediction_error_estimate
 from identifiers.linear.polynomials.holes import in_pieces
 from identifiers.linear.polynomials.model import Orders, Part, Polynomials, block_form
 from identifiers.linear.polynomials.orders import LETTERS, Counts, orders_by_output
 from identifiers.linear.polynomials.search import best, needed, search
 from identifiers.linear.polynomials.starts import settled, starting_models
+from identifiers.linear.state_space_estimate import state_space_estimate
+from identifiers.linear.statespace.fit import state_space_of
+from identifiers.linear.statespace.ladder import ORDERS
 
 __all__ = ["PredictionError"]
+
+Structure = Literal["auto", "state-space", "oe", "arx", "armax", "bj"]
 
 LADDER = (1, 2, 3, 4, 6)
 # Another order must lower the validated error by this much.
@@ -41,35 +49,41 @@ _ROUNDING = 1e-7
 _LOST = 1e-15
 # Samples of the past in which a controller's law is looked for beside a fit.
 _LAW = 4
-# Probability of residuals so correlated in time, were they white, from which on they count as coloured.
-_COLOURED = 1e-3
-# Share of an input's unpredictable part that past outputs explain, from which on what is left of them biases it.
-_ANSWERED = 0.1
 # Samples of delay that are looked for at most.
 _DELAYS = 30
 
 
 @dataclass(frozen=True)
 class PredictionError:
-    """Polynomial model by minimising its one-step prediction errors, the initial state of every record free.
+    """Model by minimising its one-step prediction errors, the initial state of every record free.
 
-    ``A y = sum B_i/F_i u_i + C/D e`` with ``"oe"``: F and B (white noise on the output; the model is fitted to free
-    runs), ``"arx"``: A, B, ``"armax"``: A, B, C, ``"bj"``: B, F, C, D (Ljung 1999, *System Identification*, sec. 4.2,
-    7.2 and 10.2), by Levenberg and Marquardt's method with exact gradients. Output error and Box-Jenkins start from
-    Steiglitz & McBride's iteration, ARMAX from Hannan & Rissanen's two stages; of several starts the best end is taken.
-    Each output has polynomials of its own.
+    Without options a state-space model of all outputs together: ``x+ = A x + B u``, ``y = C x + v``, and the noise v of
+    each output an autoregression. Plants of order 1 to 10, noises of up to 6 coefficients and dead times of the inputs
+    are tried, each brought to the largest likelihood from several starts (long one-step models, reduced by balanced
+    truncation; the next larger order; a regression on filtered signals), and Schwarz's rule decides (Ljung 1999,
+    *System Identification*, sec. 7.4, 10.2 and 16.4; :mod:`identifiers.linear.statespace`).
+
+    The other structures are polynomials, of each output by itself: ``A y = sum B_i/F_i u_i + C/D e`` with ``"oe"``: F
+    and B (white noise on the output; the model is fitted to free runs), ``"arx"``: A, B, ``"armax"``: A, B, C,
+    ``"bj"``: B, F, C, D (sec. 4.2), by Levenberg and Marquardt's method with exact gradients. Output error and
+    Box-Jenkins start from Steiglitz & McBride's iteration, ARMAX from Hannan & Rissanen's two stages; of several starts
+    the best end is taken.
 
     Readings that are missing are not filled in: the likelihood is that of the readings that there are, as a Kalman
-    filter that passes over the others has it (:mod:`identifiers.linear.polynomials.holes`).
+    filter that passes over the others has it (:mod:`identifiers.linear.polynomials.holes`); a state-space model of
+    noise that remembers leaves out the prediction errors that would stand on a missing reading.
 
     Parameters
     ----------
-    structure : {"oe", "arx", "armax", "bj"}
+    structure : {"auto", "state-space", "oe", "arx", "armax", "bj"}
+        ``"auto"`` is ``"state-space"`` where no order, delay or degree is given, else ``"oe"``.
     order : int, optional
-        Of all polynomials that no option below gives. By default one of 1, 2, 3, 4, 6, by the error on the last third
-        of the records: of free runs for output error, one step ahead for the others.
-    delay : int
-        Samples that an input takes to reach an output: 0 with feedthrough, else 1 or more.
+        States, or of all polynomials that no option below gives. By default of a state-space model 1 to 10, by
+        Schwarz's rule; of polynomials one of 1, 2, 3, 4, 6, by the error on the last third of the records: of free runs
+        for output error, one step ahead for the others.
+    delay : int, optional
+        Samples that an input takes to reach an output: 0 with feedthrough, else 1 or more. By default found from the
+        data for a state-space model, 1 for polynomials.
     na, nc, nd : int or list of int, optional
         Degrees of A, C and D: a number, or one for each output.
     nb, nf : int, list of int or list of lists, optional
@@ -99,9 +113,9 @@ class PredictionError:
     array([0.8])
     """
 
-    structure: Literal["oe", "arx", "armax", "bj"] = "oe"
+    structure: Structure = "auto"
     order: int | None = None
-    delay: int = 1
+    delay: int | None = None
     offset: bool = True
     stable: bool = False
     least_excitation: float = 2.0
@@ -112,8 +126,9 @@ class PredictionError:
     nf: Counts | None = None
     nk: Counts | Literal["auto"] | None = None
 
+    @loop_told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
-        """Return the model in innovation form; an output-error model has no filter gain."""
+        """Return the model in innovation form; one with white noise on the outputs has no filter gain."""
         what = "prediction-error"
         self._check(what)
         records, spec = usable(trajectories, samples=4 * (self.order or 1) + 4, what=what, holes="kept")
@@ -124,7 +139,77 @@ class PredictionError:
         records = filled(records)
         moving(records, what)
         refuse_undetermined(records, what, self.least_excitation)
-        measured = records
+        if self._structure == "state-space":
+            return self._of_states(records, said, what)
+        delay = 1 if self.delay is None else self.delay
+        return replace(self, structure=self._structure, delay=delay)._of_polynomials(records, said, what)
+
+    @property
+    def _structure(self) -> Structure:
+        """The structure, decided."""
+        if self.structure != "auto":
+            return self.structure
+        given = (self.order, self.delay, *self._given().values())
+        return "state-space" if all(one is None for one in given) else "oe"
+
+    def _of_states(self, records: list[Trajectory], said: dict[str, Any], what: str) -> LinearModel:
+        """Return the state-space model."""
+        measured, directions = records, None
+        if not any(record.missing is not None for record in records):
+            directions = lively_directions(records)
+        if directions:
+            records = directions.compressed(records)
+        records, scaling = scaled(records)
+        feedback = feedback_of(records)
+        lags = excited_lags(records, 2 * ORDERS) if self.least_excitation > 0 else 2 * ORDERS
+        asked = partial(
+            state_space_of,
+            records,
+            what,
+            order=self.order,
+            delay=self.delay,
+            offset=self.offset,
+            loop=feedback.found,
+            most=max(min(lags // 2, ORDERS), 1),
+        )
+        found, stabilized = asked(radius=np.inf), False
+        if self.stable and spectral_radius(found.plant.a_matrix) >= 1.0:
+            found, stabilized = asked(radius=RADIUS, innovations=False), True
+        notes: dict[str, Any] = {"structure": "state-space", **said, **found.notes, "feedback_share": feedback.share}
+        notes["residual_rms"] = (np.array(found.notes["residual_rms"]) * scaling.outputs).tolist()
+        if found.ladder:
+            notes["order_criterion"] = found.ladder
+        if stabilized:
+            notes["stabilized"] = True
+        if self.order is not None and (poor := self._unexcited(records, self.order)) is not None:
+            notes["warning"] = poor
+        white = [
+            whiteness([one[:, output] for one in found.residuals]) for output in range(found.residuals[0].shape[1])
+        ]
+        if feedback.found and "warning" not in notes and (doubt := self._looped(records, feedback, white, what)):
+            notes["warning"] = doubt
+
+        def told(model: LinearModel) -> LinearModel:
+            if model.spread is not None:
+                warning = str(notes.get("warning", ""))
+                spread = None if stabilized else replace(model.spread, warning=warning)
+                model = replace(model, spread=spread)
+            model = model.in_units(scaling)
+            return directions.expanded(model, measured[0]) if directions else model
+
+        rule = "given" if self.order is not None else "Schwarz's rule"
+        if "warning" not in notes and not stabilized:
+            estimate = state_space_estimate(told(found.plant), [], rule)
+            notes |= {} if estimate is None else {"estimate": estimate.to_dict()}
+        model = told(found.model)
+        notes[KEY] = determined_bands(model.matrices, measured)
+        model = replace(model, notes=notes)
+        hidden_by_load(model, measured, feedback, notes)
+        return model
+
+    def _of_polynomials(self, records: list[Trajectory], said: dict[str, Any], what: str) -> LinearModel:
+        """Return the model whose outputs have polynomials each."""
+        spec, measured = records[0].spec, records
         records, scaling = scaled(records)
         notes: dict[str, Any] = {"structure": self.structure, **said}
         made, delays = self._with_delays(records)
@@ -144,7 +229,8 @@ class PredictionError:
         notes = {**notes, **model.notes, "order": order, "residual_rms": rms}
         notes["polynomials"] = [polynomials.to_dict() for polynomials, _ in told]
         notes["standard_errors"] = [errors.tolist() for _, errors in told]
-        if feedback.found and "warning" not in notes and (doubt := self._looped(records, feedback, fits, what)):
+        white = [fit.whiteness for fit in fits]
+        if feedback.found and "warning" not in notes and (doubt := self._looped(records, feedback, white, what)):
             notes["warning"] = doubt
         estimate = prediction_error_estimate(spec, fits, scaling)
         # about a biased answer, or one on the edge of what is allowed, the spread of the fit says nothing
@@ -158,22 +244,31 @@ class PredictionError:
 
     def _check(self, what: str) -> None:
         """Refuse options that mean nothing."""
-        fine = self.structure in LETTERS and self.delay >= 0
+        fine = self.structure in (*LETTERS, "auto", "state-space") and (self.delay is None or self.delay >= 0)
+        if self.structure == "state-space" and (
+            given := [name for name, one in self._given().items() if one is not None]
+        ):
+            raise FitError(
+                f"{what}: options",
+                expected="order and delay with structure state-space",
+                got=", ".join(given),
+                remedy="leave them out, or take structure oe, arx, armax or bj",
+            )
         if not fine or (self.order is not None and self.order < 1) or (isinstance(self.nk, str) and self.nk != "auto"):
             raise FitError(
                 f"{what}: options",
-                expected="structure oe, arx, armax or bj, order >= 1, delay >= 0, nk a number, a list or auto",
+                expected="structure auto, state-space, oe, arx, armax or bj, order >= 1, delay >= 0, nk as nb or auto",
                 got=f"structure={self.structure}, order={self.order}, delay={self.delay}, nk={self.nk}",
                 remedy="correct the options",
             )
 
-    def _looped(self, records: Sequence[Trajectory], feedback: Feedback, fits: Sequence[Fitted], what: str) -> str:
+    def _looped(self, records: Sequence[Trajectory], feedback: Feedback, white: Sequence[float], what: str) -> str:
         """Return a warning where the model may be that of the controller, or the loop biases it; empty if neither."""
         try:
             refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
         except FitError as error:  # noise models can tell a loop that n4sid refuses, or take its controller for it
             return f"the model may be that of the controller: {error}"
-        if feedback.share > _ANSWERED and min(fit.whiteness for fit in fits) < _COLOURED / records[0].spec.ny:
+        if feedback.share > ANSWERED and min(white) < COLOURED / records[0].spec.ny:
             return (
                 "residuals are correlated in time, which in a loop (past outputs foretell the input) biases "
                 "what the inputs do: raise the order, or move the set-point more"
@@ -182,7 +277,11 @@ class PredictionError:
 
     def _unexcited(self, records: Sequence[Trajectory], order: int) -> str | None:
         """Return a warning where the inputs excite fewer lags than their polynomials have numbers, else None."""
-        needed = 2 * order if self.structure in ("oe", "bj") and self.nb is None and self.nf is None else order
+        needed = (
+            2 * order
+            if self._structure in ("oe", "bj", "state-space") and self.nb is None and self.nf is None
+            else order
+        )
         if self.least_excitation <= 0 or (lags := excited_lags(records, needed)) >= needed:
             return None
         return (
@@ -193,7 +292,7 @@ class PredictionError:
     def _with_delays(self, records: Sequence[Trajectory]) -> tuple[PredictionError, dict[str, Any]]:
         """Return the identifier with its delays as numbers, and what the data say of them."""
         if self.nk is None:
-            return replace(self, nk=self.delay), {}
+            return replace(self, nk=1 if self.delay is None else self.delay), {}
         if self.nk != "auto":
             return self, {}
         spec = records[0].spec
@@ -205,16 +304,15 @@ class PredictionError:
         }
         return replace(self, nk=[[one.samples for one in row] for row in found]), said
 
-    def _given(self) -> dict[str, Counts | None]:
+    def _given(self) -> dict[str, Any]:
         """Return the orders that options give."""
-        assert not isinstance(self.nk, str)
         return {"na": self.na, "nb": self.nb, "nc": self.nc, "nd": self.nd, "nf": self.nf, "nk": self.nk}
 
     def _chosen(self, records: Sequence[Trajectory], what: str) -> tuple[int, dict[str, float]]:
         """Return the order that does best on the last third of the records."""
         given, letters = self._given(), LETTERS[self.structure]
         if all(given[f"n{letter}"] is not None for letter in letters):
-            return max(int(np.max(given[f"n{letter}"])) for letter in letters), {}  # type: ignore[arg-type]
+            return max(int(np.max(given[f"n{letter}"])) for letter in letters), {}
         fit = [record[: 2 * len(record) // 3] for record in records]
         held = [record[2 * len(record) // 3 :] for record in records]
         errors: dict[str, float] = {}

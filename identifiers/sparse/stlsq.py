@@ -16,6 +16,7 @@ from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import refuse_feedback_of_records
 from identifiers.common.library import Library
+from identifiers.common.loops.judge import loop_told
 from identifiers.common.normal import NormalEquations, scaled_equations, solved
 from identifiers.common.observers import alpha_beta_gains, best_gain
 from identifiers.common.one_step_estimate import DEPENDENT, LARGEST, quotient
@@ -214,6 +215,7 @@ class Stlsq:
     iterations: int = 20
     least_excitation: float = 2.0
 
+    @loop_told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> SparseModel:
         """Return the sparse model; its equations and what was dropped stand in its notes."""
         what = "stlsq"

@@ -27,6 +27,7 @@ BATCH: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("n4sid", {"order": 2, "past": 6}, LINEAR),
     ("n4sid", {"method": "parsim", "past": 5, "stable": True}, LINEAR),
     ("prediction-error", {"order": 2}, ("linear",)),
+    ("prediction-error", {"structure": "state-space", "order": 2}, ("linear",)),
     ("impulse-response", {"length": 20, "kernel": "tc"}, ("linear",)),
     ("prediction-error", {"structure": "armax", "order": 2}, ("linear",)),
     ("along-trajectory", {"width": 8}, ("linear, state measured",)),

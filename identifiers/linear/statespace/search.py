@@ -1,0 +1,233 @@
+"""The search for the largest likelihood: Levenberg and Marquardt's method, initial states solved for in every step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.signals import FloatArray
+from identifiers.common.neighbours import steps_without
+from identifiers.linear.statespace.model import Errors, Piece, StateSpace, coordinates, errors_of, gradients_of
+
+__all__ = ["End", "Freedom", "loss_of", "search", "settled_starts", "steps_of"]
+
+EXACT = 1e-24
+"""Mean square of innovations, of outputs of size 1, that counts as rounding."""
+MEMORIES = 5.0
+"""Time constants of the noise that a piece holds at least: a slower one would follow the record's chances."""
+DAMPING = (1e-13, 1e-4, 1e8)
+"""Least, first and largest damping, of columns of length 1."""
+LOST = 1e-9
+"""Responses to the start that depend on others up to this share are none of their own."""
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What of a model is free.
+
+    Parameters
+    ----------
+    direct : int
+        Inputs, the first ones, that have a direct term D.
+    offset : bool
+        The level of each output.
+    radius : float
+        Largest modulus of a pole of the plant.
+    """
+
+    direct: int = 0
+    offset: bool = True
+    radius: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where a search ended: the model, the starts of the pieces (R, n), its errors and minus the log-likelihood."""
+
+    model: StateSpace
+    starts: FloatArray
+    errors: list[Errors]
+    loss: float
+    arrived: bool
+
+    @property
+    def rms(self) -> FloatArray:
+        """Of the innovations of each output (ny,)."""
+        return np.sqrt(_squares(self.errors) / np.maximum(_rows(self.errors), 1))
+
+
+def loss_of(errors: Sequence[Errors], floor: float = EXACT) -> float:
+    """Return minus the logarithm of the likelihood, variances concentrated out, but for a constant.
+
+    The first innovations, as many as the noise remembers, are not known; the others stand for them too, so that noises
+    of different length compare.
+
+    Parameters
+    ----------
+    errors : sequence of Errors
+    floor : float
+        Mean square below which innovations are rounding.
+    """
+    readings = sum(one.read for one in errors)
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = float(np.sum(readings / 2 * np.log(_squares(errors) / np.maximum(_rows(errors), 1) + floor)))
+    return found if np.isfinite(found) else np.inf
+
+
+def settled_starts(model: StateSpace, pieces: Sequence[Piece], free: Freedom) -> End:
+    """Return the model with the initial states, and the levels, that suit it best."""
+    starts = np.zeros((len(pieces), model.order))
+    errors = errors_of(model, starts, pieces)
+    none = np.zeros((model.a.size + model.b.size + model.c.size, 0))
+    system = _System.of(model, errors, pieces, none, Freedom(0, free.offset), noise=False)
+    step, moves = system.solved(0.0)
+    model, starts = model.moved(step), starts + moves
+    errors = errors_of(model, starts, pieces)
+    return End(model, starts, errors, loss_of(errors), False)
+
+
+def search(first: End, pieces: Sequence[Piece], free: Freedom, *, rounds: int = 60, gain: float = 1e-3) -> End:
+    """Return the largest likelihood that is reached from a start.
+
+    Parameters
+    ----------
+    first : End
+        As :func:`settled_starts` makes it.
+    pieces : sequence of Piece
+    free : Freedom
+    rounds : int
+    gain : float
+        Of the log-likelihood in one step, below which the search has arrived.
+    """
+    longest = max(len(piece.u) for piece in pieces)
+    furthest = min(1.0 + 1.0 / longest, free.radius)
+    forgotten = max(1.0 - MEMORIES / longest, 0.5)
+    now, damping = first, DAMPING[1]
+    for _ in range(rounds):
+        system = _System.of(now.model, now.errors, pieces, coordinates(now.model), free)
+        gained = 0.0
+        while damping < DAMPING[2]:
+            step, moves = system.solved(damping)
+            if np.isfinite(step).all():
+                model = now.model.moved(step)
+                if model.radius <= furthest and model.memory <= forgotten:
+                    starts = now.starts + moves
+                    errors = errors_of(model, starts, pieces)
+                    loss = loss_of(errors)
+                    if loss < now.loss:
+                        gained = now.loss - loss
+                        now = End(model, starts, errors, loss, False)
+                        damping = max(damping / 10, DAMPING[0])
+                        break
+            damping *= 10
+        if gained < gain:
+            return End(now.model, now.starts, now.errors, now.loss, True)
+        damping = min(damping, DAMPING[2] / 1e4)
+    return now
+
+
+def steps_of(end: End, pieces: Sequence[Piece], free: Freedom) -> FloatArray | None:
+    """Return how the model moves (G, k) without one stretch of the records each, as for ``StateSpace.moved``."""
+    directions = coordinates(end.model)
+    blocks = [_weighed(end, piece, own, directions, free) for piece, own in zip(pieces, end.errors, strict=True)]
+    gradients = np.concatenate([rows for rows, _ in blocks])
+    moves = steps_without(gradients, np.concatenate([wrong for _, wrong in blocks]))
+    if moves is None:
+        return None
+    q = directions.shape[1]
+    return np.hstack([moves[:, :q] @ directions.T, moves[:, q:]])
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """The linear equations of one step, initial states eliminated piece by piece.
+
+    Parameters
+    ----------
+    triangle : array (q + 1, q + 1)
+        Of slopes, of length 1, and innovations.
+    length : array (q,)
+        Of the slopes before.
+    back : list of array (n, q + 1)
+        What slopes and innovations ask of the start of each piece.
+    directions : array (m, r)
+    """
+
+    triangle: FloatArray
+    length: FloatArray
+    back: list[FloatArray]
+    directions: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        model: StateSpace,
+        errors: Sequence[Errors],
+        pieces: Sequence[Piece],
+        directions: FloatArray,
+        free: Freedom,
+        *,
+        noise: bool = True,
+    ) -> _System:
+        """Return the equations at a model."""
+        weight = _weights(errors)
+        parts, back = [], []
+        for piece, own in zip(pieces, errors, strict=True):
+            rows, answer = _eliminated(model, own, piece, directions, free, weight)
+            if not noise:
+                rows[:, rows.shape[1] - 1 - model.noise.size : -1] = 0.0
+            parts.append(np.linalg.qr(rows, mode="r"))
+            back.append(answer)
+        triangle = np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"), dtype=np.float64)
+        length = np.linalg.norm(triangle[:, :-1], axis=0)
+        length = np.where(length > 0, length, 1.0)
+        return cls(np.column_stack([triangle[:, :-1] / length, triangle[:, -1]]), length, back, directions)
+
+    def solved(self, damping: float) -> tuple[FloatArray, FloatArray]:
+        """Return the step of the model and those of the starts (R, n)."""
+        left, values, right = np.linalg.svd(self.triangle[:, :-1], full_matrices=False)
+        seen = left.T @ self.triangle[:, -1]
+        kept = values > LOST * values.max(initial=0.0)
+        scale = np.where(kept, values / np.where(kept, values**2 + damping, 1.0), 0.0)
+        move = -(right.T @ (scale * seen)) / self.length
+        starts = np.array([-(answer[:, -1] + answer[:, :-1] @ move) for answer in self.back])
+        q = self.directions.shape[1]
+        return np.concatenate([self.directions @ move[:q], move[q:]]), starts
+
+
+def _eliminated(
+    model: StateSpace, errors: Errors, piece: Piece, directions: FloatArray, free: Freedom, weight: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return rows [slopes, innovation] of a piece at right angles to what its start does, and what they ask of it."""
+    slopes, starts = gradients_of(model, errors, piece, directions, direct=free.direct, offset=free.offset)
+    rows = np.concatenate([slopes, errors.innovations[:, :, None]], axis=2) * weight[:, None]
+    rows, own = rows.reshape(-1, rows.shape[2]), (starts * weight[:, None]).reshape(-1, model.order)
+    length = np.linalg.norm(own, axis=0)
+    length = np.where(length > 0, length, 1.0)
+    left, values, right = np.linalg.svd(own / length, full_matrices=False)
+    kept = values > LOST * values.max(initial=0.0)
+    inner = left[:, kept].T @ rows
+    return rows - left[:, kept] @ inner, (right[kept].T @ (inner / values[kept, None])) / length[:, None]
+
+
+def _weighed(
+    end: End, piece: Piece, errors: Errors, directions: FloatArray, free: Freedom
+) -> tuple[FloatArray, FloatArray]:
+    """Return slopes (N ny, q) and innovations (N ny,) of a piece in units of their noise, starts eliminated."""
+    rows, _ = _eliminated(end.model, errors, piece, directions, free, _weights(end.errors))
+    return rows[:, :-1], rows[:, -1]
+
+
+def _weights(errors: Sequence[Errors]) -> FloatArray:
+    """Return what every output's innovations are multiplied by (ny,)."""
+    return 1.0 / np.sqrt(_squares(errors) / np.maximum(_rows(errors), 1) + EXACT)
+
+
+def _squares(errors: Sequence[Errors]) -> FloatArray:
+    return np.asarray(sum(np.sum(one.innovations**2, axis=0) for one in errors), dtype=np.float64)
+
+
+def _rows(errors: Sequence[Errors]) -> FloatArray:
+    return np.asarray(sum(one.counted.sum(axis=0) for one in errors), dtype=np.float64)

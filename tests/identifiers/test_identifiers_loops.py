@@ -1,0 +1,113 @@
+"""Fits to loops: what is biased or hidden says so by one judge, and open loops are left alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.judgement import feedback_of
+from harness.registry import create
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from identifiers.common.loops.judge import doubt_of_loop
+
+SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
+FULL = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 0.1)
+A, B = np.array([[0.95, 0.2], [-0.1, 0.8]]), np.array([0.0, 1.0])
+SAID = ("in a loop", "beside the controller explains", "inputs answer the outputs")
+
+
+def record(
+    seed: int, *, gain: float = 0.4, dither: float = 1.0, load: float = 0.1, whole: bool = True, n: int = 1000
+) -> Trajectory:
+    """A plant of two states under ``u = dither - gain (q + v)``, pushed by white noise."""
+    rng = np.random.default_rng(seed)
+    x, u, y = np.zeros(2), np.zeros((n, 1)), np.zeros((n, 2))
+    for k in range(n):
+        y[k] = x + 1e-3 * rng.normal(size=2)
+        u[k] = dither * rng.normal() - gain * y[k].sum()
+        x = A @ x + B * u[k] + load * rng.normal(size=2)
+    return Trajectory(0.1 * np.arange(n), u, y if whole else y[:, :1], FULL if whole else SPEC)
+
+
+def warning_of(name: str, data: Trajectory, **options: Any) -> str:
+    model: Any = create("identifiers", name, **options).fit([data], rng=np.random.default_rng(0))
+    return str(model.notes.get("warning", ""))
+
+
+def said(text: str) -> bool:
+    return any(part in text for part in SAID)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("least-squares", {}),
+        ("arx", {"order": 1}),
+        ("dmdc", {}),
+        ("edmdc", {}),
+        ("piecewise-affine", {"starts": 1, "modes": 1}),
+        ("narx", {"lags": 1}),
+    ],
+)
+def test_a_model_too_small_for_the_plant_says_that_the_loop_biases_it(name, options):
+    assert "correlated in time" in warning_of(name, record(1, gain=0.3, load=0.5, whole=False), **options)
+
+
+def test_total_least_squares_that_takes_the_controller_for_the_plant_says_so():
+    assert said(warning_of("least-squares", record(2, load=1.0), method="tls"))
+
+
+@pytest.mark.parametrize(("name", "options"), [("least-squares", {}), ("arx", {"order": 1}), ("dmdc", {})])
+def test_a_loop_that_hardly_moves_from_outside_is_said_to_hide_the_plant(name, options):
+    data = record(1, dither=0.3, load=1.0)
+    assert "hardly shows in the load" in warning_of(name, data, **options)
+    assert not warning_of(name, data, least_excitation=0.0, **options)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_loop_that_is_moved_and_a_model_that_holds_the_plant_need_no_warning(seed):
+    data = record(seed, gain=0.3, load=0.5, n=600)
+    assert feedback_of([data]).found
+    model: Any = create("identifiers", "least-squares").fit([data], rng=np.random.default_rng(0))
+    text = str(model.notes.get("warning", ""))
+    assert not said(text) or float(text.split("probability ")[1].split()[0]) > 1e-5  # chance, one in a thousand
+
+
+def open_inputs(kind: str, n: int, rng: np.random.Generator) -> FloatArray:
+    k = np.arange(n)
+    if kind == "sweep":
+        return np.asarray(np.sin(2 * np.pi * (0.002 * k + 0.1 * k**2 / n)))
+    if kind == "steps":
+        return np.asarray(np.repeat(rng.normal(size=n // 50 + 1), 50)[:n])
+    if kind == "lines":
+        return np.asarray(np.sin(0.2 * k) + np.sin(0.7 * k) + np.sin(1.5 * k))
+    return rng.normal(size=n)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from(["white", "steps", "sweep", "lines"]), st.booleans())
+def test_no_open_loop_is_taken_for_a_loop(seed, kind, whole):
+    rng, n = np.random.default_rng(seed), 600
+    u, x, y = open_inputs(kind, n, rng), np.zeros(2), np.zeros((n, 2))
+    for k in range(n):
+        y[k] = x + 0.02 * rng.normal(size=2)
+        x = A @ x + B * u[k] + 0.05 * rng.normal(size=2)
+    data = Trajectory(0.1 * np.arange(n), u[:, None], y if whole else y[:, :1], FULL if whole else SPEC)
+    for name, options in (("arx", {"order": 1}), ("dmdc", {"delays": 2})):
+        assert not said(warning_of(name, data, **options, least_excitation=1e-9))
+
+
+def test_errors_that_the_dither_explains_are_found_and_others_are_not():
+    data = record(5, load=1.0)
+    model: Any = create("identifiers", "least-squares").fit([data], rng=np.random.default_rng(0))
+    feedback = feedback_of([data])
+    assert not doubt_of_loop(model, [data], feedback)
+    wrong: Any = create("identifiers", "least-squares", least_excitation=0.0).fit(
+        [Trajectory(data.t, 0.5 * data.u, data.y, data.spec)], rng=np.random.default_rng(0)
+    )
+    assert said(doubt_of_loop(wrong, [data], feedback))
