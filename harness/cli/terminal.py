@@ -428,6 +428,9 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     for equation in getattr(fitted.model, "equations", ()):
         say(f"  {equation}")
     _print_order(fitted.model, conditioned=estimate is not None)
+    bands = (getattr(fitted.model, "notes", None) or {}).get("bands")
+    if isinstance(bands, str):  # how far ahead learned models vouch for their bands
+        say(f"  {bands}")
     for warning in fitted.warnings:
         say(f"warning: {warning}")
 

@@ -15,7 +15,17 @@ from harness.models.distributions import NormalMixture
 from harness.protocols import Model
 from harness.signals import FloatArray, Trajectory, residual
 
-__all__ = ["Ahead", "Bands", "banded", "held_out_runs", "misses", "told"]
+__all__ = [
+    "Ahead",
+    "Bands",
+    "banded",
+    "drawn_together",
+    "held_out_folds",
+    "held_out_runs",
+    "misses",
+    "refuse_share",
+    "told",
+]
 
 Start = Callable[[Trajectory], FloatArray]
 
@@ -30,6 +40,12 @@ _STEPS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 
 _LEAST = math.ceil(_LEVEL / (1 - _LEVEL) - 1e-9)
 """Windows that do not overlap (9): with fewer no finite band holds 90 % for sure (Angelopoulos and Bates, sec. 1)."""
+
+_TWICE = 2.0
+"""Standard errors that are told as what something is known to."""
+
+_MANY = 5
+"""Records from which on the scatter between records is looked at."""
 
 _LOOK_BACK, _FIRST = 300, 60
 """Samples before the held-out stretch from which the state at its begin is filtered, so that a slow filter has settled
@@ -72,6 +88,8 @@ class Ahead:
         Windows of this length that do not overlap: what the samples are worth.
     x, u, y : array (n, nx), (n, nu), (n, ny)
         Predicted states, and inputs and outputs of the samples.
+    which : array of int (n,), optional
+        Number of the record of each.
     """
 
     steps: int
@@ -79,11 +97,12 @@ class Ahead:
     x: FloatArray
     u: FloatArray
     y: FloatArray
+    which: npt.NDArray[np.intp] | None = None
 
     @property
     def level(self) -> float:
-        """Share of the errors below the bound of a new one: ``ceil((n + 1) 0.9) / n`` with n windows."""
-        return min(1.0, math.ceil((self.windows + 1) * _LEVEL - 1e-9) / self.windows)
+        """Share of the errors below the bound of a new one: ``(n + 1) 0.9 / n`` with n windows."""
+        return min(1.0, (self.windows + 1) * _LEVEL / self.windows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +111,11 @@ class Bands:
 
     Split conformal prediction (Angelopoulos and Bates 2021, *A gentle introduction to conformal prediction*,
     arXiv 2107.07511, sec. 1; with a model's own deviation as scale sec. 2.3.2): at every horizon the bound below which
-    ``ceil((n + 1) 0.9) / n`` of the errors on held-out data lie, n windows that do not overlap. New data of the same
-    kind lie within it with 90 to ``90 + 100 / (n + 1)`` % on average; nothing is said of data of another kind. What
-    follows each other in time is not exchangeable, so n counts windows and not samples. From fit to fit the share that
-    lies within has a standard deviation of about ``0.3 / sqrt(n)``.
+    ``(n + 1) 0.9 / n`` of the errors on held-out data lie, n windows that do not overlap; between two errors it is
+    interpolated, so that 90 % of new data of the same kind lie within it on average, and not up to ``100 / (n + 1)`` %
+    more. Nothing is said of data of another kind. What follows each other in time is not exchangeable, so n counts
+    windows and not samples. From fit to fit the share that lies within has a standard deviation of about
+    ``0.3 / sqrt(n)``, or that of the records' own shares over the root of their number where they are unlike.
 
     Parameters
     ----------
@@ -103,10 +123,13 @@ class Bands:
         Increasing.
     spread : array (H, ny)
         In the units of the outputs, or without unit where it is a factor.
+    error : float, optional
+        Standard error of the share that lies within, by the scatter between the held-out records; NaN of fewer than 5.
     """
 
     steps: FloatArray
     spread: FloatArray
+    error: float = math.nan
 
     @classmethod
     def of(
@@ -161,19 +184,20 @@ class Bands:
                     got=f"{100 * lost:.0f} %",
                     remedy="record more, train longer, or use another identifier",
                 )
-            # Between two order statistics the larger is the bound (Angelopoulos and Bates, eq. 2).
-            bound = np.quantile(np.where(np.isfinite(size), size, np.inf), one.level, axis=0, method="higher")
             held = np.where(np.isfinite(size), size, 0.0).max(axis=0)
-            rows.append(np.maximum(np.where(np.isfinite(bound), bound, held) / _NINETY, least))
+            # A run that diverged counts as one beyond all others, which have an end.
+            bound = np.quantile(np.where(np.isfinite(size), size, 2.0 * held), one.level, axis=0)
+            rows.append(np.maximum(np.minimum(bound, held) / _NINETY, least))
         spread = np.array(rows)
         steps = np.array([float(one.steps) for one in runs[: len(rows)]])
-        return cls(steps, np.maximum.accumulate(spread) if growing else spread)
+        spread = np.maximum.accumulate(spread) if growing else spread
+        return cls(steps, spread, _scatter(runs, misses, spread))
 
     @classmethod
     def scaling(cls, model: Any, runs: Sequence[Ahead], what: str) -> Bands:
         """Return the factors of a model's own deviations with which its 90 % intervals hold on held-out runs.
 
-        Of a mixture the deviations of its parts are scaled, and their disagreement stays.
+        Of a mixture the deviations of its parts are scaled; their disagreement shrinks with them and does not grow.
 
         Parameters
         ----------
@@ -188,11 +212,32 @@ class Bands:
         FitError
             As :meth:`of`.
         """
-        scores = []
-        for one in runs:
-            told: NormalMixture = model.predictive(one.x, one.u)
-            scores.append(_least_factors(told, one.y))
-        return cls.of(runs, [_NINETY * score for score in scores], what, least=np.full(model.spec.ny, _LEAST_FACTOR),
+        return cls.crossed([(model, runs)], what)
+
+    @classmethod
+    def crossed(cls, folds: Sequence[tuple[Any, Sequence[Ahead]]], what: str) -> Bands:
+        """Return the factors of :meth:`scaling` from several models, each with the runs over what it has not seen.
+
+        As cross-conformal prediction does (Vovk 2015, *Ann. Math. Artif. Intell.* 74:9, sec. 3), so that all data
+        vouch for the bands of a model that is fitted to all of them: as far ahead as nine windows fit into all parts.
+
+        Raises
+        ------
+        FitError
+            As :meth:`of`.
+        """
+        merged: list[Ahead] = []
+        scores: list[FloatArray] = []
+        for level in range(max((len(runs) for _, runs in folds), default=0)):
+            each = [(model, runs[level]) for model, runs in folds if len(runs) > level]
+            joined = _joined([one for _, one in each])
+            if joined.windows < _LEAST:
+                break
+            merged.append(joined)
+            factors = [_least_factors(model.predictive(one.x, one.u), one.y) for model, one in each]
+            scores.append(np.concatenate(factors))
+        ny = folds[0][0].spec.ny if folds else 0
+        return cls.of(merged, [_NINETY * score for score in scores], what, least=np.full(ny, _LEAST_FACTOR),
                       growing=False)  # fmt: skip
 
     @property
@@ -217,25 +262,37 @@ class Bands:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
-        return {"steps": self.steps.tolist(), "spread": self.spread.tolist()}
+        error = self.error if math.isfinite(self.error) else None
+        return {"steps": self.steps.tolist(), "spread": self.spread.tolist(), "error": error}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any] | None) -> Bands | None:
         """Return the bands of a description; None for none."""
         if content is None:
             return None
-        return cls(*(np.array(content[name], dtype=float) for name in ("steps", "spread")))
+        steps, spread = (np.array(content[name], dtype=float) for name in ("steps", "spread"))
+        error = content.get("error")
+        return cls(steps, spread, math.nan if error is None else float(error))
 
     def note(self, sample_time: float) -> str:
         """Return in words how far ahead they hold."""
         return (
             f"bands were made to hold on held-out data up to {self.longest} steps ({self.longest * sample_time:.3g} s) "
             "ahead; beyond they are extrapolated"
+            + (
+                f"; held-out parts differ so much that the share within is known to {100 * _TWICE * self.error:.2g} %"
+                if math.isfinite(self.error)
+                else ""
+            )
         )
 
 
 def held_out_runs(
-    model: Model, records: Sequence[Trajectory], cuts: Sequence[int], start: Start | None = None
+    model: Model,
+    records: Sequence[Trajectory],
+    cuts: Sequence[int],
+    start: Start | None = None,
+    least: int = _LEAST,
 ) -> list[Ahead]:
     """Return what a model predicts of the held-out ends of records, 1, 2, 4, ... steps ahead.
 
@@ -248,14 +305,16 @@ def held_out_runs(
     start : callable, optional
         ``start(stretch) -> state`` (nx,) where a guess will do, as up to 300 samples are filtered before the first that
         counts; by default the model's own ``initial_state``.
+    least : int
+        Windows that have to fit into what is held out: 9, or fewer where these are joined with those of other models.
 
     Returns
     -------
     list of Ahead
-        Up to the longest horizon of which 9 windows fit into what is held out.
+        Up to the longest horizon of which as many windows fit.
     """
     held = [len(record) - cut for record, cut in zip(records, cuts, strict=True)]
-    horizons = [h for h in _STEPS if sum((length - 1) // h for length in held) >= _LEAST]
+    horizons = [h for h in _STEPS if sum((length - 1) // h for length in held) >= least]
     if not horizons:
         return []
     states, which, sample = _filtered(model, records, cuts, start or model.initial_state)
@@ -273,8 +332,79 @@ def held_out_runs(
             x = model.step(x, every_u[row - 1])
             if steps in horizons:
                 windows = sum((length - 1) // steps for length in held)
-                found.append(Ahead(steps, windows, x, every_u[row], every_y[row]))
+                found.append(Ahead(steps, windows, x, every_u[row], every_y[row], which))
     return found
+
+
+def held_out_folds(lengths: Sequence[int], folds: int) -> list[list[tuple[int, int, int, int]]]:
+    """Return what each of some folds holds out: record, its first sample, the first one that counts, and the end.
+
+    Whole records in turn where there are as many as folds, else a stretch in turn of every record. At the begin of a
+    record samples count only after those that a first state takes.
+
+    Parameters
+    ----------
+    lengths : sequence of int
+        Samples of the records.
+    folds : int
+
+    Examples
+    --------
+    >>> held_out_folds([100, 100, 100], 2)
+    [[(0, 0, 60, 100), (2, 0, 60, 100)], [(1, 0, 60, 100)]]
+    >>> held_out_folds([300], 3)
+    [[(0, 0, 60, 100)], [(0, 100, 100, 200)], [(0, 200, 200, 300)]]
+    """
+    found: list[list[tuple[int, int, int, int]]] = []
+    for fold in range(folds):
+        if len(lengths) >= folds:
+            spans = [(k, 0, n) for k, n in enumerate(lengths) if k % folds == fold]
+        else:
+            spans = [(k, fold * n // folds, (fold + 1) * n // folds) for k, n in enumerate(lengths)]
+        found.append([(k, begin, begin or min(_FIRST, 3 * end // 4), end) for k, begin, end in spans])
+    return found
+
+
+def _joined(parts: Sequence[Ahead]) -> Ahead:
+    """Return held-out samples of several models as one; records of different models are different ones."""
+    which, shift = [], 0
+    for one in parts:
+        own = np.zeros(len(one.y), dtype=np.intp) if one.which is None else one.which
+        which.append(own + shift)
+        shift += int(own.max(initial=0)) + 1
+    u, y = (np.concatenate([getattr(one, name) for one in parts]) for name in ("u", "y"))
+    x = parts[0].x if len(parts) == 1 else np.zeros((len(y), 0))  # states of different models have no common meaning
+    return Ahead(parts[0].steps, sum(one.windows for one in parts), x, u, y, np.concatenate(which))
+
+
+def _scatter(runs: Sequence[Ahead], misses: Sequence[FloatArray], spread: FloatArray) -> float:
+    """Return the standard error of the share within bands, from the shares (R,) of the records; NaN of too few."""
+    counted: dict[int, list[float]] = {}
+    for one, miss, size in zip(runs, misses, spread, strict=False):
+        if one.which is None:
+            return math.nan
+        inside = np.mean(np.abs(miss) <= _NINETY * size, axis=1)
+        for number in np.unique(one.which):
+            counted.setdefault(int(number), []).append(float(inside[one.which == number].mean()))
+    shares = np.array([np.mean(values) for values in counted.values()])
+    return float(shares.std(ddof=1) / math.sqrt(len(shares))) if len(shares) >= _MANY else math.nan
+
+
+def drawn_together(told: NormalMixture, factor: FloatArray) -> NormalMixture:
+    """Return a mixture whose parts stand nearer to their mean by a factor (..., ny), where it is below 1.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> two = NormalMixture(np.array([[0.0], [4.0]]), np.ones((2, 1)), [Channel("y")])
+    >>> drawn_together(two, np.array([0.5])).means.ravel().tolist()
+    [1.0, 3.0]
+    """
+    if told.means.shape[-2] == 1:
+        return told
+    middle = told.means.mean(axis=-2, keepdims=True)
+    near = np.minimum(np.asarray(factor, dtype=float), 1.0)[..., None, :]
+    return NormalMixture(middle + near * (told.means - middle), told.stds, told.outputs)
 
 
 def _least_factors(told: NormalMixture, y: FloatArray) -> FloatArray:
@@ -282,7 +412,9 @@ def _least_factors(told: NormalMixture, y: FloatArray) -> FloatArray:
     low, high = np.full(y.shape, np.log(_LEAST_FACTOR)), np.full(y.shape, np.log(1 / _LEAST_FACTOR))
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        scaled = NormalMixture(told.means, told.stds * np.exp(middle)[..., None, :], told.outputs)
+        factor = np.exp(middle)
+        wide = NormalMixture(told.means, told.stds * factor[..., None, :], told.outputs)
+        scaled = drawn_together(wide, factor)
         holds = scaled.covered(y, _LEVEL) > 0
         low, high = np.where(holds, low, middle), np.where(holds, middle, high)
     lost = ~np.isfinite(told.mean) | (high > np.log(1 / _LEAST_FACTOR) - 1e-9)
@@ -362,6 +494,20 @@ def banded(
             remedy="train longer (steps), measure more, or use another identifier",
         )
     return replace(model, bands=bands, notes={**model.notes, "bands": bands.note(model.spec.sample_time)})
+
+
+def refuse_share(share: float, what: str) -> None:
+    """Refuse a share of the records that leaves nothing to learn from, or nothing to judge with.
+
+    Raises
+    ------
+    InputError
+        If it is not between 0 and 1.
+    """
+    if not 0 < share < 1:
+        raise InputError(
+            f"option held_out of {what}", expected="a share between 0 and 1", got=f"{share:g}", remedy="0.2 is usual"
+        )
 
 
 def told(bands: Bands | None, what: str) -> Bands:

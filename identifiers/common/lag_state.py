@@ -157,9 +157,14 @@ class LagModel(ABC):
         """Return the normal distribution of the output (..., ny)."""
         x, ny = np.asarray(x, dtype=float), self.spec.ny
         std = np.sqrt(np.maximum(x[..., -ny - 1 : -1], (_SURE * self.y_size) ** 2))
-        if self.bands is not None:
-            std = std * np.where(x[..., -1:] > 0, self.bands.at(x[..., -1]), 1.0)
-        return normal(x[..., :ny], std, self.spec.outputs)
+        return normal(x[..., :ny], std * self.band_factor(x), self.spec.outputs)
+
+    def band_factor(self, x: FloatArray) -> FloatArray:
+        """Return by what held-out data scaled the deviations (..., ny) at states (..., nx)."""
+        x = np.asarray(x, dtype=float)
+        if self.bands is None:
+            return np.ones((*x.shape[:-1], self.spec.ny))
+        return np.where(x[..., -1:] > 0, self.bands.at(x[..., -1]), 1.0)
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next state (..., nx); NaN once it is far outside the data."""

@@ -12,6 +12,7 @@ from harness.models.distributions import NormalMixture
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.bands import drawn_together
 
 __all__ = ["Ensemble", "own_spread"]
 
@@ -54,7 +55,8 @@ class Ensemble(ABC):
     Parameters
     ----------
     members : tuple of models
-        With as many states each.
+        With as many states each. ``band_factor(x)`` says by what held-out data scaled their deviations; where it is
+        below 1 their disagreement shrinks by it too, as it was wider than the errors.
     """
 
     spec: PlantSpec
@@ -84,7 +86,8 @@ class Ensemble(ABC):
         means, stds = (
             np.concatenate([getattr(mixture, name) for mixture in each], axis=-2) for name in ("means", "stds")
         )
-        return NormalMixture(means, stds, self.spec.outputs)
+        factor = self.members[0].band_factor(self.parts(x)[0][1])
+        return drawn_together(NormalMixture(means, stds, self.spec.outputs), factor)
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next states (..., nx)."""

@@ -13,7 +13,7 @@ from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
-from identifiers.common.bands import Bands, held_out_runs
+from identifiers.common.bands import Bands, held_out_folds, held_out_runs
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.records import moving, real_signals, usable
 
@@ -28,8 +28,11 @@ _NO_SLOPE = -16.0
 _CANDIDATES = 4000
 """Samples among which inducing points are chosen."""
 
-_HELD_OUT = 5
-"""One part in so many of every record, its end, judges the bands before the process learns it too."""
+_FOLDS = 5
+"""Parts of the data each of which judges the bands of a process that knows the others."""
+
+_WINDOWS = 2
+"""Held-out windows of a part at least, as those of all five are judged together."""
 
 _BLOCK = 2048
 """Rows of a block of the kernel matrix."""
@@ -182,9 +185,9 @@ class GaussianProcess:
     samples. With more samples than that all of them enter through inducing points (Titsias 2009, *AISTATS*, eq. 10),
     chosen one by one where the prior leaves most variance, and the noise is found again from the bound (eq. 9).
 
-    Several steps ahead the variances of the steps are added, which is rough. So the same process without the last fifth
-    of every record predicts that fifth, and the bands are scaled, for every horizon, to hold there
-    (:class:`identifiers.common.bands.Bands`).
+    Several steps ahead the variances of the steps are added, which is rough. So the same process without a fifth of the
+    data (of the records where there are five and more, else of each) predicts that fifth, all five one after the other,
+    and the bands are scaled, for every horizon, to hold there (:class:`identifiers.common.bands.Bands`).
 
     Parameters
     ----------
@@ -248,14 +251,18 @@ class GaussianProcess:
             points = [near[_inducing(kernel, near, self.inducing)] for kernel in kernels]
             return tuple(_sparse(kernels[k], points[k], x[rows], y[rows, k]) for k in range(spec.ny))
 
-        cuts = [len(record) - len(record) // _HELD_OUT for record in records]
-        early = [
-            np.arange(len(record) - self.order) < cut - self.order for record, cut in zip(records, cuts, strict=True)
-        ]
-        bands = None
-        if (inside := np.concatenate(early)).sum() > x.shape[1] + 3:
-            draft = GaussianProcessModel(spec, self.order, scaling, posteriors_of(inside))
-            bands = self._bands(draft, records, cuts, what)
+        parts = []
+        for held in held_out_folds([len(record) for record in records], _FOLDS):
+            known = [np.ones(len(record) - self.order, dtype=bool) for record in records]
+            for number, begin, _, end in held:
+                known[number][max(0, begin - self.order) : end] = False
+            if (rows_known := np.concatenate(known)).sum() > x.shape[1] + 3:
+                draft = GaussianProcessModel(spec, self.order, scaling, posteriors_of(rows_known))
+                ends, cuts = [records[k][:end] for k, _, _, end in held], [at for _, _, at, _ in held]
+                runs = held_out_runs(draft, ends, cuts, least=_WINDOWS)
+                if runs:
+                    parts.append((draft, runs))
+        bands = Bands.crossed(parts, what) if parts else None
         posteriors = posteriors_of(np.ones(len(x), dtype=bool))
         notes = {
             "samples": len(x),
@@ -269,13 +276,6 @@ class GaussianProcess:
             else bands.note(spec.sample_time),
         }
         return GaussianProcessModel(spec, self.order, scaling, posteriors, bands=bands, notes=notes)
-
-    def _bands(
-        self, draft: GaussianProcessModel, records: Sequence[Trajectory], cuts: Sequence[int], what: str
-    ) -> Bands | None:
-        """Return the factors of the deviations that hold on what the draft has not seen."""
-        runs = held_out_runs(draft, records, cuts)
-        return Bands.scaling(draft, runs, what) if runs else None
 
 
 def _likeliest(x: FloatArray, y: FloatArray, affine: bool) -> Kernel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from harness.physics.fitting.smoothing import smooth
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.common.bands import Bands, banded, told
+from identifiers.common.bands import Bands, banded, refuse_share, told
 from identifiers.common.observers import alpha_beta_gains, best_gain, fitted_start, run_in_steps
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.training import Trained, need_torch, train_tables
@@ -32,9 +33,6 @@ _LEAST_MASS = 1e-3
 
 _FAR = 1e3
 """A state so many sizes away from the data has diverged."""
-
-_HELD_OUT = 5
-"""One part in so many of every record, its end, is held out."""
 
 
 @dataclass(frozen=True)
@@ -260,7 +258,7 @@ class LagrangianNetwork(Trained):
     Lagrangian networks), so the learned plant cannot make energy, and needs fewer data than one without that form. It
     is trained on free runs over short windows. The outputs are the coordinates and, if wanted, their rates
     (``theta``, ``theta_rate``); each input is the generalised force of a coordinate. Dry friction is not in the form.
-    The last fifth of every record is held out, chooses the state of the training that is kept, and says how wide the
+    The end of every record is held out, chooses the state of the training that is kept, and says how wide the
     bands are so many steps ahead (:class:`identifiers.common.bands.Bands`). Needs torch for the fit (extra
     ``learned``); the model runs with numpy.
 
@@ -272,11 +270,14 @@ class LagrangianNetwork(Trained):
         Units of each of the two networks.
     window : int
         Samples of a training window.
+    held_out : float
+        Share of every record, its end, that is not learned from and tells how wide the bands are.
     """
 
     actuated: tuple[str, ...] | None = None
     hidden: int = 16
     window: int = 8
+    held_out: float = 0.2
     _: KW_ONLY
     steps: int = 800
     rate: float = 1e-2
@@ -285,7 +286,8 @@ class LagrangianNetwork(Trained):
         """Return the model; held-out losses stand in its notes."""
         what = "lagrangian-network"
         self.refuse_small(what, self.hidden, self.window)
-        records, spec = usable(trajectories, samples=_HELD_OUT * (self.window + 2), what=what)
+        refuse_share(self.held_out, what)
+        records, spec = usable(trajectories, samples=ceil((self.window + 2) / self.held_out), what=what)
         real_signals(spec, what)
         moving(records, what)
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
@@ -293,7 +295,7 @@ class LagrangianNetwork(Trained):
         states = [_states(record, columns, len(names)) for record in records]
         form, scale, turns = self._form(spec, names, columns, states, records, what)
         need_torch(what)
-        cuts = [len(record) - len(record) // _HELD_OUT for record in records]
+        cuts = [len(record) - int(self.held_out * len(record)) for record in records]
         learn = _windows(records, states, [(0, cut) for cut in cuts], self.window, 1)
         held = _windows(
             records,

@@ -13,7 +13,7 @@ from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.common.bands import Bands, banded, told
+from identifiers.common.bands import Bands, banded, refuse_share, told
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains, run_in_steps
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import centred
@@ -152,7 +152,7 @@ class NeuralStateSpace(Trained):
 
     The state of every window comes from past outputs and inputs through an encoder that is trained too (Beintema, Toth
     and Schoukens 2021, *L4DC*: the subspace encoder). Training begins at an ARX model, so that a network that learns
-    nothing is one. The last fifth of every record is held out, chooses the state of the training that is kept, and says
+    nothing is one. The end of every record is held out, chooses the state of the training that is kept, and says
     how wide the bands are so many steps ahead (:class:`identifiers.common.bands.Bands`); they do not widen outside the
     data.
     Needs torch for the fit (extra ``learned``); the model runs with numpy.
@@ -167,6 +167,8 @@ class NeuralStateSpace(Trained):
         Samples of a training window.
     direct : bool
         Let y[k] depend on u[k]; always so for a plant with feedthrough.
+    held_out : float
+        Share of every record, its end, that is not learned from and tells how wide the bands are.
     least_excitation : float
         0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
         the inputs do.
@@ -176,6 +178,7 @@ class NeuralStateSpace(Trained):
     hidden: int = 24
     window: int = 60
     direct: bool = False
+    held_out: float = 0.2
     least_excitation: float = 2.0
     _: KW_ONLY
     rate: float = 3e-3
@@ -184,6 +187,7 @@ class NeuralStateSpace(Trained):
         """Return the model; held-out losses stand in its notes."""
         what = "neural-state-space"
         self.refuse_small(what, self.order, self.hidden, self.window)
+        refuse_share(self.held_out, what)
         lags = self.order
         records, spec = usable(trajectories, samples=2 * lags + 20, what=what)
         real_signals(spec, what)
@@ -199,7 +203,7 @@ class NeuralStateSpace(Trained):
             Trajectory(record.t, (record.u - u_mean) / u_std, (record.y - y_mean) / y_std, record.spec)
             for record in records
         ]
-        cuts = [len(record) - max(len(record) // 5, lags + 6) for record in scaled]
+        cuts = [len(record) - max(int(self.held_out * len(record)), lags + 6) for record in scaled]
         learn = [record[:cut] for record, cut in zip(scaled, cuts, strict=True)]
         held = [record[cut:] for record, cut in zip(scaled, cuts, strict=True)]
         start = _start(learn, spec, lags, self.hidden, rng)

@@ -175,7 +175,7 @@ class PolynomialStateSpace:
         if fitted.held_out > _ALIKE * fitted.error:
             return held
         weight = self.ridge * np.where(layout.nonlinear(), 1.0, _LINEAR_SHARE)
-        whole = [replace(problem, held_out=False) for problem in problems]
+        whole = [replace(problem, held_out=0.0) for problem in problems]
         free = np.ones(layout.count, dtype=bool)
         again = descend_from(layout, whole, fitted.theta, fitted.starts, weight, free, self.iterations)
         if not np.isfinite(again.error):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from harness.data.whole_files import whole_file
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.signals import Trajectory
+from identifiers.common.bands import refuse_share
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.recurrent_fit import Fitted, Problem, descend
 from identifiers.learned.recurrent_model import RecurrentEnsemble, RecurrentModel, vouched
@@ -31,7 +33,8 @@ class NeuralOutputError:
     Levenberg and Marquardt's method uses the exact derivatives of the run, which compiled code carries along. States
     have no meaning and outputs have a network of their own, so levels that nobody measured, saturating tanks and
     sensors can be learned. The last fifth of every record is held out, simulated on from what came before: every start
-    ends at its best state there, and the ``members`` best of the ``starts`` make the ensemble. For records of up to
+    ends at its best state there, and the ``members`` best of the ``starts`` make the ensemble. A free run that leaves
+    three times the range of the states in the data is held at its edge, so that it stays finite. For records of up to
     some ten thousands of samples, of plants whose free run stays near the truth; for unstable ones use
     ``neural-state-space``.
 
@@ -56,6 +59,8 @@ class NeuralOutputError:
         File in which finished starts are kept, and from which an interrupted fit goes on.
     progress : bool
         Show a bar on the error stream.
+    held_out : float
+        Share of every record, its end, that is not learned from and tells how wide the bands are.
     least_excitation : float
         0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
         the inputs do.
@@ -71,6 +76,7 @@ class NeuralOutputError:
     direct: bool = False
     checkpoint: str | None = None
     progress: bool = False
+    held_out: float = 0.2
     least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
@@ -84,13 +90,14 @@ class NeuralOutputError:
                 got=f"{numbers}, ridge {self.ridge}",
                 remedy="correct them",
             )
-        records, spec = usable(trajectories, samples=5 * (self.order + 4), what=what)
+        refuse_share(self.held_out, what)
+        records, spec = usable(trajectories, samples=ceil((self.order + 4) / self.held_out), what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
         refuse_undetermined(records, what, self.least_excitation)
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         layout = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
-        problems = Problem.scaled(records)
+        problems = Problem.scaled(records, self.held_out)
         direct = self.direct or spec.feedthrough
         seed = int(rng.integers(2**62))
         path = None if self.checkpoint is None else Path(self.checkpoint)
@@ -113,14 +120,16 @@ class NeuralOutputError:
                 got=f"{self.starts} starts, all lost",
                 remedy="use neural-state-space, which is trained on short windows",
             )
-        found = vouched(spec, layout, best, problems, records, what)
+        found = vouched(spec, layout, best, problems, records, what, bounded=True)
         found.notes["starts"] = self.starts
         return found
 
     def _key(self, problems: Sequence[Problem], seed: int) -> str:
         """Return a hash of all that the starts depend on."""
         text = hashlib.sha256(
-            repr((self.order, self.hidden, self.outside, self.ridge, self.iterations, self.direct, seed)).encode()
+            repr(
+                (self.order, self.hidden, self.outside, self.ridge, self.iterations, self.direct, self.held_out, seed)
+            ).encode()
         )
         for problem in problems:
             text.update(problem.u.tobytes())

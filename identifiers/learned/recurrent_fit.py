@@ -23,8 +23,8 @@ Linear = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Point = tuple[FloatArray, FloatArray]
 """Weights (p,) and the initial state of every record (R, nx)."""
 
-_HELD_OUT = 5
-"""One part in so many of every record, its end, is held out."""
+_HELD_OUT = 0.2
+"""Share of every record, its end, that is held out."""
 
 _PATIENCE = 25
 """Iterations without a better held-out error after which a start is pruned."""
@@ -78,7 +78,7 @@ class Recurrence(Protocol):
 class Problem:
     """One record: scaled inputs u (N, nu), outputs y (N, ny) in their units, and the scaling (mean, size) of both.
 
-    Without ``held_out`` all of it is learned from.
+    ``held_out`` is the share of it, its end, that is not learned from; 0 for none.
     """
 
     channels: Sequence[Channel]
@@ -87,27 +87,22 @@ class Problem:
     y_mean: FloatArray
     y_std: FloatArray
     u_scale: tuple[FloatArray, FloatArray] = (np.zeros(1), np.ones(1))
-    held_out: bool = True
+    held_out: float = _HELD_OUT
 
     @classmethod
-    def scaled(cls, records: Sequence[Trajectory]) -> list[Problem]:
+    def scaled(cls, records: Sequence[Trajectory], held_out: float = _HELD_OUT) -> list[Problem]:
         """Return the records with inputs and outputs about their common mean, in their common size."""
         inputs = centred([record.u for record in records])
         y_mean, y_std = centred([record.y for record in records])
         return [
-            cls(record.spec.outputs, (record.u - inputs[0]) / inputs[1], record.y, y_mean, y_std, inputs)
+            cls(record.spec.outputs, (record.u - inputs[0]) / inputs[1], record.y, y_mean, y_std, inputs, held_out)
             for record in records
         ]
-
-    @staticmethod
-    def cut_of(samples: int) -> int:
-        """Return the number of samples of a record that are learned from."""
-        return samples - samples // _HELD_OUT
 
     @property
     def cut(self) -> int:
         """Samples learned from; the others are held out."""
-        return self.cut_of(len(self.u)) if self.held_out else len(self.u)
+        return len(self.u) - int(self.held_out * len(self.u))
 
     def errors(self, scaled: FloatArray) -> FloatArray:
         """Return predicted minus measured (N, ny), wrapped on periodic channels, in scaled units."""

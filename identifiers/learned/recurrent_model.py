@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.models.distributions import NormalMixture, normal
 from harness.rng import stream
@@ -14,7 +15,7 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.bands import Ahead, Bands, held_out_runs
-from identifiers.common.observers import best_gain, riccati_gains
+from identifiers.common.observers import best_gain, riccati_gains, run_in_steps
 from identifiers.common.reach import Reach
 from identifiers.learned.ensemble import Ensemble, own_spread
 from identifiers.learned.polynomial_pass import Polynomials
@@ -31,6 +32,9 @@ _START = 50
 
 _FAR = 1e3
 """A state so many sizes away from those of the data has diverged."""
+
+_LOST = 0.05
+"""Share of held-out states one step ahead that may lie beyond the edges of a member, which is left out otherwise."""
 
 _LEAST_SPREAD = 1e-6
 """Standard deviation of a prediction, relative to the size of the output, that no model may claim to be below."""
@@ -69,6 +73,9 @@ class RecurrentModel:
         Of the drift in a step, at most 1.
     bands : Bands, optional
         Factor of the standard deviation by the steps since an output was seen; 1 where there are none.
+    edges : array (2, nx), optional
+        Least and largest states: a run that leaves them is held there, as nothing is known beyond. Without, it goes on
+        until it is NaN.
     """
 
     spec: PlantSpec
@@ -87,6 +94,7 @@ class RecurrentModel:
     reach: Reach | None
     fade: float
     bands: Bands | None = None
+    edges: FloatArray | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -119,15 +127,22 @@ class RecurrentModel:
         known = np.log(_HORIZONS)
         std = np.stack([np.interp(steps, known, column) for column in self.spread.T], axis=-1)
         std = np.hypot(std, x[..., nx + 1 :])
-        return normal(
-            self.output(x, u), std if self.bands is None else std * self.bands.at(x[..., nx]), self.spec.outputs
-        )
+        return normal(self.output(x, u), std * self.band_factor(x), self.spec.outputs)
+
+    def band_factor(self, x: FloatArray) -> FloatArray:
+        """Return by what held-out data scaled the deviations (..., ny) at states (..., nx + 1 + ny)."""
+        x = np.asarray(x, dtype=float)
+        if self.bands is None:
+            return np.ones((*x.shape[:-1], self.spec.ny))
+        return self.bands.at(x[..., self.layout.nx])
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the next state (..., nx + 1 + ny); NaN once it is far outside the data."""
+        """Return the next state (..., nx + 1 + ny); held at the edges, or NaN once it is far outside the data."""
         x, nx = np.asarray(x, dtype=float), self.layout.nx
         scaled = self._input(u)
         new = self.layout.step(self.theta, x[..., :nx], scaled)
+        if self.edges is not None:
+            new = np.clip(np.where(np.isfinite(new), new, x[..., :nx]), *self.edges)
         near = (np.abs(new - self.x_mean) <= _FAR * self.x_std).all(axis=-1, keepdims=True)
         new = np.where(near, new, np.nan)
         drift = self.fade * x[..., nx + 1 :]
@@ -146,11 +161,29 @@ class RecurrentModel:
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx + 1 + ny) under inputs u (M, N, nu)."""
+        x, scaled = np.asarray(x, dtype=float), self._input(u)
+        if self.edges is not None and not self._stays_within(x[:, : self.layout.nx], scaled):
+            return run_in_steps(self, x, u)
         outputs = np.empty((*u.shape[:2], self.spec.ny))
-        for row, start, inputs in zip(outputs, np.asarray(x, dtype=float), self._input(u), strict=True):
-            scaled, _ = self.layout.run(self.theta, start[: self.layout.nx], inputs, sensitivities=False)
-            row[:] = self.y_mean + self.y_std * scaled
+        for row, start, inputs in zip(outputs, x, scaled, strict=True):
+            found, _ = self.layout.run(self.theta, start[: self.layout.nx], inputs, sensitivities=False)
+            row[:] = self.y_mean + self.y_std * found
         return outputs
+
+    def _stays_within(self, inner: FloatArray, scaled: FloatArray) -> bool:
+        """Return whether runs from states (M, nx) under scaled inputs (M, N, nu) never meet an edge."""
+        for k in range(scaled.shape[1] - 1):
+            inner = self.layout.step(self.theta, inner, scaled[:, k])
+            if not self.within(inner).all():
+                return False
+        return True
+
+    def within(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return whether states (..., nx or more) lie strictly within the edges (...)."""
+        inner = np.asarray(x)[..., : self.layout.nx]
+        if self.edges is None:
+            return np.asarray(np.isfinite(inner).all(axis=-1))
+        return np.asarray(((inner > self.edges[0]) & (inner < self.edges[1])).all(axis=-1))
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -164,6 +197,7 @@ class RecurrentModel:
             "reach": None if self.reach is None else self.reach.to_dict(),
             "fade": self.fade,
             "bands": None if self.bands is None else self.bands.to_dict(),
+            "edges": None if self.edges is None else self.edges.tolist(),
             "notes": self.notes,
         }
 
@@ -176,7 +210,9 @@ class RecurrentModel:
         fit_error, notes = float(content["fit_error"]), dict(content.get("notes", {}))
         reach = None if content.get("reach") is None else Reach.from_dict(content["reach"])
         fade = float(content["fade"])
-        more: dict[str, Any] = {"reach": reach, "fade": fade, "bands": Bands.from_dict(content.get("bands"))}
+        edges = None if content.get("edges") is None else np.array(content["edges"], dtype=float)
+        bands = Bands.from_dict(content.get("bands"))
+        more: dict[str, Any] = {"reach": reach, "fade": fade, "bands": bands, "edges": edges}
         return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, **more, **arrays)
 
     def _input(self, u: FloatArray) -> FloatArray:
@@ -212,6 +248,8 @@ def vouched(
     problems: Sequence[Problem],
     records: Sequence[Trajectory],
     what: str,
+    *,
+    bounded: bool = False,
 ) -> RecurrentEnsemble:
     """Return the ensemble of some fits, its bands wide enough on what they hold out.
 
@@ -225,34 +263,67 @@ def vouched(
         The records, scaled and as they are.
     what : str
         Name of the identifier, for messages.
+    bounded : bool
+        Hold free runs at three times the range of the states in the data.
+
+    Raises
+    ------
+    FitError
+        If more than one in twenty held-out free runs leaves that range one step ahead.
     """
-    members = [own_member(spec, layout, fitted, problems, records) for fitted in best]
+    members = [own_member(spec, layout, fitted, problems, records, bounded=bounded) for fitted in best]
     cuts = [problem.cut for problem in problems]
     draft = RecurrentEnsemble(spec, tuple(members), {})
-    spread = _spread(draft, held_out_runs(draft, records, cuts))
+    runs = held_out_runs(draft, records, cuts)
+    if bounded and runs:
+        stay = [float(np.mean(~member.within(part))) <= _LOST for member, part in draft.parts(runs[0].x)]
+        if any(stay) and not all(stay):  # the others vouch for themselves
+            best = [fitted for fitted, fine in zip(best, stay, strict=True) if fine]
+            members = [member for member, fine in zip(members, stay, strict=True) if fine]
+            draft = RecurrentEnsemble(spec, tuple(members), {})
+            runs = held_out_runs(draft, records, cuts)
+    spread = _spread(draft, runs)
     reaches = [_reach(m, problems, records, fitted) for m, fitted in zip(members, best, strict=True)]
     notes: dict[str, Any] = {"held-out rms": [fitted.held_out for fitted in best], "parameters": layout.count}
     wide = [replace(m, spread=spread, reach=reach) for m, reach in zip(members, reaches, strict=True)]
     draft = RecurrentEnsemble(spec, tuple(wide), notes)
     runs = held_out_runs(draft, records, cuts)
+    # At once beyond the edges a model is worth nothing; further ahead being held there is an error like others.
+    runs[:1] = [_lost_outside(draft, one) for one in runs[:1]]
     bands = Bands.scaling(draft, runs, what) if runs else None
     if bands is not None:
         notes["bands"] = bands.note(spec.sample_time)
     return RecurrentEnsemble(spec, tuple(replace(m, bands=bands) for m in wide), notes)
 
 
+def _lost_outside(model: RecurrentEnsemble, one: Ahead) -> Ahead:
+    """Return held-out samples with NaN for the states of those that a member is held at an edge for."""
+    fine = np.all([member.within(part) for member, part in model.parts(one.x)], axis=0)
+    return replace(one, x=np.where(fine[:, None], one.x, np.nan))
+
+
 def own_member(
-    spec: PlantSpec, layout: Recurrence, fitted: Fitted, problems: Sequence[Problem], records: Sequence[Trajectory]
+    spec: PlantSpec,
+    layout: Recurrence,
+    fitted: Fitted,
+    problems: Sequence[Problem],
+    records: Sequence[Trajectory],
+    *,
+    bounded: bool = False,
 ) -> RecurrentModel:
     """Return the model of one fit with its filter gain, and no spread yet."""
     states = np.concatenate([p.states(layout, fitted.theta, x) for p, x in zip(problems, fitted.starts, strict=True)])
+    low, high = states.min(axis=0), states.max(axis=0)
+    edges = np.array([low - (high - low), high + (high - low)]) if bounded else None
     x_mean, x_std = states.mean(axis=0), np.maximum(states.std(axis=0), 1e-6)
     zero = np.zeros((layout.nx, spec.ny))
     wide = np.ones((len(_HORIZONS), spec.ny))
     u_mean, u_std = problems[0].u_scale
     y_std = problems[0].y_std
     signals = (u_mean, u_std, problems[0].y_mean, y_std, x_mean, x_std)
-    draft = RecurrentModel(spec, layout, fitted.theta, *signals, fitted.error, zero, wide, np.ones(spec.ny), None, 1.0)
+    draft = RecurrentModel(
+        spec, layout, fitted.theta, *signals, fitted.error, zero, wide, np.ones(spec.ny), None, 1.0, edges=edges
+    )
     a, c = layout.jacobians(fitted.theta, x_mean, np.zeros(spec.nu))
     gains = riccati_gains(a, c, x_std, np.ones(spec.ny))
     # best_gain moves whole states, counter included, by errors in units; the model's gain is for scaled ones.

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -30,8 +29,21 @@ _QUIET = 1e-9
 _FEWEST = 20
 """Samples of a run at least: a record to learn from."""
 
-_TRIALS = 4
-"""Runs from every start, each with its own noise, over which a cost is averaged."""
+_TRIALS = (8, 16, 32, 64)
+"""Noises under which two designs are compared from every start: more as long as nothing can be told."""
+
+_LEVEL = 0.01
+"""Chance that a design which costs as much as the present one takes over, at each look at the trials."""
+
+_CHECKS = 64
+"""Noises, none of them used in a decision, under which the cost that is told is measured."""
+
+_NOTHING = 0.0
+"""Coverage in a half of the runs up to which a fit is not tried. Where two runs share nothing but noise, the cross-Gram
+matrix has as many negative eigenvalues as positive ones, and hardly ever none in both halves."""
+
+_TRIED, _TOLD = 3, 4
+"""Streams of noise: of the trials that decide, and of those that are told."""
 
 _REPEATS = 2
 """Runs under the same excitation in a round: what they share is no noise."""
@@ -72,14 +84,19 @@ class Redesign:
 
     A mechanism is to be held at a point, its outputs measured with noise. The first controller is designed with the
     parameters that are believed. In every round two runs under the same excitation are recorded; the parameters are
-    fitted to all records so far by their free runs (``output-error``, which knows that the plant is not linear); a
-    Kalman filter and an LQR designed on the mechanism linearised at the point are tried from the starts, and take over
-    where they cost less than the ones before (with the same noise for all): so the cost never rises. It is that of the
-    outputs without noise, ``sum (y - y*)' q (y - y*) + u' r u``, averaged over the starts. Identification for control
-    in turns with design: Schrama 1992, *IEEE Trans. Autom. Control* 37:991.
+    fitted to all records so far by their free runs (``output-error``, which knows that the plant is not linear), and a
+    Kalman filter and an LQR are designed on the mechanism linearised at the point. The new controller takes over where
+    it is shown to cost less than the present one: both are run from the same starts under the same noise, 8 to 64
+    times, and a one-sided t-test of the differences (a sign test where one of them leaves the point) has to say so at
+    1 %. Where it does not, the round goes on with two more runs, up to ``batches`` times; then the turns end, as what
+    is left to gain is smaller than what trials can tell. So the cost falls in every round but that last one. It is
+    that of the outputs without noise, ``sum (y - y*)' q (y - y*) + u' r u``, averaged over the starts; what is told is
+    measured under noise that no decision has seen, as the least of many measured costs is always too low.
+    Identification for control in turns with design: Schrama 1992, *IEEE Trans. Autom. Control* 37:991.
 
     ``coverage`` is that of :func:`repeatable_coverage` for outputs, their differences and inputs; ``with noise`` is
-    what the least singular value of one run says, which noise makes look well.
+    what the least singular value of one run says, which noise makes look well. Where the first is 0 in one half of the
+    runs nothing is fitted.
 
     Parameters
     ----------
@@ -92,6 +109,9 @@ class Redesign:
     starts : sequence of mapping
         Initial states from which a controller is tried, by name; the first one also begins the records.
     rounds : int
+        At most.
+    batches : int
+        Times that a round records two runs before it gives up.
     samples : int
         Of a run.
     noise : float
@@ -110,6 +130,7 @@ class Redesign:
     target: dict[str, float] = field(default_factory=dict)
     starts: Sequence[Mapping[str, float]] = ()
     rounds: int = 5
+    batches: int = 4
     samples: int = 60
     noise: float = 3e-3
     excitation: float = 0.1
@@ -119,56 +140,110 @@ class Redesign:
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return cost, coverage and what was done in every round."""
-        if not self.believed or not self.starts or min(self.rounds, self.hold) < 1 or self.samples < _FEWEST:
+        few = min(self.rounds, self.hold, self.batches) < 1 or self.samples < _FEWEST
+        if not self.believed or not self.starts or few:
             raise InputError(
                 "redesign",
-                expected=f"believed parameters, starts, rounds and hold of at least 1, samples of at least {_FEWEST}",
+                expected="believed parameters, starts, rounds, batches and hold of at least 1, samples of at least "
+                f"{_FEWEST}",
                 got=f"believed={self.believed}, starts={list(self.starts)}, rounds={self.rounds}, hold={self.hold}, "
-                f"samples={self.samples}",
+                f"batches={self.batches}, samples={self.samples}",
                 remedy="say what is believed and where to start, such as -O 'believed={mgl=0.7}' "
                 "-O 'starts=[{theta=3.0}]'",
             )
         with subject() as plant:
             bench = _Bench(self, plant)
             seed = int(rng.integers(2**62))
-            controller = bench.designed(self.believed)
-            cost = bench.cost(controller, seed)
-            rows = [self._row(0, cost, cost, 0.0, 0.0, "designed with what is believed", self.believed)]
-            records: list[Trajectory] = []
             parameters: dict[str, float] = dict(self.believed)
+            controller = bench.designed(parameters)
+            costs = bench.costs(controller, [seed, _TOLD], range(_CHECKS))
+            rows = [_row(0, costs, costs, 0, (0.0, 0.0), "designed with what is believed", parameters, self.believed)]
+            records: list[Trajectory] = []
             for number in range(1, self.rounds + 1):
-                pair = bench.collected(controller, seed, number)
-                coverage, naive = _coverages(pair)
-                records += pair
-                tried = float("inf")
-                try:
-                    identifier = OutputError(model=self.model, start=parameters)
-                    fitted = dict(identifier.fit(records, rng=np.random.default_rng(number)).parameters)
-                    new = bench.designed(fitted)
-                except FitError as error:
-                    said = f"refused: {error}"
-                else:
-                    tried = bench.cost(new, seed)
-                    said = "takes over" if tried < cost else "costs more: the one before stays"
-                    if tried < cost:
-                        cost, controller, parameters = tried, new, fitted
-                rows.append(self._row(number, cost, tried, coverage, naive, said, parameters))
-            best = bench.cost(bench.designed(dict(plant.true_parameters)), seed)
-        falls = sum(late["cost"] < early["cost"] for early, late in itertools.pairwise(rows))
+                done = self._round(bench, controller, parameters, records, seed, number)
+                last = costs
+                if done.better:
+                    controller, parameters = done.controller, done.parameters
+                    costs = bench.costs(controller, [seed, _TOLD], range(_CHECKS))
+                rows.append(
+                    _row(number, costs, last, len(records), done.coverages, done.said, parameters, self.believed)
+                )
+                if not done.better:
+                    break
+            best = bench.costs(bench.designed(dict(plant.true_parameters)), [seed, _TOLD], range(_CHECKS))
+        falls = sum(row["change"] < 0 for row in rows[1:])
+        taken = len(rows) - 1 - (not done.better)
+        end = "as many as asked" if done.better else f"then no more: {done.said}"
+        gap, error = _paired(costs, best)
         words = (
-            f"cost {rows[0]['cost']:.6g} at first, {cost:.6g} after {self.rounds} rounds; it fell in {falls} of them "
-            "and rose in none",
-            f"a controller designed with the true parameters costs {best:.6g}",
+            f"cost {rows[0]['cost']:.6g} at first, {rows[-1]['cost']:.6g} at the end; it fell in {falls} of {taken} "
+            f"rounds, {end}",
+            f"a controller designed with the true parameters costs {best.mean():.6g}: the last one "
+            f"{100 * gap / best.mean():+.2g} % (standard error {100 * error / best.mean():.1g} %)",
         )
-        return Findings("identification and redesign in turns", rows, words, {"best": best, "falls": falls})
+        details = {"best": float(best.mean()), "falls": falls, "rounds": taken}
+        return Findings("identification and redesign in turns", rows, words, details)
 
-    def _row(
-        self, number: int, cost: float, tried: float, coverage: float, naive: float, said: str,
+    def _round(
+        self,
+        bench: _Bench,
+        controller: _Controller,
         parameters: Mapping[str, float],
-    ) -> dict[str, Any]:  # fmt: skip
-        return {"round": number, "cost": cost, "of the new controller": tried, "coverage": coverage,
-                "with noise": naive, "what was done": said,
-                **{name: parameters[name] for name in self.believed}}  # fmt: skip
+        records: list[Trajectory],
+        seed: int,
+        number: int,
+    ) -> _Round:
+        """Record, fit and try until a design is shown to cost less, or the batches are used up; adds to the records."""
+        said, coverages = "", (0.0, 0.0)
+        fitted = dict(parameters)
+        for batch in range(self.batches):
+            pair = bench.collected(controller, [seed, number, batch])
+            middle = min(map(len, pair)) // 2
+            records += pair
+            coverages = _coverages(pair)
+            halves = [[record[:middle] for record in pair], [record[middle:] for record in pair]]
+            if min(_coverages(part)[0] for part in halves) <= _NOTHING:
+                said = "not fitted: in one direction both runs share next to nothing but noise"
+                continue
+            try:
+                identifier = OutputError(model=self.model, start=fitted)
+                fitted = dict(identifier.fit(records, rng=np.random.default_rng(number)).parameters)
+                new = bench.designed(fitted)
+            except FitError as error:
+                said, fitted = f"refused: {error}", dict(parameters)
+                continue
+            better, said = bench.compared(new, controller, [seed, _TRIED, number, batch])
+            if better:
+                return _Round(True, new, fitted, coverages, said)
+        said = f"no better one after {_REPEATS * self.batches} more runs; the last: {said}"
+        return _Round(False, controller, dict(parameters), coverages, said)
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """How a round ended."""
+
+    better: bool
+    controller: _Controller
+    parameters: dict[str, float]
+    coverages: tuple[float, float]
+    said: str
+
+
+def _row(
+    number: int, costs: FloatArray, before: FloatArray, records: int, coverages: tuple[float, float], said: str,
+    parameters: Mapping[str, float], names: Iterable[str],
+) -> dict[str, Any]:  # fmt: skip
+    change, error = _paired(costs, before)
+    return {"round": number, "cost": float(costs.mean()), "change": change, "error of it": error, "records": records,
+            "coverage": coverages[0], "with noise": coverages[1], "what was done": said,
+            **{name: parameters[name] for name in names}}  # fmt: skip
+
+
+def _paired(new: FloatArray, old: FloatArray) -> tuple[float, float]:
+    """Return the mean difference of costs (n,) under the same noise, and its standard error."""
+    difference = new - old
+    return float(difference.mean()), float(difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,24 +300,51 @@ class _Bench:
             raise FitError("no design", expected="a model that can be stabilised", got="none", remedy="record more")
         return _Controller(a, b, c, gain, filtered)
 
-    def collected(self, controller: _Controller, seed: int, number: int) -> list[Trajectory]:
+    def collected(self, controller: _Controller, key: Sequence[int]) -> list[Trajectory]:
         """Return two runs under the same excitation, each with its own noise."""
-        rng, hold, n = np.random.default_rng([seed, 1, number]), self.options.hold, self.options.samples
+        rng, hold, n = np.random.default_rng([*key, 1]), self.options.hold, self.options.samples
         pushed = self.options.excitation * np.repeat(rng.normal(size=(-(-n // hold), self.spec.nu)), hold, axis=0)[:n]
         return [
-            self._run(controller, self.options.starts[0], pushed, np.random.default_rng([seed, 2, number, k]))[0]
+            self._run(controller, self.options.starts[0], pushed, np.random.default_rng([*key, 2, k]))[0]
             for k in range(_REPEATS)
         ]
 
-    def cost(self, controller: _Controller, seed: int) -> float:
-        """Return the mean cost over the starts, without excitation, always with the same noise."""
+    def costs(self, controller: _Controller, key: Sequence[int], trials: range) -> FloatArray:
+        """Return the costs (n,), means over the starts, without excitation, under the noise of each trial."""
         still = np.zeros((self.options.samples, self.spec.nu))
         every = [
-            self._run(controller, start, still, np.random.default_rng([seed, 3, k, trial]))[1]
-            for k, start in enumerate(self.options.starts)
-            for trial in range(_TRIALS)
+            [
+                self._run(controller, start, still, np.random.default_rng([*key, trial, k]))[1]
+                for k, start in enumerate(self.options.starts)
+            ]
+            for trial in trials
         ]
-        return float(np.mean(every))
+        return np.asarray(np.mean(every, axis=1), dtype=np.float64)
+
+    def compared(self, new: _Controller, old: _Controller, key: Sequence[int]) -> tuple[bool, str]:
+        """Return whether a controller is shown to cost less than another, and what the trials say."""
+        from scipy.special import bdtrc, stdtr
+
+        mine, other = np.zeros(0), np.zeros(0)
+        for count in _TRIALS:
+            more = range(len(mine), count)
+            mine, other = (
+                np.append(have, self.costs(controller, key, more)) for have, controller in ((mine, new), (other, old))
+            )
+            change, error = _paired(mine, other)
+            if max(mine.max(), other.max()) > _COSTLY * min(mine.min(), other.min()):
+                wins = int(np.sum(mine < other))  # one of them leaves: means say nothing
+                chances = float(bdtrc(wins - 1, count, 0.5)), float(bdtrc(int(np.sum(mine > other)) - 1, count, 0.5))
+            else:
+                t = change / max(error, 1e-300)
+                chances = float(stdtr(count - 1, t)), float(stdtr(count - 1, -t))
+            if min(chances) < _LEVEL:
+                break
+        share, scatter = 100 * change / other.mean(), 100 * error / other.mean()
+        shown = f"{share:+.2g} % (standard error {scatter:.1g} %) in {count} trials"
+        if chances[0] < _LEVEL:
+            return True, f"takes over: {shown}"
+        return False, f"costs more, {shown}" if chances[1] < _LEVEL else f"nothing to tell it by, {shown}"
 
     def _stepped(self, values: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
         return np.asarray(self.simulator.states(values, x, np.tile(u, (2, 1)))[1], dtype=float)

@@ -8,13 +8,15 @@ import json
 import numpy as np
 import pytest
 
+from harness.cli.app import run as run_command
 from harness.errors import FitError, InputError
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.common.bands import Ahead, Bands, held_out_runs, misses
+from harness.supervision.interrupts import Interrupts
+from identifiers.common.bands import Ahead, Bands, held_out_folds, held_out_runs, misses
 from identifiers.learned.gaussian_process import GaussianProcess, GaussianProcessModel
 from identifiers.learned.lagrangian import LagrangianModel, LagrangianNetwork
 from identifiers.learned.neural_state import NeuralStateModel, NeuralStateSpace
@@ -70,6 +72,67 @@ def test_few_held_out_windows_end_the_ladder_and_lost_runs_are_refused():
     with pytest.raises(FitError, match="diverge"):
         Bands.of([one], [lost], "a network", least=np.zeros(1))
     assert Bands.of([one, two], [np.ones((100, 1)), lost], "a network", least=np.zeros(1)).longest == 1
+
+
+def test_bands_hold_90_percent_on_the_mean_of_many_fits_and_not_more():
+    rng = np.random.default_rng(0)
+    shares = []
+    for _ in range(400):
+        errors = rng.normal(size=(20, 1))
+        bands = Bands.of([Ahead(1, 20, *np.zeros((3, 20, 1)))], [errors], "a network", least=np.zeros(1))
+        shares.append(np.mean(np.abs(rng.normal(size=2000)) < 1.6449 * bands.spread[0, 0]))
+    assert np.mean(shares) == pytest.approx(0.9, abs=0.012)
+
+
+def test_the_scatter_between_records_is_told_and_kept():
+    rng = np.random.default_rng(0)
+    which = np.repeat(np.arange(40), 50)
+    unlike = np.repeat(np.exp(rng.normal(size=40)), 50)[:, None] * rng.normal(size=(2000, 1))
+    alike = rng.normal(size=(2000, 1))
+    found = [
+        Bands.of([Ahead(1, 2000, *np.zeros((3, 2000, 1)), which=which)], [one], "a network", least=np.zeros(1))
+        for one in (alike, unlike)
+    ]
+    assert found[0].error < 0.01
+    assert found[1].error > 2 * found[0].error
+    assert "differ so much" in found[1].note(0.1)
+    assert Bands.from_dict(json.loads(json.dumps(found[1].to_dict()))).error == found[1].error
+    few = Bands.of([Ahead(1, 30, *np.zeros((3, 30, 1)))], [alike[:30]], "a network", least=np.zeros(1))
+    assert np.isnan(Bands.from_dict(json.loads(json.dumps(few.to_dict()))).error)
+    assert "differ" not in few.note(0.1)
+
+
+def test_the_command_says_how_far_ahead_the_bands_are_vouched_for(tmp_path, capsys):
+    record, table = walk(300, 0), tmp_path / "walk.csv"
+    np.savetxt(table, np.column_stack([record.t, record.u, record.y]), delimiter=",", header="t,u,y", comments="")
+    words = f"identify {table} --input u --output y --identifier gaussian-process -O exact=60 -O inducing=30"
+    assert run_command(words.split(), Interrupts()) == 0
+    assert "bands were made to hold on held-out data up to" in capsys.readouterr().out
+
+
+def test_every_sample_but_the_first_ones_is_held_out_once():
+    for lengths, folds in (([300, 200], 4), ([100] * 7, 5), ([150], 5)):
+        count = [np.zeros(length, dtype=int) for length in lengths]
+        for held in held_out_folds(lengths, folds):
+            for number, begin, first, end in held:
+                assert begin <= first < end
+                count[number][begin:end] += 1
+        assert all((one == 1).all() for one in count)
+
+
+def test_one_short_record_vouches_further_ahead_by_all_its_parts():
+    model = GaussianProcess(exact=100, inducing=40).fit([walk(250, 0)], rng=np.random.default_rng(0))
+    assert model.bands is not None
+    assert model.bands.longest >= 16, "a fifth of it alone holds nine windows of 5 samples"
+    inside = probability_score(model, walk(2000, 1), horizon=10).coverage[2, 0]
+    assert 0.8 < inside < 0.97
+
+
+@pytest.mark.parametrize("identifier", [NeuralOutputError, NeuralStateSpace, LagrangianNetwork])
+def test_a_share_that_leaves_nothing_is_refused(identifier):
+    for share in (0.0, 1.0, -0.1):
+        with pytest.raises(InputError, match="held_out"):
+            identifier(held_out=share).fit([walk(100, 0)], rng=np.random.default_rng(0))
 
 
 def test_a_gaussian_process_holds_what_it_promises_ten_and_thirty_steps_ahead():

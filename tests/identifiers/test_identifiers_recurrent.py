@@ -36,6 +36,30 @@ def cascade(samples: int, seed: int, noise: float = 0.01) -> Trajectory:
     return Trajectory(np.arange(float(samples)), u[:, None], (y + noise * rng.normal(size=samples))[:, None], SPEC)
 
 
+def test_a_free_run_beyond_the_data_is_held_and_stays_finite():
+    records = [cascade(200, seed) for seed in range(2)]
+    options = dict(order=2, hidden=2, outside=1, starts=2, members=1, iterations=15, held_out=0.4)
+    model = NeuralOutputError(**options).fit(records, rng=np.random.default_rng(0))
+    (member,) = model.members
+    assert member.edges is not None
+    x = member.initial_state(records[0])
+    wild = np.full((1, 3000, 1), 30.0)
+    run = member.free_run(x[None], wild)
+    assert np.isfinite(run).all()
+    stepped = x
+    for _ in range(2000):
+        stepped = member.step(stepped, wild[0, 0])
+    nx = member.layout.nx
+    assert (stepped[:nx] >= member.edges[0]).all()
+    assert (stepped[:nx] <= member.edges[1]).all()
+    assert not member.within(stepped)
+    read = RecurrentEnsemble.from_dict(json.loads(json.dumps(model.to_dict())))
+    assert np.array_equal(read.members[0].free_run(x[None], wild), run)
+    usual = records[0].u[None]
+    plain = [member.layout.run(member.theta, x[:nx], (usual[0] - member.u_mean) / member.u_std, sensitivities=False)[0]]
+    assert member.free_run(x[None], usual)[0] == pytest.approx(member.y_mean + member.y_std * plain[0], abs=1e-12)
+
+
 @settings(max_examples=15, deadline=None)
 @given(st.integers(1, 3), st.integers(0, 2), st.integers(1, 2), st.integers(1, 3), st.integers(0, 999))
 def test_derivatives_are_those_of_differences(nx, nu, ny, hidden, seed):

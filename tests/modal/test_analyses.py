@@ -44,6 +44,7 @@ def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
         "calibration-poses",
         "gravity-at-rest",
         "parameter-trajectory",
+        "pushed-in-plane",
         "pushed-object",
         "glider-functions",
         "redesign",

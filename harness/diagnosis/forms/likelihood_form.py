@@ -122,9 +122,8 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             vectors = [_within(system, _awake(system, _known(system, start))) for start in starts]
             substeps = int(np.median([self.substeps(system, values) for values in vectors]))
             if base is not None and self._within_it(base, effects):
-                substeps = max(
-                    substeps, likelihood_detail(base).passes.substeps
-                )  # coarser ones would be compared with finer ones
+                least = likelihood_detail(base).passes.substeps  # coarser ones would be compared with finer ones
+                substeps = max(substeps, least)
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
                 likelihood, points = self._to_start(system, passes, vectors, starts, effects, base)
