@@ -408,15 +408,7 @@ def print_identified(fitted: Identified, identifier: str) -> None:
             say(f"{use} {run}, one step ahead: {score}")
     estimate = estimate_of(fitted.model)
     named = getattr(fitted.model, "parameters", {})
-    loose = estimate.rank.undetermined if estimate is not None and estimate.rank is not None else ()
-    for name, value in named.items():
-        deviation = getattr(fitted.model, "deviations", {}).get(name)
-        interval = estimate.interval(name) if estimate is not None and name in estimate.names else None
-        text = f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else "")
-        unit = _unit_of(fitted.model, estimate, name)
-        text += "" if unit == "1" else f" {unit}"
-        text += f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""
-        say(text + (" (not determined alone)" if name in loose else ""))
+    _print_parameters(fitted.model, named, estimate)
     if estimate is not None and not named:
         _print_estimate(estimate)
     elif estimate is not None:
@@ -433,6 +425,19 @@ def print_identified(fitted: Identified, identifier: str) -> None:
         say(f"  {bands}")
     for warning in fitted.warnings:
         say(f"warning: {warning}")
+
+
+def _print_parameters(model: Any, named: Mapping[str, float], estimate: Estimate | None) -> None:
+    """Print parameters with what is known of their uncertainty."""
+    loose = estimate.rank.undetermined if estimate is not None and estimate.rank is not None else ()
+    for name, value in named.items():
+        deviation = getattr(model, "deviations", {}).get(name)
+        interval = estimate.interval(name) if estimate is not None and name in estimate.names else None
+        text = f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else "")
+        unit = _unit_of(model, estimate, name)
+        text += "" if unit == "1" else f" {unit}"
+        text += f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""
+        say(text + (" (not determined alone)" if name in loose else ""))
 
 
 def _unit_of(model: Any, estimate: Estimate | None, name: str) -> str:

@@ -159,6 +159,34 @@ def _pieces_within(
         return _resampled(stamps, values, present, dt, inputs, rules, notes)
     if not present.all():
         _refuse_empty(stamps, values, present, names, inputs, rules, where)
+    jumps = _jumps(stamps, dt, inputs, rules, where)
+    cuts = np.flatnonzero(~present[:-1] | ~present[1:] | jumps) + 1
+    kept, lost = [], 0
+    for rows in np.split(np.arange(len(stamps)), cuts):
+        good = rows[present[rows]]
+        if good.size and (good.size >= SHORTEST or cuts.size == 0):
+            kept.append(good)
+        else:
+            lost += rows.size
+    if cuts.size:
+        notes.append(
+            f"gaps: split into {len(kept)} pieces of {', '.join(str(rows.size) for rows in kept[:8])}"
+            f"{' ...' if len(kept) > 8 else ''} samples; {lost} of {len(stamps)} rows dropped "
+            f"(empty, or in pieces shorter than {SHORTEST})"
+        )
+    return [_uniform(stamps[rows], values[rows], _renamed(where, rows), dt, notes) for rows in kept]
+
+
+def _jumps(
+    stamps: FloatArray, dt: float, inputs: tuple[bool, ...], rules: TimeRules, where: Callable[[int], str]
+) -> BoolArray:
+    """Return after which rows others are lost.
+
+    Raises
+    ------
+    InputError
+        If rows are, and gaps are refused.
+    """
     steps = np.diff(stamps)
     jumps = np.abs(steps - dt) > 0.5 * dt
     steady = np.abs(steps - dt) < 0.5 * dt
@@ -182,21 +210,7 @@ def _pieces_within(
             "rows = [start, stop]",
             place=where(k + 1),
         )
-    cuts = np.flatnonzero(~present[:-1] | ~present[1:] | jumps) + 1
-    kept, lost = [], 0
-    for rows in np.split(np.arange(len(stamps)), cuts):
-        good = rows[present[rows]]
-        if good.size and (good.size >= SHORTEST or cuts.size == 0):
-            kept.append(good)
-        else:
-            lost += rows.size
-    if cuts.size:
-        notes.append(
-            f"gaps: split into {len(kept)} pieces of {', '.join(str(rows.size) for rows in kept[:8])}"
-            f"{' ...' if len(kept) > 8 else ''} samples; {lost} of {len(stamps)} rows dropped "
-            f"(empty, or in pieces shorter than {SHORTEST})"
-        )
-    return [_uniform(stamps[rows], values[rows], _renamed(where, rows), dt, notes) for rows in kept]
+    return jumps
 
 
 def _stretches(time: FloatArray) -> list[npt.NDArray[np.int64]]:

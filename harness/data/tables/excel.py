@@ -39,26 +39,7 @@ class ExcelFile(MemoryTable):
         columns = {title: [row[k] for row in body] for k, title in enumerate(titles) if title}
         first = len(rows) - len(body) + skipped + 1
         _refuse_truths(columns, first, path)
-        names = [cell for cell in body[0] if cell is not None] if body else []
-        if len(names) > 1 and all(isinstance(cell, str) and cell[:1].isalpha() for cell in names):
-            raise InputError(
-                "two rows of titles",
-                expected=f"rows of numbers under {', '.join(map(repr, titles[:6]))}",
-                got=", ".join(map(repr, names[:6])),
-                remedy="remove one of the two",
-                file=path,
-                place=f"row {first}",
-            )
-        again = [row + first for row, cells in enumerate(map(_texts, body)) if cells == head[0] and any(cells)]
-        if again:
-            raise InputError(
-                "the header stands again among the rows",
-                expected="one table",
-                got=f"its titles in row {again[0]}",
-                remedy="remove that row and what is empty above it, or put what stands below into a sheet of its own",
-                file=path,
-                place=f"row {again[0]}",
-            )
+        _refuse_header(body, titles, head[0], first, path)
         super().__init__(columns, first=first)
         self.notes += said
         if len(sheets) > 1 and sheet is None:
@@ -104,6 +85,30 @@ def _without_empty(rows: list[list[Any]]) -> tuple[list[list[Any]], int]:
     """Return rows without the empty ones before and after them, and how many stood before."""
     filled = [k for k, row in enumerate(rows) if any(cell is not None for cell in row)]
     return (rows[filled[0] : filled[-1] + 1], filled[0]) if filled else ([], len(rows))
+
+
+def _refuse_header(body: list[list[Any]], titles: list[str], head: list[str], first: int, path: Path) -> None:
+    """Refuse a second row of titles, and the header among the rows."""
+    names = [cell for cell in body[0] if cell is not None] if body else []
+    if len(names) > 1 and all(isinstance(cell, str) and cell[:1].isalpha() for cell in names):
+        raise InputError(
+            "two rows of titles",
+            expected=f"rows of numbers under {', '.join(map(repr, titles[:6]))}",
+            got=", ".join(map(repr, names[:6])),
+            remedy="remove one of the two",
+            file=path,
+            place=f"row {first}",
+        )
+    again = [row + first for row, cells in enumerate(map(_texts, body)) if cells == head and any(cells)]
+    if again:
+        raise InputError(
+            "the header stands again among the rows",
+            expected="one table",
+            got=f"its titles in row {again[0]}",
+            remedy="remove that row and what is empty above it, or put what stands below into a sheet of its own",
+            file=path,
+            place=f"row {again[0]}",
+        )
 
 
 def _refuse_twins(titles: list[str], path: Path) -> None:

@@ -116,14 +116,8 @@ def state_space_of(
     found: list[_Choice] = []
     for delays in candidates:
         some = list(_pieces(_some(records), delays, head, length))
-        if not some or sum(piece.y.size for piece in some) < least:
-            continue
-        rungs = ladder(some, free, orders)
-        found += [_Choice(delays, False, n, rung) for n, rung in rungs.items()]
-        if not corrects or (rungs and not loop and _white(rungs)):
-            continue
-        rungs = ladder(list(map(_with_outputs, some)), free, orders, noise=0, seen=some)
-        found += [_Choice(delays, True, n, rung) for n, rung in rungs.items()]
+        if some and sum(piece.y.size for piece in some) >= least:
+            found += _tried(some, delays, free, orders, corrects=corrects, loop=loop)
     if not loop:  # what a loop holds may grow by itself; what was seen without one did not
         furthest = 1.0 + 1.0 / max(map(len, records))
         found = [one for one in found if not one.corrected or one.plant.radius <= furthest]
@@ -141,9 +135,6 @@ def state_space_of(
     chosen = found[0]
     pieces = every(chosen)
     end = finished(chosen.rung, pieces, free).end
-    told: dict[str, float] = {}
-    for one in sorted(found, key=lambda one: (one.order, -one.rung.judged)):
-        told[str(one.order)] = one.rung.judged - chosen.rung.judged
     moves = steps_of(end, pieces, free)
     others = [] if moves is None else [end.model.moved(move) for move in moves]
     model, plant = _linear(end.model, others, records[0], chosen)
@@ -156,7 +147,15 @@ def state_space_of(
         "residual_rms": end.rms.tolist(),
         "converged": end.arrived,
     }
-    return Found(model, plant, [one.innovations for one in end.errors], told if order is None else {}, notes)
+    return Found(model, plant, [one.innovations for one in end.errors], {} if order else _told(found), notes)
+
+
+def _told(found: Sequence[_Choice]) -> dict[str, float]:
+    """Return what Schwarz's rule says of the best model of each order, over the best of all."""
+    best = found[0].rung.judged
+    return {
+        str(one.order): one.rung.judged - best for one in sorted(found, key=lambda one: (one.order, -one.rung.judged))
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +171,18 @@ class _Choice:
     def plant(self) -> StateSpace:
         """Without what corrects it."""
         return _uncorrected(self.rung.end.model)[0] if self.corrected else self.rung.end.model
+
+
+def _tried(
+    pieces: list[Piece], delays: Delays, free: Freedom, orders: Sequence[int], *, corrects: bool, loop: bool
+) -> list[_Choice]:
+    """Return the models of all orders behind some dead times; those in innovation form where noise is coloured."""
+    rungs = ladder(pieces, free, orders)
+    found = [_Choice(delays, False, n, rung) for n, rung in rungs.items()]
+    if not corrects or (rungs and not loop and _white(rungs)):
+        return found
+    rungs = ladder(list(map(_with_outputs, pieces)), free, orders, noise=0, seen=pieces)
+    return [*found, *(_Choice(delays, True, n, rung) for n, rung in rungs.items())]
 
 
 def _with_outputs(piece: Piece) -> Piece:
