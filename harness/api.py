@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DEFAULT_IDENTIFIER",
     "LISTED",
+    "UNDRIVEN_IDENTIFIER",
     "FittedModel",
     "Identified",
     "agreement",
@@ -70,6 +71,7 @@ __all__ = [
     "close_loop",
     "compare",
     "compare_reports",
+    "default_identifier",
     "describe_fmu",
     "describe_part",
     "describe_system",
@@ -523,8 +525,22 @@ def table(directory: str | Path) -> BenchResult:
 _DRAWN = 20_000
 """Samples that a notebook draws by itself: longer records ask for plot()."""
 
-DEFAULT_IDENTIFIER = "arx"
-"""Where none is asked for: least squares without start values, its order and delay chosen on data held out."""
+DEFAULT_IDENTIFIER = "prediction-error"
+"""Where none is asked for: the state-space model of largest likelihood; order, dead times and noise by the data."""
+UNDRIVEN_IDENTIFIER = "arx"
+"""Where nothing drives the outputs either: least squares without start values, its order chosen on data held out."""
+
+
+def default_identifier(spec: PlantSpec) -> str:
+    """Return the id of the identifier that records of such channels get where none is asked for.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> default_identifier(PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 0.1))
+    'prediction-error'
+    """
+    return DEFAULT_IDENTIFIER if spec.nu else UNDRIVEN_IDENTIFIER
 
 
 @dataclass(frozen=True)
@@ -752,7 +768,7 @@ def identify(
         Output, where the first argument is the input u, (N,) or (N, nu): ``u[k]`` is held on ``[t[k], t[k+1])``. Give
         ``sample_time`` [s] (an index of times that both share is read). Numbers count as they are.
     identifier : str, optional
-        Id of a registered identifier; without a physical model :data:`DEFAULT_IDENTIFIER`.
+        Id of a registered identifier; without a physical model :func:`default_identifier`.
     options : mapping, optional
         Its options.
     model : str, optional
@@ -803,15 +819,16 @@ def identify(
             got=f"the model {model} alone",
             remedy="choose one (sysid list identifiers); of an FMU or an SSP name what is free: --free NAME,NAME",
         )
-    identifier = DEFAULT_IDENTIFIER if identifier is None else identifier
     if (
-        model is None
+        identifier is not None
+        and model is None
         and signals.get("output") is None
         and hasattr(registry.load("identifiers", identifier), "channels")
     ):
         signals = {**signals, **_channels(registry.create("identifiers", identifier, **dict(options or {})), dataset)}
     loaded = load_dataset(dataset, model=model, validation=validation, undriven=undriven, **signals)
     data = loaded.dataset
+    identifier = default_identifier(data.spec) if identifier is None else identifier
     made = registry.create("identifiers", identifier, **_with_model(identifier, dict(options or {}), loaded.nominal))
     if not isinstance(made, Identifier):
         raise InputError(

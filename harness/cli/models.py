@@ -82,7 +82,7 @@ def identify(
     identifier: Annotated[
         str | None,
         typer.Option(
-            help="id of an identifier; default arx where no physical model is given",
+            help="id of an identifier; default prediction-error where no physical model is given",
             autocompletion=completed("identifiers"),
         ),
     ] = None,
@@ -169,7 +169,7 @@ def identify(
         force=force,
         **signals,
     )
-    name = identifier or api.DEFAULT_IDENTIFIER
+    name = identifier or api.default_identifier(fitted.model.spec)
     if as_json:
         print_json(fitted.to_dict())
     else:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import importlib
+import importlib.util
 import os
 import shutil
 import sys
@@ -68,6 +70,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def watched(folder: Path) -> Iterator[list[str]]:
     """What happened to files of the folder, and which processes began."""
     global SEEN
+    if importlib.util.find_spec("mujoco") is not None:  # its viewer asks for a version in a process, as it is imported
+        importlib.import_module("mujoco")
     SEEN = []
     try:
         yield SEEN
