@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import importlib
 import importlib.util
+import json
 import os
 import shutil
 import sys
