@@ -457,7 +457,7 @@ class PushedInPlane:
         })  # fmt: skip
         names = len(fit.names)
         first, second = ({row["parameter"]: row["value"] for row in part} for part in (rows[:names], rows[names:-1]))
-        words = (
+        words: tuple[str, ...] = (
             f"m {first['m']:.4g} kg, J {first['J']:.3g} kg m^2, mu {first['mu']:.3g}, centre of mass "
             f"{1e3 * first['com_x']:.3g}, {1e3 * first['com_y']:.3g} mm from the middle",
             f"tip: mu_tip {edge['mu_tip']:.3g}, from {edge['slipping']} samples in which it slips"
@@ -467,6 +467,12 @@ class PushedInPlane:
             f"{second['J'] / first['J']:.3g} times as large, mu {second['mu'] / first['mu']:.3g} times: motion alone "
             "tells no mass",
         )
+        if self.feet is None:
+            words = (
+                *words,
+                "the intervals count the noise alone: an ellipsoid stands for what the support can carry, so inertia and "
+                "centre of mass may lie outside; say feet where their places are known",
+            )
         return Findings("an object that is pushed and turns", rows, words, {"parameters": first, "cone": edge})
 
 
