@@ -470,8 +470,8 @@ class PushedInPlane:
         if self.feet is None:
             words = (
                 *words,
-                "the intervals count the noise alone: an ellipsoid stands for what the support can carry, so inertia and "
-                "centre of mass may lie outside; say feet where their places are known",
+                "the intervals count the noise alone: an ellipsoid stands for what the support can carry, so inertia "
+                "and centre of mass may lie outside; say feet where their places are known",
             )
         return Findings("an object that is pushed and turns", rows, words, {"parameters": first, "cone": edge})
 
