@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ import pytest
 from harness.diagnosis import close_loop
 from harness.diagnosis.arm.page import _cards, render_arm
 from harness.diagnosis.arm.report import _summary
+from harness.diagnosis.forms.fit_records import LikelihoodDetail
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.report.estimates import estimate, ratios, scaled_together
 from harness.diagnosis.report.evidence_page import _driven, render_evidence
@@ -155,7 +156,9 @@ def test_a_free_swing_tells_ratios_only_and_their_covariance_their_intervals() -
     common = 9.0 * np.ones((3, 3))  # all of them grow together; each has 0.01 of its own
     best = SimpleNamespace(names=list(names), covariance=common + 1e-4 * np.eye(3), logarithmic=[True] * 3,
                            parameters={"J": 0.1, "b": 0.02, "mgl": 1.0})  # fmt: skip
-    fit: Any = SimpleNamespace(system=system, free=names, values=best.parameters, detail=SimpleNamespace(best=best))
+    nothing: Any = None
+    kept = LikelihoodDetail({}, nothing, cast(Any, best), nothing)
+    fit: Any = SimpleNamespace(system=system, free=names, values=best.parameters, detail=kept)
     together = scaled_together(system, fit, swing)
     assert together == ["J", "b", "mgl"]
     assert scaled_together(system, fit, pushed) == []  # a constant torque is no free swing

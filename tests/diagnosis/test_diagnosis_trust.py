@@ -15,6 +15,7 @@ from sysid_lab.records import make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
+from harness.diagnosis.forms.fit_records import LikelihoodDetail
 from harness.diagnosis.forms.suspects import piled_up
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.misfit import carried_away
@@ -220,9 +221,9 @@ def test_a_free_run_is_no_evidence_from_where_a_small_force_explains_any_error(
         row=np.ones((n, 1, 1)), transition=np.full((n, 1, 1), 1.5), p_after=np.zeros((n, 1, 1)), p_before=added
     )
     noise = SimpleNamespace(s=np.array([force]), w=np.zeros(1))
-    final: Any = SimpleNamespace(
-        detail=SimpleNamespace(points={"estimation": SimpleNamespace(noise=noise)}, passes=SimpleNamespace(dt=DT))
-    )
+    points: Any = {"estimation": SimpleNamespace(noise=noise)}
+    nothing: Any = None
+    final: Any = SimpleNamespace(detail=LikelihoodDetail(points, SimpleNamespace(dt=DT), nothing, nothing))
     form: Any = SimpleNamespace(
         latent=True,
         noise_model=SimpleNamespace(force_scale=np.ones(1)),

@@ -14,6 +14,7 @@ from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.close import close_loop
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.forms.apart import Apart
+from harness.diagnosis.forms.fit_records import LikelihoodDetail
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.misfit import _shifted, misfit_reasons, mistakes
 from harness.diagnosis.policy import POLICY
@@ -27,6 +28,12 @@ from harness.physics import load_model
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 pytestmark = pytest.mark.slow  # whole loops
+
+
+def kept(points: Any, passes: Any = None, best: Any = None) -> LikelihoodDetail:
+    """Return what a fit of the likelihood keeps, as far as it is asked for here."""
+    return LikelihoodDetail(points, passes, best, best)
+
 
 DRAG = Placed(builtin()["quadratic_drag"], "theta")
 
@@ -51,9 +58,9 @@ def diagnosis(
 ) -> Diagnosis:
     """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
     noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
-    model = SimpleNamespace(detail=SimpleNamespace(points={"estimation": SimpleNamespace(noise=noise)}))
+    model = SimpleNamespace(detail=kept({"estimation": SimpleNamespace(noise=noise)}))
     first = SimpleNamespace(s=np.array([2 * (latent if before is None else before)]), w=np.array([0.0]))
-    nominal = SimpleNamespace(detail=SimpleNamespace(points={"estimation": SimpleNamespace(noise=first)}))
+    nominal = SimpleNamespace(detail=kept({"estimation": SimpleNamespace(noise=first)}))
     outcome: Any = SimpleNamespace(
         accepted=[SimpleNamespace(placed=law)] if accepted else [],
         model=model,
@@ -158,7 +165,7 @@ def doubted(
     forces = (SimpleNamespace(port="theta"),)
     points = {"estimation": SimpleNamespace(noise=noises)}
     final: Any = SimpleNamespace(
-        detail=SimpleNamespace(points=points, passes=SimpleNamespace(forces=forces)),
+        detail=kept(points, SimpleNamespace(forces=forces)),
         on_bound=on_bound,
         values={"J": 1.0},
         log_likelihood=lambda use: 100.0,
