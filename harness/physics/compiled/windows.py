@@ -301,12 +301,22 @@ def _cuts(n: int, horizon: float | None, dt: float) -> list[tuple[int, int]]:
     return list(zip(edges, [*edges[1:], n], strict=True))
 
 
+def _earlier(signal: FloatArray, samples: float) -> FloatArray:
+    """Return a smoothed signal so many samples earlier than it was read; at its end it is held."""
+    if not samples > 0 or len(signal) < 4:
+        return signal
+    from scipy.interpolate import CubicSpline
+
+    rows = np.arange(len(signal))
+    return np.asarray(CubicSpline(rows, signal)(np.minimum(rows + samples, rows[-1])))
+
+
 def data_states(simulator: Simulator, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
     """Return what a record tells about the states (N, nx), and which states it tells.
 
-    An output that is a state is smoothed; the rate of a coordinate is the derivative of its smoothed output unless it
-    is measured itself. An unmeasured state is where a measured one of the same unit is, else 0; hidden states of
-    effects are at their declared start.
+    An output that is a state is smoothed, and read as early as its sensor is late; the rate of a coordinate is the
+    derivative of its smoothed output unless it is measured itself. An unmeasured state is where a measured one of the
+    same unit is, else 0; hidden states of effects are at their declared start.
     """
     system = simulator.system
     n = len(record)
@@ -322,8 +332,14 @@ def data_states(simulator: Simulator, record: Trajectory, p: FloatArray) -> tupl
         # The output is c x + d (a gain or an offset of the sensor): undo it.
         zero = simulator.functions.output(np.zeros(system.nx), np.zeros(system.nu), p, 0.0).full()[row, 0]
         found = smooth(record.y[:, row], simulator.dt, period=channel.period)
-        values[state] = (found.value - zero) / output_jacobian[row, state]
-        rates[state] = found.rate / output_jacobian[row, state]
+        late = sum(
+            float(p[column])
+            for kind, at, column in simulator.sampled.output_blocks
+            if (kind, at) == ("output_delay", row)
+        )
+        value, rate = (_earlier(part, late / simulator.dt) for part in (found.value, found.rate))
+        values[state] = (value - zero) / output_jacobian[row, state]
+        rates[state] = rate / output_jacobian[row, state]
     for state, value in values.items():
         x[:, state], known[state] = value, True
     for coordinate in system.coordinates:
