@@ -82,7 +82,7 @@ def identify(
     identifier: Annotated[
         str | None,
         typer.Option(
-            help="id of an identifier; default prediction-error where no physical model is given",
+            help="id of an identifier; default prediction-error (arx without inputs) where no physical model is given",
             autocompletion=completed("identifiers"),
         ),
     ] = None,

@@ -13,7 +13,7 @@ from harness.models.estimate import estimate_of
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Trajectory
 from identifiers.mechanics.grey_box import OutputError
 
-__all__ = ["PushedObject"]
+__all__ = ["PushedObject", "column_of"]
 
 _FRICTION = "coulomb_friction@q.Fc"
 """Level of the dry friction in the model of the object."""
@@ -29,6 +29,26 @@ _SCALED = 2.0
 
 _SAME = 0.01
 """Relative difference of two fits that counts as none: far below what two wrong laws differ by."""
+
+
+def column_of(record: Trajectory, name: str) -> FloatArray:
+    """Return an input or an output of a record (N,) by its name.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    for table, channels in ((record.u, record.spec.inputs), (record.y, record.spec.outputs)):
+        for k, channel in enumerate(channels):
+            if channel.name == name:
+                return np.asarray(table[:, k], dtype=float)
+    raise InputError(
+        "pushed object",
+        expected=f"a column {name}",
+        got=", ".join(channel.name for channel in (*record.spec.inputs, *record.spec.outputs)),
+        remedy="name the columns that are meant (sysid list analyses shows the options)",
+    )
 
 
 @dataclass(frozen=True)
@@ -81,13 +101,13 @@ class PushedObject:
         if not isinstance(subject, Dataset):
             raise InputError("pushed object", expected="a data set", got=type(subject).__name__, remedy="give records")
         records = [record.measured() for record in subject.estimation]
-        felt = [_after(self._column(record, self.force)) for record in records]
+        felt = [_after(column_of(record, self.force)) for record in records]
         cases = {
             "contact force measured": felt,
             f"contact force times {_SCALED:g}": [_SCALED * force for force in felt],
         }
         if self.drive and all(_has(record, self.drive) for record in records):
-            cases["drive of the pusher taken for it"] = [self._column(record, self.drive) for record in records]
+            cases["drive of the pusher taken for it"] = [column_of(record, self.drive) for record in records]
         rows = [self._row(name, records, forces, rng) for name, forces in cases.items()]
         first, scaled = rows[0], rows[1]
         alike = abs(scaled["rms [m]"] / first["rms [m]"] - 1) < _SAME
@@ -104,18 +124,6 @@ class PushedObject:
             )
         return Findings("an object that is pushed", rows, tuple(words), {})
 
-    def _column(self, record: Trajectory, name: str) -> FloatArray:
-        for table, channels in ((record.u, record.spec.inputs), (record.y, record.spec.outputs)):
-            for k, channel in enumerate(channels):
-                if channel.name == name:
-                    return np.asarray(table[:, k], dtype=float)
-        raise InputError(
-            "pushed object",
-            expected=f"a column {name}",
-            got=", ".join(channel.name for channel in (*record.spec.inputs, *record.spec.outputs)),
-            remedy="name it by -O position=..., -O force=...",
-        )
-
     def _row(
         self, name: str, records: list[Trajectory], forces: list[FloatArray], rng: np.random.Generator
     ) -> dict[str, Any]:
@@ -123,7 +131,7 @@ class PushedObject:
         alone = []
         for record, force in zip(records, forces, strict=True):
             spec = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), record.spec.sample_time)
-            alone.append(Trajectory(record.t, force[:, None], self._column(record, self.position)[:, None], spec))
+            alone.append(Trajectory(record.t, force[:, None], column_of(record, self.position)[:, None], spec))
         model = OutputError(
             model="drive",
             effects=("coulomb_friction@q",),

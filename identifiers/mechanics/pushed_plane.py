@@ -12,6 +12,7 @@ import numpy.typing as npt
 from harness.errors import FitError, InputError
 from harness.models.analysis import Findings, Takes
 from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory
+from identifiers.mechanics.pushed import column_of
 
 __all__ = ["Contact", "PushedInPlane", "calm", "cone", "contacts", "fitted_in_plane", "object_in_plane"]
 
@@ -404,7 +405,7 @@ class PushedInPlane:
         poses, wrenches, met, forces = [], [], [], []
         dt = subject.estimation[0].spec.sample_time
         for record in (run.measured() for run in subject.estimation):
-            table = np.stack([_column(record, name) for name in self.channels()[0]], axis=1)
+            table = np.stack([column_of(record, name) for name in self.channels()[0]], axis=1)
             table[:, 2] = np.unwrap(table[:, 2])
             contact = contacts(table[:, :2], table[:, 2], table[:, 3:5], self.half, self.radius, dt)
             force = table[1:, 5:]
@@ -481,17 +482,3 @@ _PARTS = ("arm", "normal", "touching", "slip")
 
 def _told(interval: tuple[float, float] | None) -> str:
     return "none" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
-
-
-def _column(record: Trajectory, name: str) -> FloatArray:
-    """Return a column (N,) by its name."""
-    for table, channels in ((record.u, record.spec.inputs), (record.y, record.spec.outputs)):
-        for k, channel in enumerate(channels):
-            if channel.name == name:
-                return np.asarray(table[:, k], dtype=float)
-    raise InputError(
-        "pushed object",
-        expected=f"a column {name}",
-        got=", ".join(channel.name for channel in (*record.spec.inputs, *record.spec.outputs)),
-        remedy="name it by -O pose=..., -O tip=..., -O force=...",
-    )
