@@ -15,7 +15,7 @@ from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
+from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise, overwhelmed
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
 from harness.diagnosis.records.controller_check import check_controller
 from harness.diagnosis.records.prepare import checked
@@ -120,6 +120,20 @@ def diagnose(
         alarms = [doubt.words for doubt in doubts if not doubt.certain]
         alarms += [] if doubts else sizes_off(system, outcome.model)
         far = sizes_off(system, outcome.model, DATA_POLICY.far * DATA_POLICY.near)
+    weak = {} if wrong or not form.latent else overwhelmed(form, outcome.model, policy)
+    if weak and (other := kind.by_free_runs()) is not None:
+        again = diagnose(
+            dataset,
+            system,
+            kind=other,
+            progress=progress,
+            folder=folder,
+            dictionary=dictionary,
+            wanted=wanted,
+            policy=policy,
+        )
+        if not again.misfit:
+            return again.instead(weak, time.monotonic() - began)
     diagnosis = Diagnosis(
         dataset,
         system,

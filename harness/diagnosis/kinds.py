@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from harness.diagnosis.forms.equations_form import EquationsForm
+from harness.diagnosis.forms.equations_form import EquationsForm, OutputErrorForm
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.records.columns_check import Doubt, check_columns
 from harness.diagnosis.records.horizon import Horizon, choose_horizon
@@ -19,7 +19,7 @@ from harness.effects.dictionary import Dictionary
 from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["Equations", "Kind"]
+__all__ = ["Equations", "Kind", "OutputError"]
 
 
 class Kind(Protocol):
@@ -43,6 +43,10 @@ class Kind(Protocol):
 
     def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
         """Return what simulates fitted models along the data, its residuals over the sensor noise."""
+        ...
+
+    def by_free_runs(self) -> Kind | None:
+        """Return the kind that judges the same model by its free runs; None if there is none, or this one does."""
         ...
 
 
@@ -82,3 +86,20 @@ class Equations:
     def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
         """See :class:`Kind`."""
         return FreeRunForm(form.nominal, dataset, sizes=form.sizes, horizon=horizon.seconds, weights=noise)
+
+    def by_free_runs(self) -> Kind | None:
+        """See :class:`Kind`."""
+        return OutputError()
+
+
+class OutputError(Equations):
+    """A mechanical system that is judged by its free runs, as a process is."""
+
+    def form(self, system: AnySystem, dataset: Dataset, laws: Dictionary | None = None) -> EquationsForm:
+        """See :class:`Kind`."""
+        assert by_equations(system)
+        return OutputErrorForm(system, dataset, sizes_of(system, system.values(), dataset), laws)
+
+    def by_free_runs(self) -> Kind | None:
+        """Return None: this kind does."""
+        return None

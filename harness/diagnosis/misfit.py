@@ -15,7 +15,7 @@ from harness.diagnosis.search.fit import Fit
 from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise"]
+__all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise", "overwhelmed"]
 
 DEGREES = np.pi / 180
 SHIFTS = (1, 2, 5, 10, 20)
@@ -51,22 +51,23 @@ def misfit_reasons(
             return (noisy,)
         share = "diverges" if not np.isfinite(left) else f"leaves {100 * np.sqrt(left):.0f} % of the motion"
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
-    noise = likelihood_detail(final).points["estimation"].noise
-    forces = np.sqrt(noise.s**2 + noise.w**2)
-    for port, size, scale in zip(likelihood_detail(final).passes.forces, forces, form.noise_model.force_scale,
-                                 strict=True):  # fmt: skip
-        if size > policy.misfit_force * scale:
-            least = "at least " if f"s@{port.port}" in final.on_bound else ""
-            reasons.append(
-                f"a force that nobody measured would have to be {least}{100 * size / scale:.0f} % of what moves "
-                f"{port.port}"
-            )
+    for port, size in overwhelmed(form, final, policy).items():
+        least = "at least " if f"s@{port}" in final.on_bound else ""
+        reasons.append(f"a force that nobody measured would have to be {least}{100 * size:.0f} % of what moves {port}")
     bound = [name for name in final.on_bound if name in final.values]
     if bound and reasons:
         reasons.append(f"{', '.join(bound)} ended on a bound")
     if reasons:
         reasons += likely_mistakes(form, final, policy, factor)
     return tuple(reasons)
+
+
+def overwhelmed(form: WholeForm, final: Fit, policy: Policy) -> dict[str, float]:
+    """Return the ports at which an unmeasured force does most of what moves them, with its share of that."""
+    noise = likelihood_detail(final).points["estimation"].noise
+    shares = np.sqrt(noise.s**2 + noise.w**2) / form.noise_model.force_scale
+    ports = [force.port for force in likelihood_detail(final).passes.forces]
+    return {port: float(share) for port, share in zip(ports, shares, strict=True) if share > policy.misfit_force}
 
 
 def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, factor: int = 1) -> bool:

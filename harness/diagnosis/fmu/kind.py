@@ -55,3 +55,6 @@ class BlackBox:
         assert isinstance(nominal, FmuSystem)
         runner = Runner(nominal, dataset.spec.sample_time)
         return FmuRuns(nominal, dataset, sizes=form.sizes, horizon=horizon.seconds, weights=noise, runner=runner)
+
+    def by_free_runs(self) -> None:
+        """Return None: an FMU is judged by its free runs."""

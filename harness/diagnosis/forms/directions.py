@@ -68,7 +68,7 @@ def directions(
         try:
             if kind == "output":
                 possible += reading_directions(traces, nominal, placed, sizes, ports=_ports(traces))
-            elif nominal.coordinates:
+            elif nominal.coordinates and traces["estimation"][0].passes.nl:
                 possible += _forces(traces, signals, nominal, known, placed, sizes)
             else:
                 possible += _rates(traces, nominal, known, placed, sizes)

@@ -34,7 +34,7 @@ from harness.physics.fitting.likelihood_fit import first_state, force_scale
 from harness.physics.fitting.start import first_values
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["EquationsForm"]
+__all__ = ["EquationsForm", "OutputErrorForm"]
 
 WAVE_ROLES: tuple[Role, Role] = ("frequency", "phase")
 _FAR = 2.0
@@ -240,3 +240,15 @@ class EquationsForm(LikelihoodForm[System]):
         """Return the columns of directions."""
         paths = {use: self.paths(fit, use)[0] for use in (asked[0].forces if asked else ())}
         return answered(asked, paths, self._held, None if self.latent else self.dt)
+
+
+class OutputErrorForm(EquationsForm):
+    """Compares free runs of a system although its equations of motion could have latent forces.
+
+    Where such a force would do most of what moves a mass, it explains whatever the model does not, and what is called
+    likely says nothing of the model (Ljung 1999, sec. 7.4: output error is the model without process noise).
+    """
+
+    def has_latent_forces(self) -> bool:
+        """Return False."""
+        return False
