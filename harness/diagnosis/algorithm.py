@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,14 @@ from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise, overwhelmed
+from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
 from harness.diagnosis.records.controller_check import check_controller
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.starts import with_known_starts
 from harness.diagnosis.search.rounding import with_rounding
 from harness.diagnosis.search.search import search
+from harness.diagnosis.second import second_opinion
 from harness.diagnosis.steps import (
     Progress,
     beaten,
@@ -120,20 +122,6 @@ def diagnose(
         alarms = [doubt.words for doubt in doubts if not doubt.certain]
         alarms += [] if doubts else sizes_off(system, outcome.model)
         far = sizes_off(system, outcome.model, DATA_POLICY.far * DATA_POLICY.near)
-    weak = {} if wrong or not form.latent else overwhelmed(form, outcome.model, policy)
-    if weak and (other := kind.by_free_runs()) is not None:
-        again = diagnose(
-            dataset,
-            system,
-            kind=other,
-            progress=progress,
-            folder=folder,
-            dictionary=dictionary,
-            wanted=wanted,
-            policy=policy,
-        )
-        if not again.misfit:
-            return again.instead(weak, time.monotonic() - began)
     diagnosis = Diagnosis(
         dataset,
         system,
@@ -152,6 +140,13 @@ def diagnose(
         thinned=thinned,
         wanted=wanted or Wanted(),
     )
+    if not (wrong or given):
+        ask = functools.partial(
+            diagnose, system=system, progress=progress, dictionary=dictionary, wanted=wanted, policy=policy
+        )
+        other = second_opinion(diagnosis, kind, simple, lambda kind, data: ask(data, kind=kind, folder=folder))
+        if other is not None:
+            return replace(other, seconds=time.monotonic() - began)
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))
     if diagnosis.verdict == "unexplained" or (diagnosis.stand_in and not misfit):

@@ -23,7 +23,7 @@ from harness.diagnosis.search.ties import tie_set, total
 from harness.effects.effect import Placed
 from harness.physics.fitting.likelihood_fit import sensor_noise
 
-__all__ = ["at_optimum", "carried", "follows_whole", "simple_fits_of", "uncontested"]
+__all__ = ["at_optimum", "carried", "follows_whole", "nearer", "simple_fits_of", "uncontested"]
 
 
 def simple_fits_of(
@@ -120,6 +120,14 @@ def uncontested(
     further = search(remembered, replaced.nominal, candidates, policy=policy, say=say, sizes=sizes, begun=replaced)
     lost = simple.further(simple.seen(further.model), simple.seen(replaced.model), policy)
     return (replaced if lost else further), ""
+
+
+def nearer(simple: SimpleFits | None, new: Fit, old: Fit, policy: Policy) -> bool:
+    """Return True if free runs of one model come nearer to the validation records than another's, by a clear share.
+
+    By half of what the nominal model leaves, as a rival has to.
+    """
+    return simple is not None and simple.further(simple.seen(old), simple.seen(new), policy, policy.proxy)
 
 
 def _rival(simple: SimpleFits, model: Fit, policy: Policy) -> SimpleFit | None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -51,23 +50,6 @@ class Diagnosis:
     """The data at the rate at which the likelihood looks at them."""
     wanted: Wanted = field(default_factory=Wanted)
     """What the run gave of the dictionary, tried and left out."""
-
-    def instead(self, overwhelmed: Mapping[str, float], seconds: float) -> Diagnosis:
-        """Return this diagnosis by free runs as the answer, where unmeasured forces would do most of what moves ports.
-
-        Parameters
-        ----------
-        overwhelmed : mapping
-            Share of what moves a port that such a force would have, by port.
-        seconds : float
-            That both took.
-        """
-        forces = " and ".join(f"{100 * share:.0f} % of what moves {port}" for port, share in overwhelmed.items())
-        words = (
-            f"an unmeasured force of {forces} would explain these readings whatever the model is, so the model is "
-            "judged by its free runs: what they do not show is not looked for"
-        )
-        return replace(self, warnings=[words, *self.warnings], seconds=seconds)
 
     @property
     def nominal(self) -> Fit:

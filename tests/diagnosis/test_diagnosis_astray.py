@@ -1,4 +1,4 @@
-"""Free runs that err far more on the validation records than on the others: no green word."""
+"""Free runs that err far more on the validation records than on the others: no green word, and a second look."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def test_the_worst_output_says_how_much_further() -> None:
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=3, deadline=None)
-def test_two_laws_that_pass_for_damping_at_large_swings_are_no_green_word(seed: int) -> None:
+@settings(max_examples=1, deadline=None)
+def test_two_laws_that_pass_for_damping_at_large_swings_are_seen_in_free_runs(seed: int) -> None:
     """Dry friction and drag together look like viscous damping until the swing is smaller."""
     laws = builtin()
     friction = Placed(laws["coulomb_friction"], "theta", {"Fc": 0.0541, "w": 0.005})
@@ -43,6 +43,9 @@ def test_two_laws_that_pass_for_damping_at_large_swings_are_no_green_word(seed: 
         return {"t [s]": t, "theta [rad]": y + 1e-3 * np.random.default_rng(draw).standard_normal(t.size)}
 
     report = api.close_loop(swing(0.97, seed), model="pendulum", validation=swing(0.5, seed + 1), undriven=["u"])
-    assert report.verdict in ("unexplained", "effects_found")
-    if report.verdict == "unexplained":
-        assert report.data["adequacy"] == "proxy_or_incomplete"
+    assert report.verdict == "effects_found"
+    assert any("friction" in one["name"] for one in report.data["effects"])
+    errors = [
+        report.data["errors"][when]["simulation_error"]["validation"]["theta"]["rms"] for when in ("before", "after")
+    ]
+    assert errors[1] < 0.5 * errors[0]

@@ -1,0 +1,121 @@
+"""When a diagnosis is made again by free runs, and when the second one stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.diagnosis import Diagnosis
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.second import halved, second_opinion
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+
+SPEC = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), 0.5)
+RECORD = Trajectory(np.arange(8) * 0.5, np.zeros((8, 1)), np.arange(8.0)[:, None], SPEC)
+DATA = Dataset("x", (Run(RECORD), Run(RECORD, "validation"), Run(RECORD, "test")))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What of a diagnosis a second opinion looks at."""
+
+    verdict: str = "unexplained"
+    rival: str = ""
+    astray: bool = False
+    force: float = 0.1
+    misfit: tuple[str, ...] = ()
+    latent: bool = True
+    error: float = 1.0
+    warnings: list[str] = field(default_factory=list)
+    dataset: Dataset = DATA
+    policy: Any = POLICY
+
+    @property
+    def form(self) -> Any:
+        return SimpleNamespace(latent=self.latent, noise_model=SimpleNamespace(force_scale=np.ones(1)))
+
+    @property
+    def final(self) -> Any:
+        noise = SimpleNamespace(s=np.array([self.force]), w=np.zeros(1))
+        passes = SimpleNamespace(forces=(SimpleNamespace(port="q"),))
+        points = {"estimation": SimpleNamespace(noise=noise)}
+        return SimpleNamespace(detail=SimpleNamespace(points=points, passes=passes), error=self.error)
+
+    @property
+    def runs(self) -> Any:
+        return SimpleNamespace(further=7.0)
+
+
+class Runs:
+    """Compares free runs as the fits say; the nominal model leaves 1."""
+
+    def seen(self, fit: Any) -> float:
+        return float(fit.error)
+
+    def further(self, mine: float, other: float, policy: Any, share: float) -> bool:
+        return mine - other > share
+
+
+@pytest.fixture(autouse=True)
+def plain_details(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("harness.diagnosis.misfit.likelihood_detail", lambda fit: fit.detail)
+
+
+def opinion(first: Answer, again: Answer, *, able: bool = True) -> tuple[Any, list[Dataset]]:
+    """Return what stands in the place of a first diagnosis, and the data that were asked."""
+    asked: list[Dataset] = []
+
+    def ask(kind: Any, data: Dataset) -> Diagnosis:
+        asked.append(data)
+        return cast(Diagnosis, again)
+
+    kind = cast(Any, SimpleNamespace(by_free_runs=lambda: "free runs" if able else None))
+    found = second_opinion(cast(Diagnosis, first), kind, cast(Any, Runs()), ask)
+    return found, asked
+
+
+@pytest.mark.parametrize(
+    ("first", "able"),
+    [
+        (Answer(), True),  # nothing denies it
+        (Answer(force=2.0, latent=False), True),  # it was judged by free runs
+        (Answer(force=2.0), False),  # nothing else judges such a model
+    ],
+)
+def test_nothing_is_asked_again_without_a_reason_or_a_way(first: Answer, able: bool) -> None:
+    assert opinion(first, Answer(), able=able) == (None, [])
+
+
+def test_a_force_that_explains_everything_gives_way_to_free_runs_that_follow() -> None:
+    found, asked = opinion(Answer(force=2.0, misfit=("too much",)), Answer(verdict="nothing_missing"))
+    assert found.verdict == "nothing_missing"
+    assert "200 % of what moves q" in found.warnings[0]
+    assert asked == [DATA]
+    assert opinion(Answer(force=2.0), Answer(misfit=("leaves 90 %",)))[0] is None
+
+
+def test_a_rival_asks_again_and_what_comes_clearly_nearer_stands() -> None:
+    found, _ = opinion(Answer(rival="coulomb_friction@q"), Answer(verdict="effects_found", error=0.2))
+    assert found.verdict == "effects_found"
+    assert "coulomb_friction@q alone" in found.warnings[0]
+    assert opinion(Answer(rival="coulomb_friction@q"), Answer(error=0.8))[0] is None
+
+
+def test_where_the_validation_records_go_further_each_record_is_halved() -> None:
+    found, (data,) = opinion(Answer(astray=True), Answer(verdict="effects_found", error=0.2))
+    assert "7 times as far" in found.warnings[0]
+    assert [run.use for run in data.runs] == ["estimation", "estimation", "validation", "validation", "test"]
+    np.testing.assert_array_equal(data.runs[0].trajectory.y[:, 0], [0, 1, 2, 3])
+    np.testing.assert_array_equal(data.runs[3].trajectory.y[:, 0], [4, 5, 6, 7])
+    assert opinion(Answer(astray=True), Answer(error=0.2))[0] is None  # it explains nothing either
+
+
+def test_halves_hold_every_sample_once() -> None:
+    parts = halved(DATA).runs
+    kept = np.concatenate([parts[0].trajectory.y, parts[2].trajectory.y])
+    np.testing.assert_array_equal(kept, RECORD.y)
+    assert parts[-1].trajectory is RECORD
