@@ -26,6 +26,7 @@ from harness.diagnosis.search.search import search
 from harness.diagnosis.second import second_opinion
 from harness.diagnosis.steps import (
     Progress,
+    again_by_free_runs,
     beaten,
     candidates_of,
     form_of,
@@ -142,7 +143,12 @@ def diagnose(
     )
     if not (wrong or given):
         ask = functools.partial(
-            diagnose, system=system, progress=progress, dictionary=dictionary, wanted=wanted, policy=policy
+            diagnose,
+            system=system,
+            progress=again_by_free_runs(progress),
+            dictionary=dictionary,
+            wanted=wanted,
+            policy=policy,
         )
         other = second_opinion(diagnosis, kind, simple, lambda kind, data: ask(data, kind=kind, folder=folder))
         if other is not None:

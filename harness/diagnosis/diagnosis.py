@@ -43,7 +43,8 @@ class Diagnosis:
     doubtful: bool = False
     """True where a unit may be wrong, though the model fits as it is."""
     alarms: tuple[str, ...] = ()
-    """What a reader must know before anything else: a unit or a column that may be wrong. They are warnings too."""
+    """What a reader must know before anything else: a unit or a column that may be wrong, or why free runs judged the
+    model where a likelihood would. They are warnings too."""
     rival: str = ""
     """An effect that alone comes nearer to the validation records in free runs, and that the likelihood refuses."""
     thinned: Thinned | None = None

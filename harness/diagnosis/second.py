@@ -62,7 +62,10 @@ def second_opinion(
         stands = again.verdict == "effects_found" and nearer(simple, again.final, first.final, policy)
     else:
         return None
-    return replace(again, warnings=[f"{why}, {JUDGED}", *again.warnings]) if stands else None
+    if not stands:
+        return None
+    words = f"{why}, {JUDGED}"
+    return replace(again, alarms=(words, *again.alarms), warnings=[words, *again.warnings])
 
 
 def halved(dataset: Dataset) -> Dataset:
@@ -79,7 +82,7 @@ def halved(dataset: Dataset) -> Dataset:
     Examples
     --------
     >>> import numpy as np
-    >>> from harness.signals import Channel, PlantSpec, Trajectory
+    >>> from harness.signals import Channel, PlantSpec, Run, Trajectory
     >>> spec = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), 0.5)
     >>> record = Trajectory(np.arange(6) * 0.5, np.zeros((6, 1)), np.ones((6, 1)), spec)
     >>> data = halved(Dataset("x", (Run(record), Run(record, "validation"), Run(record, "test"))))

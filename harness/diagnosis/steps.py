@@ -32,6 +32,7 @@ from harness.signals import Dataset, FloatArray
 __all__ = [
     "Progress",
     "Say",
+    "again_by_free_runs",
     "beaten",
     "candidates_of",
     "form_of",
@@ -66,6 +67,11 @@ def teller(progress: Progress | None) -> Say:
             progress(next(parts) if part is None else part, what)
 
     return say
+
+
+def again_by_free_runs(progress: Progress | None) -> Progress | None:
+    """Return what tells of a second diagnosis in the last tenth of the work."""
+    return None if progress is None else lambda part, what: progress(0.8 + 0.1 * part, f"by free runs: {what}")
 
 
 def form_of(
@@ -141,7 +147,8 @@ def what_free_runs_say(
     runs = run_freely(outcome)
     say("what is left", 0.8)
     leftover = left_over(form, outcome.model, policy)
-    if not runs.worse(policy):
+    moving = [one for one in outcome.accepted if one.placed.effect.sampled != "quantise"]
+    if not moving or not runs.worse(policy):  # a rounded prediction errs by its own rounding: that denies no rounding
         return outcome, runs, leftover, []
     if leftover.best is None and simple is not None and simple.nearer(outcome.model, policy):
         return outcome, runs, leftover, [STANDS]

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.diagnosis.kinds import Equations
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.thinning import thinned_by
+from harness.diagnosis.runs.compare import FreeRuns
+from harness.diagnosis.search.outcome import Outcome
+from harness.diagnosis.search.table import Accepted
+from harness.diagnosis.steps import what_free_runs_say
 from harness.diagnosis.store import data_fingerprint
+from harness.effects import builtin
+from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
@@ -60,3 +70,24 @@ def test_a_grid_is_found_where_there_is_one_and_nowhere_else(step: float, seed: 
     assert resolution([np.round(read / step) * step]) == pytest.approx(step, rel=1e-6)
     assert resolution([read]) == 0.0
     assert resolution([np.round(read / step) * step, read]) == 0.0
+
+
+@pytest.mark.parametrize(("name", "stands"), [("sensor_quantisation", True), ("sensor_gain", False)])
+def test_free_runs_deny_no_rounding(name: str, stands: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rounded prediction errs by its own rounding: only what changes the motion or the reading is taken back."""
+    calm = SimpleNamespace(finite=True, validation=(np.ones((1000, 1)),))
+    worse = SimpleNamespace(finite=True, validation=(1.3 * np.ones((1000, 1)),))
+    runs = FreeRuns(cast(Any, None), cast(Any, None), cast(Any, calm), cast(Any, worse), 0.0, np.ones(1))
+    monkeypatch.setattr("harness.diagnosis.steps.free_runs", lambda *args: runs)
+    monkeypatch.setattr("harness.diagnosis.steps.left_over", lambda *args: SimpleNamespace(best="left"))
+    monkeypatch.setattr("harness.diagnosis.steps.reading_noise", lambda fit: np.ones(1))
+    fit = SimpleNamespace(values={})
+    accepted = (Accepted(Placed(builtin()[name], "theta"), (), 9.0, 9.0),)
+    outcome = Outcome(cast(Any, None), cast(Any, fit), cast(Any, SimpleNamespace(values={})), accepted, ())
+    kind: Any = SimpleNamespace(horizon=lambda *args: None, runs=lambda *args: None)
+    form: Any = SimpleNamespace(nominal=None, latent=True)
+    found, *_ = what_free_runs_say(
+        kind, form, outcome, cast(Any, None), POLICY, lambda what, part=None: None, share=np.ones(1)
+    )
+    assert bool(found.accepted) is stands
+    assert bool(found.withdrawn) is not stands

@@ -31,6 +31,7 @@ class Answer:
     latent: bool = True
     error: float = 1.0
     warnings: list[str] = field(default_factory=list)
+    alarms: tuple[str, ...] = ()
     dataset: Dataset = DATA
     policy: Any = POLICY
 
@@ -94,6 +95,7 @@ def test_a_force_that_explains_everything_gives_way_to_free_runs_that_follow() -
     found, asked = opinion(Answer(force=2.0, misfit=("too much",)), Answer(verdict="nothing_missing"))
     assert found.verdict == "nothing_missing"
     assert "200 % of what moves q" in found.warnings[0]
+    assert found.alarms[0] == found.warnings[0], "the page says so first"
     assert asked == [DATA]
     assert opinion(Answer(force=2.0), Answer(misfit=("leaves 90 %",)))[0] is None
 

@@ -43,7 +43,8 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     Every deciding number with its reason, source and what it was tuned on, by group: ``policy``, ``effort``, ``data``,
     ``run``, ``plan``, ``arm``, ``odd``.
 ``alarms``
-    What must be known before anything else: a unit or a column that may be wrong; among the ``warnings`` too.
+    What must be known before anything else: a unit or a column that may be wrong, or why free runs judged the model
+    where a likelihood would; among the ``warnings`` too.
 ``oddities``
     What is odd about the records (:mod:`harness.data.oddities`): ``kind``, ``run``, ``channel``, ``count`` and ``rows``
     (the first 1000), ``text``, ``fault`` (false for what is worth knowing only), ``used`` (kept out of the fits).
