@@ -7,6 +7,7 @@ import inspect
 import os
 import pickle
 import shutil
+import signal
 import socket
 import sys
 import threading
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 
 __all__ = ["registered", "serve"]
 
+HELD = 90.0
+"""Seconds for which a library may keep the interpreter to itself, as one that never ends its loading does: nothing here
+can then notice that the caller has gone. More than a caller waits for a plant to be loaded."""
+
 
 def serve() -> None:
     """Run in the child: obey orders until the caller closes the pipe."""
@@ -38,6 +43,8 @@ def serve() -> None:
     def watch() -> None:
         # a hung plant must not outlive the caller
         while os.getppid() == parent:
+            if hasattr(signal, "setitimer"):  # where this thread gets no turn, the alarm ends the process
+                signal.setitimer(signal.ITIMER_REAL, HELD)
             time.sleep(0.5)
         shutil.rmtree(os.environ["TMPDIR"], ignore_errors=True)
         os._exit(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -263,3 +264,22 @@ def _alive(pid: int) -> bool:
         return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
     except OSError:
         return False
+
+
+HOLDS = """
+import ctypes, pickle, socket, sys
+from plants.isolation import child, frames
+child.HELD = 1.0
+child._made = lambda *options: ctypes.PyDLL(None).sleep(60)
+caller, pipe = socket.socketpair()
+frames.send(caller, pickle.dumps(("make", (pickle.dumps(()),), ())))
+sys.argv = ["child", str(pipe.fileno())]
+child.serve()
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm on this system")
+def test_a_library_that_keeps_the_interpreter_to_itself_ends() -> None:
+    """As one that never ends its loading: no thread of the child gets a turn to see that the caller has gone."""
+    ended = subprocess.run([sys.executable, "-c", HOLDS], timeout=30, check=False)
+    assert ended.returncode == -signal.SIGALRM
