@@ -11,7 +11,7 @@ import numpy.typing as npt
 from harness.models.spread import Matrices, gains, steps
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["KEY", "bands_of", "bands_words", "determined_bands", "outside"]
+__all__ = ["KEY", "bands_of", "bands_words", "determined_bands", "gaps_words", "outside"]
 
 KEY = "determined"
 """Where a model's notes hold its bands: by pair of channels, ``[[low, high], ...]`` in Hz."""
@@ -20,13 +20,19 @@ WIDTH = 2.0 ** (1.0 / 3.0)
 CLEAR = 3.0
 """|G|^2 over the variance of what a band alone says of it: reached by noise alone once in exp(3) = 20 bands."""
 CONTRADICTED = 0.5
-"""Share of a model's gain in a band that its residual may take back: beyond it the data say something else."""
+"""Share of the gain in a band, the model's or what the data make of it, that the residual may take back: beyond it the
+data say something else."""
 QUIET, FAINT = 1e-8, 1e-6
 """Powers, relative to those of output and input, below which a spectrum is rounding or leaks from other lines."""
+LEAK = (0.35875, 0.48829, 0.14128, 0.01168)
+"""A window from which no line leaks more than 1e-9 of its power beyond four bins (Harris 1978, Proc. IEEE 66:51, table
+1, Blackman-Harris of 4 terms): with a shorter memory two lines fill what lies between them."""
 SEGMENTS, LONGEST, ROWS, MEMORY = 6, 1024, 20_000, 400
 """Segments of a record at least, samples of one at most, samples looked at, samples of a response."""
 MOST = 36
 """Pairs of input and output up to which a model says its bands."""
+SAID = 6
+"""Pairs whose bands a terminal shows."""
 
 
 def determined_bands(matrices: Matrices, records: Sequence[Trajectory]) -> dict[str, list[list[float]]]:
@@ -70,19 +76,20 @@ def determined_bands(matrices: Matrices, records: Sequence[Trajectory]) -> dict[
     response = gains(matrices, frequency, spec.sample_time)
     suu, sru, noise, count = _spectra(records, n, matrices)
     edges = _edges(frequency)
-    power = np.real(np.einsum("fii->fi", suu))
+    moved = _moved(records, frequency, edges)
     found = np.zeros((len(edges), spec.ny, spec.nu), dtype=bool)
     for band, (first, last) in enumerate(edges):
         lines = slice(first, last)
         inputs = suu[lines].sum(axis=0) * count
-        weak = power[lines].max(axis=0) < FAINT * power.max(axis=0)
+        weak = ~moved[band]
         scale = np.sqrt(np.maximum(np.real(np.diag(inputs)), 1e-300))
         own = np.real(np.diag(np.linalg.pinv(inputs / np.outer(scale, scale), rcond=1e-9, hermitian=True))) / scale**2
         variance = noise[lines].mean(axis=0)[:, None] * own
         size = np.abs(response[lines]).max(axis=0)
         explained = np.einsum("fij,fjj->ij", np.abs(response[lines]) ** 2, suu[lines]).real
-        wrong = np.sum(np.conj(response[lines]) * sru[lines], axis=0).real / np.maximum(explained, 1e-300)
-        found[band] = (size**2 > CLEAR * variance) & ~weak & (own > 0) & (np.abs(wrong) < CONTRADICTED)
+        wrong = np.sum(np.conj(response[lines]) * sru[lines], axis=0) / np.maximum(explained, 1e-300)
+        right = np.abs(wrong) < CONTRADICTED * np.minimum(np.abs(1.0 + wrong), 1.0)
+        found[band] = (size**2 > CLEAR * variance) & ~weak & (own > 0) & right
     return {
         f"{output.name} per {given.name}": _merged(frequency, edges, found[:, row, column])
         for row, output in enumerate(spec.outputs)
@@ -110,6 +117,25 @@ def bands_words(bands: Mapping[str, Sequence[Sequence[float]]]) -> str:
         ranges = " and ".join(f"from {low:.3g} to {high:.3g} Hz" for low, high in own)
         said.append(f"{pair} {ranges or 'nowhere'}")
     return "; ".join(said)
+
+
+def gaps_words(bands: Mapping[str, Sequence[Sequence[float]]] | None, sample_time: float) -> str:
+    """Return in words where alone a model is determined, empty where it is so at all frequencies or does not say.
+
+    Examples
+    --------
+    >>> gaps_words({"y per u": [[0.0, 2.0]]}, 0.1)
+    'its data determine y per u from 0 to 2 Hz; elsewhere its order alone speaks'
+    >>> gaps_words({"y per u": [[0.0, 5.0]]}, 0.1)
+    ''
+    """
+    whole = 0.5 * (1.0 - 1e-3) / sample_time
+    some = {pair: own for pair, own in (bands or {}).items() if not (len(own) == 1 and own[0][1] >= whole)}
+    if not some:
+        return ""
+    first = dict(list(some.items())[:SAID])
+    more = f" (and {len(some) - SAID} more pairs)" if len(some) > SAID else ""
+    return f"its data determine {bands_words(first)}{more}; elsewhere its order alone speaks"
 
 
 def outside(bands: Sequence[Sequence[float]], frequency: FloatArray) -> npt.NDArray[np.bool_]:
@@ -156,6 +182,26 @@ def _spectra(
             break
     found = max(count, 1)
     return suu / found, sru / found, np.maximum(noise, QUIET * size) / found, 9.0 / 11.0 * found
+
+
+def _moved(records: Sequence[Trajectory], frequency: FloatArray, edges: Sequence[tuple[int, int]]) -> npt.NDArray[Any]:
+    """Return in which bands (B, nu) the inputs have power that does not leak from other lines of a record."""
+    found = np.zeros((len(edges), records[0].spec.nu), dtype=bool)
+    half, left = frequency[0] / 2, ROWS
+    for record in records:
+        part = record.u[: max(left, 0)]
+        left -= len(part)
+        if len(part) < 2 * len(frequency):
+            continue
+        phase = 2 * np.pi * np.arange(len(part)) / len(part)
+        window = sum((-1) ** j * weight * np.cos(j * phase) for j, weight in enumerate(LEAK))
+        power = np.abs(np.fft.rfft((part - part.mean(axis=0)) * np.reshape(window, (-1, 1)), axis=0)) ** 2
+        lines = np.fft.rfftfreq(len(part), record.spec.sample_time)
+        for band, (first, last) in enumerate(edges):
+            low = 0.0 if first == 0 else frequency[first] - half
+            inside = power[(lines >= low) & (lines <= frequency[last - 1] + half)]
+            found[band] |= (inside >= FAINT * power.max(axis=0)).any(axis=0) & power.any(axis=0)
+    return found
 
 
 def _left_over(matrices: Matrices, record: Trajectory) -> FloatArray:

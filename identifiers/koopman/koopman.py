@@ -38,6 +38,9 @@ BIAS_OF_FUNCTIONS = (
     "neither is in the spread"
 )
 """What is said beside every spread of a lifted model."""
+IDLE = 1e-3
+"""Probability of what functions add to the prediction of an output, were they idle, above which it is left to chance:
+errors that are correlated in time, which say more than they know, keep functions rather than lose them."""
 _USERS: dict[str, Callable[[FloatArray], FloatArray]] = {}
 
 
@@ -286,7 +289,8 @@ class Edmdc:
     """Extended DMD with control: a linear map between lifted outputs, driven by the input.
 
     Williams, Kevrekidis & Rowley 2015 (J. Nonlinear Sci. 25:1307, eq. 13); Korda & Mezic 2018 (Automatica 93:149,
-    eq. 18).
+    eq. 18). An output that follows its arguments linearly, as far as the records tell, does so in the model; the notes
+    name it (``"linear"``).
 
     Parameters
     ----------
@@ -333,42 +337,14 @@ class Edmdc:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> KoopmanModel:
         """Return the lifted linear model."""
         what = "edmdc"
-        if self.degree < 1 or self.delays < 1 or min(self.radial, self.fourier) < 0 or not 0 <= self.threshold < 1:
-            raise FitError(
-                f"{what}: options",
-                expected="degree >= 1, delays >= 1, radial >= 0, fourier >= 0, 0 <= threshold < 1",
-                got=f"degree={self.degree}, delays={self.delays}, radial={self.radial}, fourier={self.fourier}, "
-                f"threshold={self.threshold}",
-                remedy="correct the options",
-            )
-        if self.stable and self.threshold > 0:
-            raise FitError(
-                f"{what}: stable and threshold together",
-                expected="one of them",
-                got=f"stable=True, threshold={self.threshold}",
-                remedy="leave out threshold: the nearest stable matrix is not sparse",
-            )
+        self._check_options()
         records, spec = usable(trajectories, samples=self.delays + 2, what=what)
         real_signals(spec, what)
         moving(records, what)
         refuse_law(records, what, self.least_excitation)
         arguments = [_arguments(record, self.delays) for record in records]
         together = np.concatenate(arguments)
-        scale = np.abs(together).max(axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        centres: tuple[tuple[float, ...], ...] = ()
-        if self.radial:
-            picked = rng.choice(len(together), size=min(self.radial, len(together)), replace=False)
-            centres = tuple(tuple(map(float, row)) for row in together[np.sort(picked)] / scale)
-        dictionary = Dictionary(
-            self.degree,
-            self.trigonometric,
-            centres,
-            tuple(map(float, scale)),
-            self.width,
-            self.fourier,
-            tuple(self.functions),
-        )
+        dictionary = self._dictionary(together, rng)
 
         def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
             for record, rows in zip(records, arguments, strict=True):
@@ -382,6 +358,20 @@ class Edmdc:
         lifted_columns = Columns.lifted(size, spec)
         refuse_feedback(solution, lifted_columns, self.least_excitation, what, ridge=self.ridge)
         theta, notes = solution.coefficients.T, {**solution_notes(solution), **missing_notes(trajectories, records)}
+        idle = _idle(solution, together.shape[1] + 1, spec) if self.threshold == 0 else []
+        kept = [k for k in range(len(solution.coefficients)) if not together.shape[1] < k < size]
+
+        def idle_blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
+            for phi, target in blocks():
+                yield phi[:, kept], target[:, idle]
+
+        lean = solve(idle_blocks, what, ridge=self.ridge, rank_tolerance=1e-14) if idle else None
+        if lean is not None:
+            values = solution.coefficients.copy()
+            values[:, idle] = 0.0
+            values[np.ix_(kept, idle)] = lean.coefficients
+            solution, theta = replace(solution, coefficients=values), values.T
+            notes["linear"] = [spec.outputs[output].name for output in idle]
         if self.threshold > 0:
             theta, notes["terms"] = self._sparse(blocks, size + spec.nu, size)
         elif self.stable and (settled := _settled(solution, together.shape[1])) is not None:
@@ -395,7 +385,47 @@ class Edmdc:
             notes[KEY] = determined_bands(model.matrices, records)
         if self.threshold > 0 or "stabilized" in notes:
             return model
-        return _with_spread(model, coefficients_without(blocks, solution))
+        found = coefficients_without(blocks, solution)
+        if found is not None and lean is not None and (near := coefficients_without(idle_blocks, lean)) is not None:
+            found[0][:, :, idle] = 0.0
+            found[0][np.ix_(range(len(near[0])), kept, idle)] = near[0]
+        return _with_spread(model, found)
+
+    def _check_options(self) -> None:
+        """Refuse options that go beyond their ranges, or not together."""
+        if self.degree < 1 or self.delays < 1 or min(self.radial, self.fourier) < 0 or not 0 <= self.threshold < 1:
+            raise FitError(
+                "edmdc: options",
+                expected="degree >= 1, delays >= 1, radial >= 0, fourier >= 0, 0 <= threshold < 1",
+                got=f"degree={self.degree}, delays={self.delays}, radial={self.radial}, fourier={self.fourier}, "
+                f"threshold={self.threshold}",
+                remedy="correct the options",
+            )
+        if self.stable and self.threshold > 0:
+            raise FitError(
+                "edmdc: stable and threshold together",
+                expected="one of them",
+                got=f"stable=True, threshold={self.threshold}",
+                remedy="leave out threshold: the nearest stable matrix is not sparse",
+            )
+
+    def _dictionary(self, together: FloatArray, rng: np.random.Generator) -> Dictionary:
+        """Return the functions over the scale of the arguments (N, k), centres drawn among them."""
+        scale = np.abs(together).max(axis=0)
+        scale = np.where(scale > 0, scale, 1.0)
+        centres: tuple[tuple[float, ...], ...] = ()
+        if self.radial:
+            picked = rng.choice(len(together), size=min(self.radial, len(together)), replace=False)
+            centres = tuple(tuple(map(float, row)) for row in together[np.sort(picked)] / scale)
+        return Dictionary(
+            self.degree,
+            self.trigonometric,
+            centres,
+            tuple(map(float, scale)),
+            self.width,
+            self.fourier,
+            tuple(self.functions),
+        )
 
     def _sparse(
         self, blocks: Callable[[], Iterator[tuple[FloatArray, FloatArray]]], p: int, m: int
@@ -404,6 +434,37 @@ class Edmdc:
         sums = NormalEquations.of(((phi.T, target.T) for phi, target in blocks()), p, m)
         coefficients, support = eliminate(sums, self.threshold)
         return coefficients.T, int(support.sum())
+
+
+def _idle(solution: Solution, first: int, spec: PlantSpec) -> list[int]:
+    """Return the outputs that the functions beyond their arguments and a constant foretell no better than by chance.
+
+    The F test of these functions together (Seber & Lee 2003, *Linear Regression Analysis*, theorem 4.1), output by
+    output: in a model of more they hold noise alone, which grows with their degree outside of the records.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of all functions.
+    first : int
+        Number of the first of these functions among the columns.
+    spec : PlantSpec
+    """
+    from scipy.stats import f
+
+    p, size = solution.coefficients.shape
+    count, free = size - first, solution.rows - p
+    if count < 1 or free < 1:
+        return []
+    theta = solution.coefficients[:, : spec.ny] * solution.scale[:, None]
+    kept = np.r_[:first, size:p]
+    whole = solution.factor @ theta
+    part = solution.factor[:, kept]
+    lost = np.sum((whole - part @ np.linalg.lstsq(part, whole, rcond=1e-14)[0]) ** 2, axis=0)
+    noise = solution.residual_rms[: spec.ny] ** 2 * solution.rows / free
+    with np.errstate(divide="ignore", invalid="ignore"):
+        chances = f.sf(lost / count / noise, count, free)
+    return [int(output) for output in np.flatnonzero(chances > IDLE)]
 
 
 def _with_spread(model: KoopmanModel, found: tuple[FloatArray, float] | None) -> KoopmanModel:

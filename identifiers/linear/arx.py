@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError
-from harness.judgement import refuse_law
+from harness.judgement import feedback_of, refuse_law
 from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.models.lqr import spectral_radius
@@ -49,7 +49,7 @@ class Arx:
         with the least one-step error on the last third of the records wins (Ljung 1999, sec. 16.4).
     delay : int, optional
         Samples that an input takes to reach an output, at least 1: inputs later than that are left out. Without it 1,
-        or with no order either the largest that validation bears.
+        or with no order either the largest that validation bears, but where past outputs foretell the input.
     offset : bool
         Fit a constant too.
     ridge : float
@@ -201,7 +201,7 @@ class Arx:
         for order, error in errors.items():
             if error < _GAIN * best:
                 best, chosen = error, order
-        if self.delay is None:
+        if self.delay is None and not feedback_of(records).found:  # in a loop outputs foretell what inputs did
             for longer in range(2, chosen + 1):
                 held = self._held_out_errors(cuts, chosen, longer, skip, what)
                 if held is None or _together(held, moves) > best * (1 + 1e-3):

@@ -17,7 +17,7 @@ from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.loops.judge import hidden_by_load, loop_told
+from identifiers.common.loops.judge import loop_told
 from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.observers import innovation_form, stationary_gain
 from identifiers.common.records import missing_notes, moving, real_signals, usable
@@ -224,7 +224,6 @@ class Subspace:
             near = self._without_stretches(found)
             model = replace(model, spread=spread_of(near, warning=notes.get("warning", "")))
         model = data.in_units(replace(model, notes=notes))
-        hidden_by_load(model, data.measured, data.feedback, notes)
         notes[KEY] = determined_bands(model.matrices, data.measured)
         rule = "given" if self.order is not None else "held-out prediction errors"
         estimate = state_space_estimate(model, values, rule)

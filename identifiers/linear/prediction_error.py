@@ -18,7 +18,7 @@ from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.loops.judge import ANSWERED, COLOURED, hidden_by_load, loop_told
+from identifiers.common.loops.judge import ANSWERED, COLOURED, loop_told
 from identifiers.common.neighbours import spread_of, steps_without
 from identifiers.common.observers import innovation_form
 from identifiers.common.one_step_estimate import whiteness
@@ -203,9 +203,7 @@ class PredictionError:
             notes |= {} if estimate is None else {"estimate": estimate.to_dict()}
         model = told(found.model)
         notes[KEY] = determined_bands(model.matrices, measured)
-        model = replace(model, notes=notes)
-        hidden_by_load(model, measured, feedback, notes)
-        return model
+        return replace(model, notes=notes)
 
     def _of_polynomials(self, records: list[Trajectory], said: dict[str, Any], what: str) -> LinearModel:
         """Return the model whose outputs have polynomials each."""
@@ -238,9 +236,7 @@ class PredictionError:
             notes["estimate"] = estimate.to_dict()
         notes[KEY] = determined_bands(model.in_units(scaling).matrices, measured)
         model = replace(model, notes=notes)
-        model = (model if "stabilized" in notes else self._with_spread(model, fits)).in_units(scaling)
-        hidden_by_load(model, measured, feedback, notes)
-        return model
+        return (model if "stabilized" in notes else self._with_spread(model, fits)).in_units(scaling)
 
     def _check(self, what: str) -> None:
         """Refuse options that mean nothing."""

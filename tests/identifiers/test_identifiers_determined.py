@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from harness import registry
+from harness.command import main
 from harness.models.determined import bands_of, determined_bands, outside
 from harness.signals import Channel, PlantSpec, Trajectory
 
@@ -41,3 +42,32 @@ def test_a_model_that_the_data_contradict_is_not_determined():
     data = answered(np.random.default_rng(0).normal(size=3000))
     wrong = tuple(np.full((1, 1), value) for value in (A, -B, 1.0, 0.0))
     assert determined_bands(wrong, [data])["y per u"] == []
+
+
+def test_lines_of_a_short_record_do_not_fill_what_lies_between_them():
+    k = np.arange(1000)
+    data = answered(np.sin(2 * np.pi * 0.0113 * k) + np.sin(2 * np.pi * 0.1637 * k), 1e-3)
+    truth = tuple(np.full((1, 1), value) for value in (A, B, 1.0, 0.0))
+    bands = determined_bands(truth, [data])["y per u"]
+    assert outside(bands, np.array([0.0113, 0.06, 0.1637, 0.3]) / 0.05).tolist() == [False, True, False, True]
+
+
+def test_a_model_whose_phase_the_data_contradict_is_not_determined_there():
+    data = answered(np.random.default_rng(0).normal(size=3000))
+    late = (np.array([[A, B], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)))
+    bands = determined_bands(late, [data])["y per u"]  # one sample later than the truth
+    assert outside(bands, np.array([0.5, 2.8])).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("rich", [False, True])
+def test_the_command_says_where_alone_the_records_speak(rich, tmp_path, capsys):
+    k = np.arange(1000)
+    lines = np.sin(2 * np.pi * 0.0113 * k) + np.sin(2 * np.pi * 0.1637 * k)
+    data = answered(np.random.default_rng(0).normal(size=1000) if rich else lines, 1e-3)
+    table = np.column_stack([data.t, data.u, data.y])
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="t,u,y", comments="")
+    with pytest.raises(SystemExit) as ended:
+        main(["identify", str(tmp_path / "run.csv"), "--input", "u", "--output", "y", "--identifier", "arx"])
+    assert not ended.value.code
+    said = capsys.readouterr().out
+    assert ("its order alone speaks" in said) != rich

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.judgement import feedback_of
+from harness.models.spread import gains
 from harness.registry import create
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.common.loops.judge import doubt_of_loop
@@ -17,6 +18,7 @@ from identifiers.common.loops.judge import doubt_of_loop
 SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
 FULL = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 0.1)
 A, B = np.array([[0.95, 0.2], [-0.1, 0.8]]), np.array([0.0, 1.0])
+RNG = np.random.default_rng(0)
 SAID = ("in a loop", "beside the controller explains", "inputs answer the outputs")
 
 
@@ -66,6 +68,58 @@ def test_a_loop_that_hardly_moves_from_outside_is_said_to_hide_the_plant(name, o
     data = record(1, dither=0.3, load=1.0)
     assert "hardly shows in the load" in warning_of(name, data, **options)
     assert not warning_of(name, data, least_excitation=0.0, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("piecewise-affine", {"starts": 1}), ("narx", {"lags": 1}), ("stlsq", {"time": "discrete"})],
+)
+def test_models_without_a_spread_say_that_the_load_hides_the_plant(name, options):
+    assert "hardly shows in the load" in warning_of(name, record(2, dither=0.3, load=1.0), **options)
+
+
+def held_at_rest(seed: int) -> Trajectory:
+    """A nearly integrating plant under a strong controller: what it does slowly does not show."""
+    rng, n = np.random.default_rng(seed), 1000
+    x, u, y = 0.0, np.zeros((n, 1)), np.zeros((n, 1))
+    for k in range(n):
+        y[k] = x
+        u[k] = 0.3 * rng.normal() - 4.0 * x
+        x = 0.98 * x + 0.1 * u[k, 0] + 0.03 * rng.normal()
+    return Trajectory(0.1 * np.arange(n), u, y, SPEC)
+
+
+def test_a_plant_whose_first_answers_are_known_needs_no_warning_though_its_gain_at_rest_is_not():
+    model: Any = create("identifiers", "least-squares").fit([held_at_rest(0)], rng=np.random.default_rng(0))
+    assert "warning" not in model.notes
+    assert model.b_matrix[0, 0] == pytest.approx(0.1, rel=0.2)
+    rest = np.array([1e-3])
+    away = [abs(gains(one, rest, 1.0) - gains(model.matrices, rest, 1.0)).item() for one in model.spread.models]
+    assert np.sqrt(model.spread.factor * np.sum(np.square(away))) > 0.5 * abs(gains(model.matrices, rest, 1.0)).item()
+
+
+@pytest.mark.parametrize("seed", [0, 6, 7])
+def test_arx_takes_no_early_answer_for_a_delay_where_outputs_foretell_inputs(seed):
+    model: Any = create("identifiers", "arx").fit([record(seed, gain=0.3, load=0.5, whole=False)], rng=RNG)
+    assert model.notes["delay"] == 1
+
+
+def test_functions_that_only_hold_noise_are_no_part_of_an_output():
+    model: Any = create("identifiers", "edmdc").fit([record(1)], rng=RNG)
+    assert model.notes["linear"] == ["q", "v"]
+    assert not model.a_matrix[:2, 3:].any()  # beyond the outputs and the constant
+    assert not model.spread.a[:, :2, 3:].any()
+    assert model.spread.a[:, :2, :3].std(axis=0).min() > 0
+
+
+def test_functions_that_an_output_follows_stay_in_it():
+    rng, y = np.random.default_rng(3), np.zeros((800, 1))
+    u = rng.normal(size=y.shape)
+    for k in range(799):
+        y[k + 1] = 0.7 * y[k] - 0.05 * y[k] ** 2 + 0.3 * u[k] + 0.02 * rng.normal()
+    model: Any = create("identifiers", "edmdc").fit([Trajectory(0.1 * np.arange(800), u, y, SPEC)], rng=RNG)
+    assert "linear" not in model.notes
+    assert model.a_matrix[0, 2]
 
 
 @settings(max_examples=10, deadline=None)
