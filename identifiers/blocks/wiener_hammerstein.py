@@ -56,11 +56,8 @@ class WienerHammersteinModel:
     state_size: FloatArray
     std: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """None: the initial state is estimated from the record."""
-        return 0
+    burn_in: ClassVar[int] = 0
+    """None: the initial state is estimated from the record."""
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the likeliest state (nx,), by the states of the estimation data and the first samples of the record.

@@ -64,6 +64,7 @@ TESTED_ELSEWHERE = {
     "neural-network": "needs torch: tested beside the networks",
     "wiener-hammerstein": "seconds for each fit: tested beside the block structures",
     "transfer-function": "many seconds for all checks: tested, slowly, in a file of its own",
+    "prandtl-ishlinskii": "seconds for each fit: tested, slowly, in a file of its own",
     "neural-output-error": "seconds for each fit: tested beside the recurrent networks",
     "polynomial-state-space": "seconds for each fit: tested, slowly, in a file of its own",
     "attention-network": "needs torch: tested in a file of its own",

@@ -96,12 +96,13 @@ def test_units_leave_scores_of_slow_identifiers_unchanged(name):
     hold((name, {}), LinearSystem(a, b, np.eye(2), spec), 0, [3, 0, -3, 2, 0], base=8.0)
 
 
-def test_units_leave_scores_of_blocks_around_a_static_curve_unchanged():
+@pytest.mark.parametrize("case", [("wiener-hammerstein", {}), ("prandtl-ishlinskii", {"rounds": 5})], ids=_name)
+def test_units_leave_scores_of_blocks_unchanged(case):
     system = LinearSystem(
         np.array([[0.8, 0.3], [-0.2, 0.7]]), np.array([[1.0], [0.5]]), np.array([[1.0, 0.0]]),
         PlantSpec((Channel("u0"),), (Channel("y0"),), 0.1),
     )  # fmt: skip
-    hold(("wiener-hammerstein", {}), system, 0, [3, 0, -3, 2, 0], base=8.0)
+    hold(case, system, 0, [3, 0, -3, 2, 0], base=8.0)
 
 
 def bounces(seed: int) -> Trajectory:
@@ -164,7 +165,8 @@ def test_no_identifier_is_forgotten():
         for one in entries("identifiers")
         if one.distribution == "sysid-harness" and hasattr(create_class(one.id), "fit")
     }
-    tested = {name for name, _ in OPTIONS} | set(PHYSICAL) | set(SLOW) | {"wiener-hammerstein", "hybrid-automaton"}
+    others = {"wiener-hammerstein", "prandtl-ishlinskii", "hybrid-automaton"}
+    tested = {name for name, _ in OPTIONS} | set(PHYSICAL) | set(SLOW) | others
     assert own <= tested, f"ask for their units too: {sorted(own - tested)}"
 
 
