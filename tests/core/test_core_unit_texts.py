@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from harness.errors import InputError
 from harness.units import base_units, convert, fits
-from harness.units.grammar import factors
+from harness.units.grammar import DEEPEST, factors
 
 SOUND = (
     "N m",
@@ -94,3 +94,42 @@ PARTS = st.tuples(st.sampled_from(["m", "kg", "s", "rad", "K"]), st.integers(-4,
 def test_powers_of_a_quotient_change_their_sign(parts: list[tuple[str, int]]) -> None:
     product = " ".join(f"{name}^{power}" for name, power in parts)
     assert factors(f"1/({product})") == [(name, -power) for name, power in factors(product)]
+
+
+@pytest.mark.parametrize(
+    ("text", "powers", "factor", "offset"),
+    [("degC", {"K": 1}, 1.0, 273.15), ("degF", {"K": 1}, 5 / 9, 459.67 * 5 / 9), ("[mm]", {"m": 1}, 1e-3, 0.0),
+     (" [ N m ] ", {"kg": 1, "m": 2, "s": -2}, 1.0, 0.0), ("deg/s", {"rad": 1, "s": -1}, np.pi / 180, 0.0),
+     ("mV^(1/2)", {"kg": 0.5, "m": 1, "s": -1.5, "A": -0.5}, 1e-3**0.5, 0.0), ("", {}, 1.0, 0.0), ("-", {}, 1.0, 0.0),
+     ("SEC", {"s": 1}, 1.0, 0.0), ("RPM", {"rad": 1, "s": -1}, np.pi / 30, 0.0), ("mS", {"A": 2, "kg": -1, "m": -2,
+      "s": 3}, 1e-3, 0.0), ("MS", {"A": 2, "kg": -1, "m": -2, "s": 3}, 1e6, 0.0)],
+)  # fmt: skip
+def test_what_goes_into_an_fmu(text: str, powers: dict[str, float], factor: float, offset: float) -> None:
+    """Powers of the SI units, factor and offset: value in SI = factor * value + offset (FMI 3.0, sec. 2.4.5)."""
+    found = base_units(text)
+    assert found[0] == powers
+    assert found[1:] == (pytest.approx(factor, rel=1e-12), pytest.approx(offset, rel=1e-12))
+
+
+@pytest.mark.parametrize("text", ["KM", "NF", "SV", "HZ"])
+def test_a_short_sign_is_another_one_with_capitals(text: str) -> None:
+    with pytest.raises(InputError, match="unknown unit"):
+        base_units(text)
+
+
+def test_two_readings_go_by_what_is_expected_or_are_refused() -> None:
+    for text, target, value in (("NM", "N m", 1.0), ("NM", "m", 1e-9), ("MM", "mm", 1.0), ("C", "degC", 27.0)):
+        given = np.array([27.0 if text == "C" else 1.0])
+        assert convert(given, text, target)[0] == pytest.approx(value, rel=1e-12)
+    for text in ("NM", "MM", "C"):
+        with pytest.raises(InputError, match=rf"the unit '{text}' has two readings"):
+            base_units(text)
+    with pytest.raises(InputError, match=r"unit does not fit|two readings"):
+        convert(np.ones(1), "NM", "V")
+
+
+def test_parentheses_are_nested_so_far_and_no_further() -> None:
+    assert factors("(" * DEEPEST + "m" + ")" * DEEPEST) == [("m", 1)]
+    for deep in (DEEPEST + 1, DEEPEST + 8):
+        with pytest.raises(ValueError, match="parentheses in parentheses"):
+            factors("(" * deep + "m" + ")" * deep)

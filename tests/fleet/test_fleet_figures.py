@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import date, timedelta
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.stats import norm, t
@@ -128,3 +129,28 @@ def test_no_time_is_no_time_limit(tmp_path: Path) -> None:
     for limit in (0, -1.0, float("nan")):
         with pytest.raises(InputError, match="seconds above 0"):
             close_fleet(tmp_path, out=tmp_path / "out", time_limit=limit)
+
+
+def test_records_without_a_date_or_a_width_say_nothing_of_changes() -> None:
+    """The change of the others is found as if they were not there."""
+    dated = [row(0, 0.1, 0.01), row(1, 0.2, 0.02), row(9, 0.2, 0.01)]
+    (alone,) = changes(dated)
+    for silent in (row(None, 0.9, 0.01), row(5, 0.9, None), row(5, 0.9, 0.0), row(None, 0.9, None)):
+        (found,) = changes([*dated, silent])
+        assert (found.shape, found.row.record, found.p) == (alone.shape, alone.row.record, alone.p)
+
+
+def test_records_of_one_day_drift_by_the_hour() -> None:
+    sizes = [0.1, 0.12, 0.14]
+    rows = [msgspec.structs.replace(row(0, size, 0.002, name=str(k)), date=f"2026-01-01T{8 + k:02d}:00:00")
+            for k, size in enumerate(sizes)]  # fmt: skip
+    (found,) = changes(rows)
+    assert (found.shape, found.before, found.after) == ("drift", pytest.approx(0.1), pytest.approx(0.14))
+
+
+def test_of_four_records_one_may_stand_out_and_of_three_none() -> None:
+    four = changes([row(k, size, wide) for k, (size, wide) in enumerate(
+        [(0.1, 0.002), (1.0, 0.002), (0.1, 0.9), (0.1, 0.002)])])  # fmt: skip
+    assert [(found.shape, found.row.record) for found in four] == [("outlier", "A-1")]
+    three = changes([row(k, size, 0.002) for k, size in enumerate([0.1, 0.2, 0.1])])
+    assert "outlier" not in [found.shape for found in three]

@@ -12,7 +12,7 @@ from harness.data.conditioning.clock import TimeRules
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["REPEATED", "complemented", "refuse_two_in_one", "without_duplicates"]
+__all__ = ["REPEATED", "complemented", "refuse_two_in_one", "without_duplicates", "without_tail"]
 
 TWICE = 0.25
 """Part of a step by which the stamps of a row that was logged twice may differ."""
@@ -20,6 +20,32 @@ TWICE = 0.25
 REPEATED = 0.1
 """Share of rows that may repeat a time stamp with other readings: beyond it the stamps are coarser than the steps, and
 to keep one row of each would leave instants that nobody knows."""
+
+UNUSED = 3
+"""Rows that repeat one row with its stamp at the end of a record from which they are space that was set aside and never
+written to: two may be one row that was logged twice."""
+COARSE = 0.01
+"""Share of stamps that repeat elsewhere beyond which the clock is coarse, and rows at rest may look alike."""
+
+
+def without_tail(time: FloatArray, values: FloatArray, notes: list[str]) -> int:
+    """Return how many rows count where the last ones repeat one row, its stamp included, that no clock took.
+
+    A buffer that was set aside before the measurement ends in zeros, or in the last row over and over.
+    """
+    rows = len(time)
+    if rows <= UNUSED or time[-1] != time[-2]:
+        return rows
+    like = (time == time[-1]) & np.isclose(values, values[-1], rtol=0.0, atol=0.0, equal_nan=True).all(axis=1)
+    begin = rows - int(np.argmin(like[::-1])) if not like.all() else 0
+    if rows - begin < UNUSED or begin < 2 or np.mean(np.diff(time[:begin]) == 0) > COARSE:
+        return rows
+    end = begin + int(time[begin] > time[begin - 1])
+    if end < rows:
+        notes.append(
+            f"the last {rows - end} rows repeat one row and its stamp: nothing was written there, they are left out"
+        )
+    return end
 
 
 def complemented(

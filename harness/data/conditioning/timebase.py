@@ -18,7 +18,13 @@ from harness.data.conditioning.clock import (
     tracked,
 )
 from harness.data.conditioning.decimation import EDGE, filtered, hold_means
-from harness.data.conditioning.repeats import REPEATED, complemented, refuse_two_in_one, without_duplicates
+from harness.data.conditioning.repeats import (
+    REPEATED,
+    complemented,
+    refuse_two_in_one,
+    without_duplicates,
+    without_tail,
+)
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -28,6 +34,12 @@ __all__ = ["SHORTEST", "Piece", "pieces_of"]
 
 REGULAR = 0.9
 """Share of steps of one sample from which a record is a clock's with lost rows, and not one of irregular instants."""
+
+FEW_FIRST = 2
+"""Rows before a record that may be no readings: factors and offsets, or zeros of a logger that was not ready."""
+
+MOSTLY = 0.5
+"""Share of rows in stretches whose clock runs on, from which it begins anew there; shuffled rows have none."""
 
 DENSER = 0.1
 """Part of a step by which readings must be further apart than the samples of a grid for some of these to have none: as
@@ -141,6 +153,8 @@ def _pieces_within(
             where = _renamed(where, np.flatnonzero(~blank))
             time, values = time[~blank], values[~blank]
         _check_finite(time, where)
+        end = without_tail(time, values, notes)
+        time, values = time[:end], values[:end]
         if rules.gaps == "split" and (stretches := _stretches(time)):
             return _restarted(stretches, time, values, names, inputs, rules, common, where, notes)
         time, values, rows = complemented(time, values, notes)
@@ -343,17 +357,28 @@ def _check_order(keys: npt.NDArray[Any], time: FloatArray, where: Callable[[int]
     elif keys[row] == keys[row - 1]:
         what = "time stands still"
         if np.mean(np.diff(time) == 0) > REPEATED:
-            remedy = "declare sample_time (sysid: --sample-time), as the stamps are coarser than the steps"
+            remedy = (
+                "declare sample_time (sysid: --sample-time) if the stamps are coarser than the steps; a file for each "
+                "record if rows of several stand in turn"
+            )
         else:
             remedy = f"{twice}, or sample_time where the stamps are coarser than the steps"
     else:
         what = "time runs back"
         stretches = _stretches(time)
         remedy = "sort the rows by their time, if it is right"
-        if sum(map(len, stretches)) > REGULAR * len(time):
+        if len(stretches) == 1 and 0 < stretches[0][0] <= FEW_FIRST:
+            remedy = (
+                f"remove what stands before {where(int(stretches[0][0]))} if it is no reading (factors count for the "
+                "rows below them)"
+            )
+        elif sum(map(len, stretches)) > MOSTLY * len(time):
+            become = (
+                "1 stretch becomes a record" if len(stretches) == 1 else f"{len(stretches)} stretches become records"
+            )
             remedy = (
                 'declare gaps = "split" in a dataset.toml (of a bare table: --gaps split) if the clock begins anew '
-                f"there, and {len(stretches)} stretches become records; sort the rows if their times are right"
+                f"there, and {become}; sort the rows if their times are right"
             )
     raise InputError(what, expected=expected, got=got, remedy=remedy, place=where(row))
 

@@ -13,6 +13,9 @@ SLOWEST_UNSTATED = 1.0
 """Steps [s] from which a time column without a unit is asked for one: whole numbers at 1 kHz count milliseconds, and a
 log of seconds that is as slow is told apart by nothing but its title."""
 
+SMALLER = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+"""Units of time that loggers count in, and their sizes [s]."""
+
 SERIALS = ((36526.0, 69807.0), (730486.0, 748749.0), (2451544.5, 2469807.5))
 """Days of the years 2000 to 2049 as Excel counts them (and to 2090, with those of the modified Julian date, which
 begin there too), as MATLAB does, and as the Julian date."""
@@ -58,9 +61,9 @@ def refuse_unlikely_seconds(time: FloatArray, title: str) -> None:
         raise InputError(
             f"the time column {title!r} states no unit",
             expected=f"a unit where rows are {SLOWEST_UNSTATED:g} or more apart",
-            got=f"steps of {typical:g}",
-            remedy=f'title it "{title} [ms]" or "{title} [s]", or declare [time] unit in a dataset.toml '
-            "(sysid: --unit time=ms)",
+            got=f"steps of {typical:g}: {', '.join(f'{typical * size:.4g} s in {unit}' for unit, size in SMALLER)}",
+            remedy=f'title it "{title} [UNIT]" with the one that is right, or declare [time] unit in a dataset.toml '
+            "(sysid: --unit time=UNIT)",
             place="time.unit",
         )
     if steps.size and any(low <= stamps[0] <= high for low, high in SERIALS):

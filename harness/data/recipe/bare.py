@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from harness.data.recipe.chosen import TIME, Chosen
 from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
@@ -54,6 +55,8 @@ def describe_bare(
     signals = dict(found.values())
     runs, second = _runs(path, table, validation, next(iter(found)), tables, chosen)
     notes += second
+    if chosen.sample_time is not None:
+        notes += _joined_records(table, found, chosen)
     described = Description(
         name=path.stem,
         signals=signals,
@@ -64,6 +67,32 @@ def describe_bare(
         gaps=chosen.gaps,
     )
     return described, known
+
+
+RECORDS = frozenset("run runs trial experiment episode session segment repetition versuch messung essai prova".split())
+"""Titles of columns that number records, in small letters."""
+LONGEST = 20
+"""Rows that a record has at least on average: what changes more often numbers something else."""
+
+
+def _joined_records(table: Table, found: dict[str, tuple[str, SignalSection]], chosen: Chosen) -> list[str]:
+    """Say that a column numbers records that follow each other where no clock parts them."""
+    if TIME in chosen.columns or clock_of(table.titles, found) is not None:
+        return []
+    notes = []
+    for title in table.titles:
+        if title in found or table.split(title)[0].strip().lower() not in RECORDS:
+            continue
+        try:
+            changes = np.flatnonzero(np.diff(table.read(title)[0])) + 1
+        except InputError:
+            continue  # texts
+        if 0 < changes.size <= len(table.read(title)[0]) / LONGEST:
+            notes.append(
+                f"{title!r} changes in {table.where(int(changes[0]))} ({changes.size}x), and no clock says that rows "
+                "go on there: put each record into a file of its own (--run), or name a time column"
+            )
+    return notes
 
 
 def _known_ports(

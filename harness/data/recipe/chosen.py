@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypedDict, get_args
@@ -14,7 +14,7 @@ from harness.data.tables.table import Table
 from harness.errors import InputError
 from harness.signals import Use
 
-__all__ = ["TIME", "Chosen", "Signals"]
+__all__ = ["TIME", "Chosen", "Noted", "Records", "Signals"]
 
 TIME = "time"
 """What names the clock among the columns and units."""
@@ -40,6 +40,22 @@ class Signals(TypedDict, total=False):
     run: Any
     """Further records with the same columns: a file (or a table), ``(use, file)``, or a list of such; those without
     a use are for estimation."""
+
+
+class Records(Signals, total=False):
+    """What a caller may say of records beside the columns of their table."""
+
+    validation: Any
+    """Validation data beside a bare file or table; without them the last third validates."""
+    undriven: Sequence[str]
+    """Inputs of the model that nothing drove (0 in all records); any other must be recorded."""
+
+
+class Noted(Records, total=False):
+    """The same, of a call that tells what is odd about the records."""
+
+    note: Callable[[str], None] | None
+    """Called with each oddity (:func:`harness.api.check_data`)."""
 
 
 @dataclass(frozen=True)

@@ -55,27 +55,46 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
     lines = [f"name = {_quoted(paths[0].stem)}", *_clock(first, ports), ""]
     lines += [] if model is None else ["[nominal]", f"model = {_quoted(model)}", ""]
     lines += [] if model is not None else ['# [nominal] model = "..." names the model that you believe in', ""]
-    for channel in first.channels:
-        lines += _signal(channel, ports)
+    lines += _signals(first, ports)
     if ports is not None:
         lines += _lacking(first, ports)
     for number, path in enumerate(paths):
         name = path if folder is None else _from(path, folder)
-        rows = _grid_rows(first, ports) if first.clock is None and first.length is not None else first.rows
-        cut = 2 * rows // 3
-        divided = len(paths) == 1 and rows - cut >= SHORTEST
-        uses = ("estimation", "validation") if divided else ("estimation" if number == 0 else "validation",)
-        if divided:
-            lines.append("# one record: its last third validates (another record is better)")
-        for use in uses:
-            lines += ["[[runs]]", f"file = {_quoted(str(name))}", f'use = "{use}"']
-            if found[number].sheet is not None:
-                lines.append(f"sheet = {_quoted(found[number].sheet or '')}  # the first one with numbers: another?")
-            if divided:
-                lines.append(f"rows = {[0, cut] if use == uses[0] else [cut, rows]}")
-            notes = found[number].notes if use == uses[0] and found[number].clock is not None else ()
-            lines += [f"# {note}" for note in notes] + [""]
+        lines += _runs(number, str(name), found, ports)
     return "\n".join(lines)
+
+
+def _signals(first: Contents, ports: Ports | None) -> list[str]:
+    """Return the tables of all channels; of those that share a name the first, the others as comments."""
+    lines: list[str] = []
+    named: set[str] = set()
+    for channel in first.channels:
+        table = _signal(channel, ports)
+        if channel.name in named and not table[0].startswith("# "):
+            said = f"# another column is called {channel.name} too: to use it, give its signal a name of its own"
+            table = [said, *(f"# {line}" if line else "" for line in table)]
+        named.add(channel.name)
+        lines += table
+    return lines
+
+
+def _runs(number: int, name: str, found: Sequence[Contents], ports: Ports | None) -> list[str]:
+    """Return the runs of a file: one alone is divided where it is long enough."""
+    first, own = found[0], found[number]
+    rows = _grid_rows(first, ports) if first.clock is None and first.length is not None else first.rows
+    cut = 2 * rows // 3
+    divided = len(found) == 1 and rows - cut >= SHORTEST
+    uses = ("estimation", "validation") if divided else ("estimation" if number == 0 else "validation",)
+    lines = ["# one record: its last third validates (another record is better)"] if divided else []
+    for use in uses:
+        lines += ["[[runs]]", f"file = {_quoted(name)}", f'use = "{use}"']
+        if own.sheet is not None:
+            lines.append(f"sheet = {_quoted(own.sheet)}  # the first one with numbers: another?")
+        if divided:
+            lines.append(f"rows = {[0, cut] if use == uses[0] else [cut, rows]}")
+        notes = own.notes if use == uses[0] and own.clock is not None else ()
+        lines += [f"# {note}" for note in notes] + [""]
+    return lines
 
 
 def _used(found: Contents, ports: Ports | None) -> list[tuple[ChannelContent, str]]:

@@ -24,6 +24,7 @@ from harness.data.recipe.loaded import LoadedDataset
 from harness.data.recipe.plan import Plan
 from harness.data.recipe.ports import ANY_PORTS
 from harness.data.recipe.sanity import check_run, check_runs
+from harness.data.recipe.second_clock import refuse_other_pace
 from harness.data.sections import Description, RunSection
 from harness.data.tables.bags import is_bag_folder
 from harness.data.tables.headers import clock_of
@@ -514,6 +515,8 @@ class _Reader:
         if not stated and self.description.sample_time is None:
             refuse_unlikely_seconds(time, str(column))
         asked_for = declared is not None or "time" in section.columns
+        if not asked_for:
+            refuse_other_pace(table, column, time, stated=stated, used=titles)
         if asked_for or not np.isnan(time[1:]).all():
             return time
         if self.description.sample_time is None:  # a "Ts" is no clock

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.cells import numbers_of, seconds_of
-from harness.data.tables.headers import TIME_UNITS, split_header
+from harness.data.tables.cells import measured, numbers_of, say_truths, seconds_of
+from harness.data.tables.headers import TIME_UNITS, split_header, words_of
 from harness.data.tables.packing import NUMBER, refuse_large
 from harness.data.tables.selectors import parse_selector, vector
 from harness.data.tables.stamps import clock
+from harness.data.tables.texts import suffix_by_content
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
@@ -26,7 +27,7 @@ def broken(path: Path, kind: str, error: Exception) -> InputError:
         f"not {'an' if kind in ('Excel', 'HDF5', 'MCAP', 'MDF') else 'a'} {kind} file",
         expected=f"a readable {kind} file",
         got=f"{type(error).__name__}: {error}"[:200],
-        remedy="check that it was copied whole",
+        remedy=(suffix_by_content(path) if path.is_file() else None) or "check that it was copied whole",
         file=path,
     )
 
@@ -50,7 +51,7 @@ class ParquetFile:
         self._table = self._table.rename_columns(_indexed(self._table.schema))
         self.titles = list(self._table.column_names)
         self.notes: list[str] = []
-        self._clocks: set[str] = set()
+        self._stated: dict[str, str] = {}
         self.metadata: dict[bytes, bytes] = dict(self._table.schema.metadata or {})
 
     def _read(self, path: Path) -> Any:
@@ -76,6 +77,8 @@ class ParquetFile:
             return seconds_of(np.asarray(column.to_numpy(zero_copy_only=False), dtype="datetime64[ms]"))
         if kinds.is_string(column.type) or kinds.is_large_string(column.type):
             return self._texts(title, column.to_pylist())
+        if kinds.is_boolean(column.type):
+            say_truths(self.notes, title)
         try:
             return np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -89,8 +92,11 @@ class ParquetFile:
             return f"row {row}, column {title!r}"
 
         if (stamps := clock(texts, self.notes, where)) is not None:
-            self._clocks.add(title)
+            self._stated[title] = "s"
             return stamps
+        if (found := measured(texts, title, where, self.notes)) is not None:
+            self._stated[title] = found[1]
+            return found[0]
         if not any(character.isdigit() for text in texts for character in text):
             raise _no_numbers("string", title)
         return numbers_of(texts, where, self.notes)
@@ -106,8 +112,8 @@ class ParquetFile:
         kind = self._table.column(title).type
         if kinds.is_timestamp(kind) or kinds.is_duration(kind) or kinds.is_time(kind) or kinds.is_date(kind):
             return "s"
-        if title in self._clocks:
-            return "s"
+        if title in self._stated:
+            return self._stated[title]
         stated: dict[bytes, bytes] = dict(self._table.schema.field(title).metadata or {})
         text = stated.get(b"unit", stated.get(b"units"))
         return None if text is None or split_header(title)[1] is not None else text.decode("utf-8", "replace").strip()
@@ -170,6 +176,8 @@ class _Variables:
     def __init__(self, variables: dict[str, Any]) -> None:
         self._variables = variables
         self.titles = list(variables)
+        self.notes: list[str] = []
+        self._dates: set[str] = set()
         self.times = {
             name for name, value in variables.items() if getattr(value, "dtype", np.dtype(float)).kind in "mM"
         }
@@ -180,12 +188,16 @@ class _Variables:
 
     def values(self, title: str) -> FloatArray:
         """Return a variable that is one column of numbers (N,)."""
+        texts = _texts_in(self._variables[title])
+        if texts is not None and (stamps := clock(texts, self.notes)) is not None:
+            self._dates.add(title)
+            return stamps
         if title in self.times:
             return seconds_of(np.asarray(self._variables[title]).reshape(-1))
         selector = parse_selector(title) if not set("{[.") & set(title) else None
         if selector is None:
             return np.asarray(self._variables[title], dtype=np.float64).reshape(-1)
-        return vector(self._variables[title], selector, resolve=self.resolve)
+        return vector(self._variables[title], selector, resolve=self.resolve, notes=self.notes)
 
     def inside(self, title: str) -> list[str] | None:
         """Return the selectors of the columns that a variable holds; None where it is one column of numbers."""
@@ -196,11 +208,20 @@ class _Variables:
         selector = parse_selector(text)
         if selector.variable not in self._variables:
             return None
-        return vector(self._variables[selector.variable], selector, resolve=self.resolve)
+        return vector(self._variables[selector.variable], selector, resolve=self.resolve, notes=self.notes)
 
     def unit(self, title: str) -> str | None:
-        """Return s for dates and spans of numpy; these formats state no other units."""
-        return "s" if title in self.times else None
+        """Return s for dates and spans, also those in texts; these formats state no other units."""
+        return "s" if title in self.times | self._dates else None
+
+
+def _texts_in(value: Any) -> list[str] | None:
+    """Return the texts of a column of texts; None for anything else."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "SUO" or array.size < 2 or array.size != max(array.shape, default=1):
+        return None
+    cells = [cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell for cell in array.reshape(-1)]
+    return [str(cell) for cell in cells] if all(isinstance(cell, str) for cell in cells) else None
 
 
 MOST_INSIDE = 100
@@ -237,13 +258,15 @@ class MatFile(_Variables):
     paths = True
 
     def __init__(self, path: Path) -> None:
-        from scipy.io import loadmat
+        from scipy.io import loadmat, whosmat
 
         try:
             content = loadmat(path)
+            logical = {name for name, _, kind in whosmat(path) if kind == "logical"}
         except Exception as error:
             raise broken(path, "MAT", error) from error
-        super().__init__({name: _dense(value) for name, value in content.items() if not name.startswith("__")})
+        dense = {name: _dense(value) for name, value in content.items() if not name.startswith("__")}
+        super().__init__({name: value.astype(bool) if name in logical else value for name, value in dense.items()})
 
 
 def _dense(value: Any) -> Any:
@@ -289,6 +312,7 @@ class Hdf5File(_Variables):
         h5py = optional("h5py", "HDF5")
         variables: dict[str, Any] = {}
         self._units: dict[str, str] = {}
+        self._unapplied: dict[str, str] = {}
         try:
             with h5py.File(path, "r") as file:
 
@@ -301,6 +325,8 @@ class Hdf5File(_Variables):
                     for key in ("unit", "units"):
                         if key in stated:
                             self._units[name] = _text_of(item.attrs[stated[key]])
+                    if said := _unapplied(item.attrs):
+                        self._unapplied[name] = said
 
                 file.visititems(visit)
         except InputError:
@@ -322,8 +348,21 @@ class Hdf5File(_Variables):
         array = _unpacked(np.asarray(content), item.attrs)
         return array.T if self.transposed and array.ndim == 2 else array
 
+    def values(self, title: str) -> FloatArray:
+        """Return a data set that is one column of numbers (N,)."""
+        found = super().values(title)
+        if title in self._unapplied:
+            text = (
+                f"{title} has {self._unapplied[title]}, which no convention explains: the numbers are read as they are "
+                "(scale and offset in a dataset.toml change them)"
+            )
+            self.notes += [] if text in self.notes else [text]
+        return found
+
     def unit(self, title: str) -> str | None:
         """Return the unit attribute of a data set; of ``ms since 2024-01-01`` (netCDF) what stands before the date."""
+        if title in self._dates:
+            return "s"
         text = self._units.get(title)
         since = None if text is None else re.fullmatch(r"\s*(\w+)\s+since\s.*", text, re.DOTALL)
         return text if since is None else TIME_UNITS.get(since[1].lower(), text)
@@ -334,6 +373,22 @@ def _text_of(attribute: Any) -> str:
     inner = np.asarray(attribute).reshape(-1)
     text = inner[0] if inner.size == 1 else attribute
     return text.decode("utf-8", "replace").strip() if isinstance(text, bytes) else str(text).strip()
+
+
+FACTORS = frozenset("gain factor scale scaling slope multiplier sensitivity calibration lsb".split())
+"""Words for a factor that some program's numbers may still be without; of 1 it says nothing."""
+
+
+def _unapplied(attributes: Any) -> str:
+    """Return the attributes by which the numbers of a data set may be raw ones; empty where there are none."""
+    said = []
+    for key in attributes:
+        if not set(words_of(key)) & FACTORS or key == "scale_factor":
+            continue
+        value = np.asarray(attributes[key]).reshape(-1)
+        if value.size == 1 and value.dtype.kind in "iuf" and value[0] != 1:
+            said.append(f"{key} = {float(value[0]):g}")
+    return ", ".join(said)
 
 
 def _unpacked(array: Any, attributes: Any) -> Any:

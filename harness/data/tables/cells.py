@@ -10,9 +10,19 @@ import numpy as np
 from harness.data.tables.headers import TIME_UNITS, split_header
 from harness.errors import InputError
 from harness.signals import FloatArray
-from harness.units import is_unit
+from harness.units import convert, fits, is_unit
 
-__all__ = ["EMPTY", "is_number", "is_unit_cell", "numbers_of", "refuse_thousands", "seconds_of", "units_below"]
+__all__ = [
+    "EMPTY",
+    "is_number",
+    "is_unit_cell",
+    "measured",
+    "numbers_of",
+    "refuse_thousands",
+    "say_truths",
+    "seconds_of",
+    "units_below",
+]
 
 EMPTY = {
     *("", "na", "n/a", "nan", "null", "none", "-nan", "#n/a", "#num!", "#div/0!", "#value!", "nan(ind)", "-nan(ind)"),
@@ -153,6 +163,89 @@ def numbers_of(
     return np.array(numbers)
 
 
+_MEASURED = re.compile(
+    r"(?P<number>[+-]?(?:\d[\d.,' \u00a0\u2009\u202f\u2019]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\W\d_].*|[°%].*)"
+)
+
+
+def measured(
+    cells: Sequence[str],
+    title: str,
+    where: Callable[[int], str],
+    notes: list[str] | None = None,
+    *,
+    commas: bool = False,
+) -> tuple[FloatArray, str] | None:
+    """Return the numbers in cells that all carry a unit behind them, and that unit; None where they do not.
+
+    A meter that changes its range writes ``980 mV`` and ``1.02 V``: all are brought to the first unit; spans of time to
+    seconds.
+
+    Parameters
+    ----------
+    cells, where, notes, commas
+        As for :func:`numbers_of`.
+    title : str
+        Of the column, whose unit must be the same if it has one.
+
+    Raises
+    ------
+    InputError
+        If title and cells state two units, or a number cannot be read.
+
+    Examples
+    --------
+    >>> numbers, unit = measured(["980 mV", "", "1.02 V"], "u", str)
+    >>> numbers.round(6).tolist(), unit
+    ([980.0, nan, 1020.0], 'mV')
+    >>> measured(["10 ms", "1 sec"], "time", str)[0].tolist(), measured(["1.5"], "u", str)
+    ([0.01, 1.0], None)
+    """
+    found = [
+        None if cell.lower() in EMPTY else _MEASURED.fullmatch(_DASH.sub("-", cell)) for cell in map(str.strip, cells)
+    ]
+    filled = [row for row, cell in enumerate(cells) if cell.strip().lower() not in EMPTY]
+    if any(found[row] is None for row in filled):
+        return None
+    units = {text: _unit_of_time(text) for one in found if one is not None and (text := one["unit"].strip())}
+    unit = _one_unit(list(units.values()))
+    if unit is None:
+        return None
+    stated = split_header(title)[1]
+    if stated is not None and any(_spaced(stated) != _spaced(text) for text in units):
+        raise InputError(
+            f"two units of column {title!r}",
+            expected="one",
+            got=f"{stated!r} in the title, {next(iter(units))!r} in its cells",
+            remedy="remove the one that is wrong",
+            place=where(filled[0]),
+        )
+    numbers = numbers_of([one["number"].strip() if one else "" for one in found], where, notes, commas=commas)
+    for text, other in units.items():
+        if other != unit:
+            rows = [row for row in filled if (one := found[row]) is not None and one["unit"].strip() == text]
+            numbers[rows] = convert(numbers[rows], other, unit)
+    said = f"{title}: units stand in the cells ({', '.join(units)})" + (
+        f": they are read in {unit}" if len(units) > 1 else ""
+    )
+    if notes is not None and said not in notes:
+        notes.append(said)
+    return numbers, unit
+
+
+def _one_unit(units: Sequence[str]) -> str | None:
+    """Return the unit to which others of its kind are brought, the second for times; None if they are of several."""
+    if not units or not all(map(is_unit, units)):
+        return None
+    unit = "s" if fits(units[0], "s") else units[0]
+    return unit if all(fits(other, unit) for other in units) else None
+
+
+def _unit_of_time(text: str) -> str:
+    """Return a unit as it is known, words for times included; ``Ms`` is no ms."""
+    return text if text == "Ms" else TIME_UNITS.get(text.rstrip(".").lower(), text)
+
+
 def refuse_thousands(cells: Sequence[str], where: Callable[[int], str], *, commas: bool = False) -> None:
     """Refuse numbers with points that may stand between thousands: ``1.234`` beside ``12``, or beside decimal commas.
 
@@ -227,6 +320,20 @@ _MIXED = "; a unit belongs into the title, a time is read as in 2024-12-31T23:59
 def _is_mixed(cell: str) -> bool:
     """Return True if a cell holds digits and signs of a unit or of a time."""
     return re.search(r"\d", cell) is not None and re.search(r"[^\W\d_]|[:%°]", cell) is not None
+
+
+def say_truths(notes: list[str], title: str) -> None:
+    """Say that true and false of a column are read as 1 and 0, once: nobody has measured them in its unit.
+
+    Examples
+    --------
+    >>> notes = []
+    >>> say_truths(notes, "valve")
+    >>> notes
+    ['valve holds true and false: they are read as 1 and 0']
+    """
+    text = f"{title} holds true and false: they are read as 1 and 0"
+    notes += [] if text in notes else [text]
 
 
 def seconds_of(stamps: np.ndarray) -> FloatArray:

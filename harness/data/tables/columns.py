@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.cells import numbers_of, seconds_of
+from harness.data.tables.cells import measured, numbers_of, say_truths, seconds_of
 from harness.data.tables.headers import TRUTH, split_header
 from harness.data.tables.stamps import clock
 from harness.errors import InputError
@@ -34,7 +34,7 @@ class MemoryTable:
         self._columns = {str(title): values for title, values in columns.items()}
         self.titles = list(self._columns)
         self.notes: list[str] = []
-        self._clocks: set[str] = set()
+        self._stated: dict[str, str] = {}
         self._first, self._word = first, word
 
     def values(self, title: str) -> FloatArray:
@@ -51,8 +51,10 @@ class MemoryTable:
                 remedy="give each channel a column of its own",
             )
         if array.dtype.kind in "mM":
-            self._clocks.add(title)
+            self._stated[title] = "s"
             return seconds_of(array)
+        if array.dtype.kind == "b":
+            say_truths(self.notes, title)
         if array.dtype.kind in "biuf":
             return array.astype(np.float64)
         if array.dtype.kind == "c":
@@ -69,8 +71,8 @@ class MemoryTable:
         return None
 
     def unit(self, title: str) -> str | None:
-        """Return s for dates and times; other units stand in the titles."""
-        return "s" if title in self._clocks else None
+        """Return s for dates and times, and the unit that all cells carry; other units stand in the titles."""
+        return self._stated.get(title)
 
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as the table's owner counts it."""
@@ -80,15 +82,21 @@ class MemoryTable:
         """Return a column of objects: numbers, texts of numbers, times, None."""
         if any(isinstance(cell, datetime.timedelta) for cell in cells):
             cells = [cell.total_seconds() if isinstance(cell, datetime.timedelta) else cell for cell in cells]
-            self._clocks.add(title)
+            self._stated[title] = "s"
 
         def where(row: int) -> str:
             return f"{self.where(row)}, column {title!r}"
 
+        if cells and all(isinstance(cell, bool | np.bool_) for cell in cells):
+            say_truths(self.notes, title)
+            return np.array(cells, dtype=np.float64)
         texts = ["" if cell is None else str(cell) for cell in cells]
         if (stamps := clock(texts, self.notes, where)) is not None:
-            self._clocks.add(title)
+            self._stated[title] = "s"
             return stamps
+        if (found := measured(texts, title, where, self.notes)) is not None:
+            self._stated[title] = found[1]
+            return found[0]
         return numbers_of(texts, where)
 
     def texts(self, title: str, most: int | None = None) -> list[str]:

@@ -9,10 +9,14 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["DIGITS", "dated", "unwrapped"]
+__all__ = ["DIGITS", "HALF_DAY", "dated", "unwrapped"]
 
 BITS = (16, 24, 32)
-"""Widths of the counters of microcontrollers and field buses; one of 8 bits passes for a record of 256 rows."""
+"""Widths of the counters of microcontrollers and field buses."""
+NARROW = (8, 10, 12, 14, 20, 31)
+"""Further widths: 0 after 255 passes for a second record of 256 rows, so these must go on elsewhere than at 0."""
+HALF_DAY = 43200.0
+"""Seconds after which a clock of twelve hours begins anew where nothing says AM or PM."""
 FINER = (1e-3, 1e-6)
 """What a program divides the count of 32 bits by to have it in milliseconds or seconds."""
 WITHIN = 0.5
@@ -25,7 +29,7 @@ _TIME = r"(?P<time>(?:[01]\d|2[0-3])[0-5]\d[0-5]\d)"
 _DIGITS = re.compile(rf"{_DAY}{_TIME}(?:[.,]?(?P<part>\d{{3}}|\d{{6}})|[.,](?P<rest>\d+))?", re.ASCII)
 
 
-def unwrapped(counts: FloatArray) -> tuple[FloatArray, float, int]:
+def unwrapped(counts: FloatArray, *, of_day: bool = False) -> tuple[FloatArray, float, int]:
     """Return the stamps of a counter that began anew where it was full, as if it had gone on; its period and how often.
 
     What falls by the period of a counter, but for the usual step, is one: a second record would begin where the first
@@ -35,6 +39,8 @@ def unwrapped(counts: FloatArray) -> tuple[FloatArray, float, int]:
     ----------
     counts : array (N,)
         In the unit of the counter.
+    of_day : bool
+        True for times of day in seconds, whose clock may have twelve hours.
 
     Returns
     -------
@@ -51,6 +57,8 @@ def unwrapped(counts: FloatArray) -> tuple[FloatArray, float, int]:
     ([65500.0, 65520.0, 65540.0, 65560.0], 65536.0, 1)
     >>> unwrapped(np.array([0.0, 10.0, 20.0, 0.0, 10.0]))[2]
     0
+    >>> unwrapped(np.array([0.0, 0.5, -43199.0]), of_day=True)[0].tolist(), unwrapped(np.array([245.0, 255.0, 9.0]))[1]
+    ([0.0, 0.5, 1.0], 256.0)
     """
     steps = np.diff(counts)
     falls = np.flatnonzero(steps < 0)
@@ -60,6 +68,10 @@ def unwrapped(counts: FloatArray) -> tuple[FloatArray, float, int]:
     whole = bool((counts == np.round(counts)).all())
     periods = [2.0**bits for bits in BITS if whole or bits == max(BITS)]
     periods += [2.0 ** max(BITS) * part for part in FINER if not whole]
+    landed = counts[falls + 1]
+    carried = len(set(landed)) > 1 or landed[0] not in (0, counts[0])
+    periods += [2.0**bits for bits in NARROW if whole and carried]
+    periods = [HALF_DAY] if of_day else periods
     for period in periods:
         over = np.abs(steps[falls] + period - typical)
         anew = (counts[falls + 1] == counts[0]).any() or np.ptp(counts) >= period

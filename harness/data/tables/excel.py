@@ -9,6 +9,7 @@ from typing import Any
 from harness.data.tables.binary_files import broken
 from harness.data.tables.cells import units_below
 from harness.data.tables.columns import MemoryTable
+from harness.data.tables.headers import split_header
 from harness.data.tables.packing import refuse_bomb
 from harness.data.tables.stacked import MOST_ROWS, stacked_titles
 from harness.errors import InputError
@@ -38,6 +39,14 @@ class ExcelFile(MemoryTable):
         _refuse_twins(titles, path)
         columns = {title: [row[k] for row in body] for k, title in enumerate(titles) if title}
         first = len(rows) - len(body) + skipped + 1
+        for k, title in enumerate(titles):
+            if (
+                title
+                and split_header(title)[1] == "%"
+                and (shown := _as_per_cent(path, read, k, first, columns[title]))
+            ):
+                columns[title] = shown
+                said.append(f"{title}: cells that show per cent hold a hundredth of it: what they show is read")
         _refuse_truths(columns, first, path)
         _refuse_header(body, titles, head[0], first, path)
         super().__init__(columns, first=first)
@@ -49,6 +58,24 @@ class ExcelFile(MemoryTable):
                 f"the workbook has {len(sheets)} sheets: {read!r}, {why}; sheet = ... names another "
                 f"({', '.join(others_named[:5])}{' ...' if len(others_named) > 5 else ''})"
             )
+
+
+def _as_per_cent(path: Path, sheet: str, column: int, first: int, cells: list[Any]) -> list[Any] | None:
+    """Return a column of per cent as its cells show it; None where none has the format of per cent.
+
+    A cell that shows 12 % holds 0.12, while one that was typed below a title with ``[%]`` holds 12.
+    """
+    openpyxl = optional("openpyxl", "Excel")
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    below = book[sheet].iter_rows(min_row=first, max_row=first + len(cells) - 1, min_col=column + 1, max_col=column + 1)
+    formats = [getattr(row[0], "number_format", "") or "" for row in below]
+    book.close()
+    if not any("%" in one for one in formats):
+        return None
+    return [
+        100.0 * cell if "%" in shown and isinstance(cell, int | float) else cell
+        for cell, shown in zip(cells, formats, strict=True)
+    ]
 
 
 def sheets_of(path: Path) -> list[str]:

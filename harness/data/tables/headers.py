@@ -17,6 +17,8 @@ __all__ = [
     "clock_of",
     "clock_unit",
     "fraction_of",
+    "remarked_unit",
+    "says_time",
     "split_header",
     "stated_unit",
     "words_of",
@@ -92,9 +94,15 @@ TIME_UNITS = {
 }
 """What a word beside one for time means, in small letters."""
 
-_SI_SECONDS = frozenset(
-    {"ps", "cs", "ds", "d", "week", "weeks", "centisecond", "centiseconds", "decisecond", "deciseconds"}
-)
+for _part, _unit in (("zehntel", "ds"), ("hundertstel", "cs"), ("tausendstel", "ms"), ("millionstel", "us")):
+    TIME_UNITS.update({f"{_part}{_second}": _unit for _second in ("sekunde", "sekunden", "s")})
+
+TIME_UNITS.update(decisecond="ds", deciseconds="ds", centisecond="cs", centiseconds="cs")
+_PARTS = {"10": "decisecond", "100": "centisecond", "1000": "millisecond", "1000000": "microsecond"}
+_PART = re.compile(r"\b1\s*/\s*(?P<parts>10{1,6})\s*(?:s|sec|sek|sekunden?|seconds?)\b", re.IGNORECASE)
+"""A part of a second as a unit: ``Zeit in 1/100 s``."""
+
+_SI_SECONDS = frozenset({"ps", "cs", "ds", "d", "week", "weeks"})
 """Further units of time that are read; not what else SI would make of letters: hh is no hundred hours."""
 
 COUNTS = frozenset("tick ticks count counts cycle cycles sample samples frame frames step steps index jiffies".split())
@@ -178,6 +186,8 @@ def clock_unit(title: str, *, path: bool = False) -> str | None:
     --------
     >>> [clock_unit(title) for title in ("Zeit (ms)", "time_ms", "t/us", "timestampNs", "Time, min", "时间（毫秒）")]
     ['ms', 'ms', 'us', 'ns', 'min', 'ms']
+    >>> clock_unit("Zeit in 1/100 s"), clock_unit("t [1/1000 s]")
+    ('cs', 'ms')
     >>> clock_unit("time") is None
     True
     """
@@ -279,7 +289,8 @@ def clock_of(titles: Sequence[str], taken: Collection[str] = ()) -> str | None:
         spoken = [title for title in free if _is_clock(title, compounds=compounds)]
         if spoken:
             return _only(spoken)
-    return _only([title for title in free if len(title) > 1 and title.strip().lower() in TIME_UNITS])
+    units = [title for title in free if len(title) > 1 and title.strip().lower() in TIME_UNITS]
+    return _only(units or [title for title in free if title == "X_Value [s]"])  # LabVIEW's
 
 
 def _only(titles: Sequence[str]) -> str | None:
@@ -299,6 +310,42 @@ def _only(titles: Sequence[str]) -> str | None:
     return titles[0] if titles else None
 
 
+def says_time(title: str) -> bool:
+    """Return True if a title holds a word for time or for dates, whatever stands beside it.
+
+    Examples
+    --------
+    >>> says_time("TimeString"), says_time("theta")
+    (True, False)
+    """
+    return any(_spoken(word) or word in _DATES for word in words_of(_GROUP.sub(" ", _plain(title))))
+
+
+_DATES = ("date", "datum", "fecha", "data")
+"""Words for dates, in small letters."""
+_REMARK = re.compile(
+    r"(?P<word>[^\W\d_]+)\s*(?:units?|einheit)?\s*(?:\bin\b|\ben\b|[:=\[(])\s*(?P<unit>[^\W\d_]+)", re.IGNORECASE
+)
+
+
+def remarked_unit(lines: Sequence[str]) -> tuple[str, str] | None:
+    """Return the unit of time that a remark above a table states, if it is not the second, and the remark; else None.
+
+    Examples
+    --------
+    >>> remarked_unit(["# pendulum 3", "# Time in minutes, angle in rad"])
+    ('min', '# Time in minutes, angle in rad')
+    >>> remarked_unit(["# time: 10:30", "# time in s", "# run time in the evening"]) is None
+    True
+    """
+    for line in lines:
+        for found in _REMARK.finditer(line):
+            unit = TIME_UNITS.get(found["unit"].lower())
+            if _spoken(found["word"].lower()) and unit not in (None, "s"):
+                return unit, line.strip()
+    return None
+
+
 def _is_clock(title: str, *, compounds: bool = False) -> bool:
     """Return True if a title holds a word for time, and beside it only such words, units of time and idle words."""
     words = words_of(_GROUP.sub(" ", _plain(title)))
@@ -310,8 +357,9 @@ def _is_clock(title: str, *, compounds: bool = False) -> bool:
 
 
 def _plain(title: str) -> str:
-    """Return a title with the brackets, signs and letters that ASCII has for them."""
-    return unicodedata.normalize("NFC", _OF_DAY.sub("", title)).translate(_WIDE)
+    """Return a title with the brackets, signs and letters that ASCII has for them, and words for parts of a second."""
+    plain = unicodedata.normalize("NFC", _OF_DAY.sub("", title)).translate(_WIDE)
+    return _PART.sub(lambda found: _PARTS.get(found["parts"], found[0]), plain)
 
 
 def words_of(text: str) -> list[str]:
@@ -359,7 +407,8 @@ def _no_time(title: str, what: str) -> InputError:
         f"the time column {title!r}",
         expected="one unit of time (s, ms, us, ns, min, h)",
         got=repr(what),
-        remedy='write it as in "time [ms]", or declare [time] unit = "ms" in a dataset.toml (sysid: --unit time=ms)',
+        remedy='write it as in "time [ms]", or declare [time] unit, the one that the numbers count, in a dataset.toml '
+        "(sysid: --unit time=UNIT)",
         place="time.unit",
     )
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.data.tables.cells import say_truths
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -71,7 +72,13 @@ def parse_selector(text: str) -> Selector:
     return Selector(variable, tuple(steps))
 
 
-def vector(value: Any, selector: Selector, *, resolve: Callable[[Any], Any] = lambda value: value) -> FloatArray:
+def vector(
+    value: Any,
+    selector: Selector,
+    *,
+    resolve: Callable[[Any], Any] = lambda value: value,
+    notes: list[str] | None = None,
+) -> FloatArray:
     """Follow a selector into a value, down to one column of numbers.
 
     Parameters
@@ -82,6 +89,8 @@ def vector(value: Any, selector: Selector, *, resolve: Callable[[Any], Any] = la
         The way into it.
     resolve : callable
         Turns what a cell holds into an array (HDF5 keeps references).
+    notes : list of str, optional
+        Gets a sentence where true and false are read as numbers.
 
     Returns
     -------
@@ -109,6 +118,8 @@ def vector(value: Any, selector: Selector, *, resolve: Callable[[Any], Any] = la
             got=f"{array.dtype.name} of shape {array.shape}",
             remedy=_way_in(so_far, array),
         )
+    if array.dtype.kind == "b" and notes is not None:
+        say_truths(notes, so_far)
     return np.array(array.reshape(-1), dtype=np.float64)
 
 

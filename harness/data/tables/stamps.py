@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from harness.data.tables.written_times import minutes_of, plain_time, span_of
+from harness.data.tables.written_times import ahead_of_utc, minutes_of, plain_time, span_of
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -22,7 +22,7 @@ _TIME = (
     r"(?:(?P<hour>\d{1,3}):(?P<minute>[0-5]\d):(?P<whole>[0-5]\d)|(?P<compact>\d{6}))"
     r"(?:[.,](?P<fraction>\d{1,12}))?(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
-_ZONE = r"(?P<zone>Z|UTC|GMT|(?:UTC|GMT)?[+-]\d\d(?::?\d\d)?)"
+_ZONE = r"(?P<zone>Z|UTC|GMT|(?:UTC|GMT)?[+-]\d\d(?::?\d\d)?|[A-Z]{3,5}|\[?[A-Z][A-Za-z]+(?:/[\w+\-]+)+\]?)"
 _STAMP = re.compile(rf"(?:{_DAY}(?P<joint>[T ]| +|, *))?{_TIME}\s*{_ZONE}?", re.ASCII)
 _DATE = re.compile(rf"{_DAY}(?:[T ]00:00:00(?:\.0+)?)?", re.ASCII)
 _TWO_PARTS = re.compile(r"\d{1,2}:[0-5]\d", re.ASCII)
@@ -43,7 +43,8 @@ def clock(
 
     Dates are those of ISO 8601 (also with ``/`` or without signs), ``31.12.2024``, ``31-Dec-2024``, and with slashes
     or a year of two digits in the order that all rows allow. Times of day may go without the date; where they fall by
-    more than half a day, the next day begins, as does the next hour of minutes and seconds. Dates alone are days.
+    more than half a day, the next day begins, as does the next hour of minutes and seconds. Dates alone are days; they
+    may count weeks or days of the year. Zones go by their offset, abbreviation or place (``Europe/Berlin``).
     Fractions keep all their digits; hours up to 12 may carry AM and PM. Spans of pandas are seconds.
 
     Parameters
@@ -95,7 +96,10 @@ def clock(
         whole = _rolled(
             whole, SECONDS, "midnight is passed", "a time of day that falls by half a day is the next day's", notes
         )
-    whole = whole - np.array([_ahead(one["zone"]) for one in stamps], dtype=np.int64)
+    ahead = ahead_of_utc([one["zone"] for one in stamps], whole, dated=stamps[0]["joint"] is not None)
+    if ahead is None:
+        return None
+    whole = whole - ahead
     return np.asarray((whole - whole[0]) + (parts - parts[0]))
 
 
@@ -189,16 +193,6 @@ def _of_day(stamp: re.Match[str]) -> int | None:
             return None
         hour = hour % 12 + 12 * (stamp["half"] in "Pp")
     return hour * 3600 + minute * 60 + whole
-
-
-def _ahead(zone: str | None) -> int:
-    """Return by how many seconds a zone is ahead of UTC."""
-    zone = "" if zone is None else zone.removeprefix("UTC").removeprefix("GMT")
-    if zone in ("", "Z"):
-        return 0
-    digits = zone[1:].replace(":", "")
-    ahead = int(digits[:2]) * 3600 + int(digits[2:] or 0) * 60
-    return -ahead if zone[0] == "-" else ahead
 
 
 def _days(stamps: Sequence[re.Match[str]], where: Callable[[int], str]) -> np.ndarray | None:

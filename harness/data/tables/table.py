@@ -11,8 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from harness.data.tables.counts import DIGITS, dated, unwrapped
-from harness.data.tables.headers import TRUTH, clock_unit, fraction_of, split_header, stated_unit
+from harness.data.tables.counts import DIGITS, HALF_DAY, dated, unwrapped
+from harness.data.tables.headers import TRUTH, clock_of, clock_unit, fraction_of, split_header, stated_unit
 from harness.data.tables.stamps import clock, is_date, is_time_of_day, with_dates
 from harness.errors import InputError, no_file
 from harness.signals import Channel, FloatArray
@@ -20,7 +20,9 @@ from harness.units import convert, fits
 
 __all__ = ["BARE", "FORMATS", "Source", "Table", "nearest", "open_table", "suffix_of", "unknown_format"]
 
-BARE = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".parquet", ".pq", ".feather", ".arrow", ".xlsx")
+_TEXT = (".csv", ".tsv", ".txt", ".lvm", ".log", ".asc", ".prn", ".tab")
+_PACKED = (".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
+BARE = (*_TEXT, ".dat", *_PACKED, ".parquet", ".pq", ".feather", ".arrow", ".xlsx", ".xlsm")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""
 
 
@@ -79,12 +81,9 @@ _mdf = _reader("log_files", "MdfFile")
 _bag = _reader("bags", "BagFile")
 
 FORMATS: dict[str, Callable[[Path], Source]] = {
-    ".csv": _csv,
-    ".tsv": _csv,
-    ".txt": _csv,
+    **{suffix: _csv for suffix in _TEXT[:3]},
     ".dat": _dat,
-    **{suffix: _csv for suffix in (".lvm", ".log", ".asc", ".prn", ".tab")},
-    **{f"{suffix}.gz": _csv for suffix in (".csv", ".tsv", ".txt", ".dat")},
+    **{suffix: _csv for suffix in (*_TEXT[3:], *_PACKED)},
     ".feather": _feather,
     ".arrow": _feather,
     ".xlsx": _excel,
@@ -132,6 +131,15 @@ ELSEWHERE = {
     ".wav": "scipy.io.wavfile, saved as NPZ",
 }
 """What writes a table from a format that is not read."""
+UNPACKED = {
+    ".zip": "unzip",
+    ".bz2": "bunzip2",
+    ".xz": "unxz",
+    ".zst": "unzstd",
+    ".gz": "tar xf or gunzip",
+    ".7z": "7z x",
+}
+"""What takes a table out of what it is packed in."""
 
 
 def unknown_format(path: Path) -> InputError:
@@ -142,12 +150,14 @@ def unknown_format(path: Path) -> InputError:
     >>> print(unknown_format(Path("a.tdms")).remedy)
     save it as CSV or Parquet by LabVIEW, DIAdem, or Python's nptdms
     """
-    by = ELSEWHERE.get(path.suffix.lower())
+    by, out = ELSEWHERE.get(path.suffix.lower()), UNPACKED.get(path.suffix.lower())
     return InputError(
         "unknown format",
         expected=f"a dataset.toml, or a file that ends in {', '.join(FORMATS)}",
         got=repr(path.suffix),
-        remedy="convert it, for example to CSV; rename a table in text to .csv"
+        remedy=f"unpack it ({out}), and give the table that comes out"
+        if out is not None
+        else "convert it, for example to CSV; rename a table in text to .csv"
         if by is None
         else f"save it as CSV or Parquet by {by}",
         file=path,
@@ -188,6 +198,10 @@ class Table:
             raise unknown_format(path)
         try:
             self._source = opener(path)
+            if suffix_of(path) in (*_TEXT, *_PACKED, ".dat", ".xlsx", ".xlsm"):
+                from harness.data.tables.long_form import in_long_form
+
+                self._source = in_long_form(self._source) or self._source
         except InputError as error:
             raise error.located(file=path) from error
 
@@ -298,25 +312,72 @@ class Table:
         own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
         spelt = title if title is not None else str(column)
         if own is None:
-            field = spelt if title is not None else spelt.rpartition(".")[2].partition("[")[0]  # of log.time_ms
-            try:
-                stated = clock_unit(field, path=title is None or bool(getattr(self._source, "paths", False)))
-            except InputError as error:
-                if declared is None:
-                    raise error.located(file=self.path) from error
-                stated = None
-            if declared is not None and stated is not None and not _same_scale(stated, declared):
-                self._say(f"the title {spelt!r} says {stated}; {declared}, as declared, counts")
-            unit = declared or stated
+            unit = self._clock_unit(title, spelt, declared)
             if unit is None and title is not None and (dates := self._dated(title, values)) is not None:
                 return dates, True
             if title is not None and (part := fraction_of(title, self.titles)) is not None:
                 values, unit = self._with_fraction(title, values, part), "s"
-        values, period, times = unwrapped(values)
+            if unit is None:
+                self._refuse_remark(spelt)
+        values, period, times = unwrapped(values, of_day=own is not None)
         if times:
-            self._say(f"{spelt} is a counter that begins anew after {period:.10g} ({times}x): it is taken to go on")
+            kind = "clock of twelve hours" if period == HALF_DAY and own is not None else "counter"
+            self._say(f"{spelt} is a {kind} that begins anew after {period:.10g} ({times}x): it is taken to go on")
         unit = own or unit
         return convert(values, unit or "s", "s"), unit is not None
+
+    def _clock_unit(self, title: str | None, spelt: str, declared: str | None) -> str | None:
+        """Return the unit of a time column by its declaration or its title; None where neither states one."""
+        field = spelt if title is not None else spelt.rpartition(".")[2].partition("[")[0]  # of log.time_ms
+        try:
+            stated = clock_unit(field, path=title is None or bool(getattr(self._source, "paths", False)))
+        except InputError as error:
+            if declared is None:
+                raise error.located(file=self.path) from error
+            stated = None
+        if declared is not None and stated is not None and not _same_scale(stated, declared):
+            self._say(f"the title {spelt!r} says {stated}; {declared}, as declared, counts")
+        return declared or stated
+
+    def second_clock(self, title: str, rows: int, most: int, *, seconds: bool) -> FloatArray | None:
+        """Return the first stamps [s] of another column that tells the time of the same rows; None if it does not.
+
+        Parameters
+        ----------
+        title : str
+        rows : int
+            Rows that the column must have: in some files those of other groups have more or fewer.
+        most : int
+            Rows that are read.
+        seconds : bool
+            True if a column without a unit counts seconds, as the clock itself.
+        """
+        texts = getattr(self._source, "texts", None)
+        try:
+            stamps = None if texts is None else clock(texts(title, most))
+            if stamps is not None:
+                return stamps
+            own = clock_of([title])
+            unit = None if own is None else clock_unit(title, path=bool(getattr(self._source, "paths", False)))
+            values = self._source.values(title)
+            unit = self._source.unit(title) or unit or ("s" if own is not None and seconds else None)
+            return None if unit is None or len(values) != rows else convert(values[:most], unit, "s")
+        except InputError:
+            return None  # what cannot be read tells no time
+
+    def _refuse_remark(self, title: str) -> None:
+        """Refuse a time column without a unit where a remark above the table states one that is not the second."""
+        said: tuple[str, str] | None = getattr(self._source, "remarked", None)
+        if said is not None:
+            raise InputError(
+                f"the time column {title!r} states no unit",
+                expected="the unit in its title, as a remark above the table states another than the second",
+                got=repr(said[1][:60]),
+                remedy=f'title it "{title} [{said[0]}]", or declare [time] unit = "{said[0]}" in a dataset.toml '
+                f"(sysid: --unit time={said[0]})",
+                place="time.unit",
+                file=self.path,
+            )
 
     def _say(self, note: str) -> None:
         """Keep what was noticed, once."""

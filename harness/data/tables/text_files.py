@@ -12,8 +12,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harness.data.tables.cells import EMPTY, is_number, numbers_of, refuse_thousands, units_below
-from harness.data.tables.headers import clock_of
+from harness.data.tables.cells import (
+    EMPTY,
+    is_number,
+    is_unit_cell,
+    measured,
+    numbers_of,
+    refuse_thousands,
+    units_below,
+)
+from harness.data.tables.headers import clock_of, remarked_unit, says_time
 from harness.data.tables.stacked import MOST_ROWS, stacked_titles
 from harness.data.tables.stamps import clock
 from harness.data.tables.texts import CODINGS, closed_lines, text_of
@@ -29,6 +37,7 @@ MOST_ABOVE = 100
 """Lines that a logger may write above its table."""
 _RULE = re.compile(r"[\s|+:=\-]*-{3,}[\s|+:=\-]*")
 _FRAME = re.compile(r"\+[-=+]{3,}\+")
+_END_OF_HEADER = "***End_of_Header***"
 _OTHER_COMMENTS = (";", "//", "!", "*")
 _MINUS = re.compile("\u2212(?=[\\d.,])")
 _PARTS = re.compile(r"[+-]?\d*(?:[.,](?P<decimals>\d*))?(?:[eEdD][+-]?(?P<power>\d*))?")
@@ -58,7 +67,10 @@ class TextFile:
         if "\u2212" in text:
             text = _MINUS.sub("-", text)
         lines = text.splitlines()
+        self.titles: list[str] = []
         self.notes: list[str] = []
+        self.remarked: tuple[str, str] | None = None
+        """The unit of time that a remark above the table states, where it is not the second."""
         self._commas_read = False
         if coding in CODINGS:
             self.notes.append(f"the text is no UTF-8: its letters are read as {coding} ({CODINGS[coding]})")
@@ -67,6 +79,7 @@ class TextFile:
             for number, line in (closed_lines(lines) if '"' in text else enumerate(lines, start=1))
             if line.strip() and not line.lstrip().startswith(_COMMENTS)
         ]
+        spoken_of = self._leave_out_labview()
         while len(self._lines) > 1 and not self._lines[-1][1].strip(" ,;\t|"):  # rows of a workbook that hold nothing
             self._lines.pop()
         hint = _HINT.fullmatch(self._lines[0][1].strip(" \t")) if self._lines else None
@@ -75,8 +88,10 @@ class TextFile:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
         self._leave_out_comments()
         self._leave_out_above(hint)
+        self._leave_out_settings()
         above = self._lines
         self._read_header(lines, hint)
+        self.titles = [f"{title} [s]" if title == "X_Value" and spoken_of else title for title in self.titles]
         self._leave_out_again({line for _, line in above[: len(above) - len(self._lines)]}, text)
         if not self._lines:
             raise InputError(
@@ -84,12 +99,13 @@ class TextFile:
             )
         if not self._has_clock():
             self._look_between(lines)
+        self.remarked = remarked_unit(lines[: min(self._lines[0][0] - 1, MOST_ABOVE)])
         self._accept_decimal_commas()
         self._square()
         if not text.endswith(("\n", "\r")):
             self._leave_out_cut_end()
         self._body: bytes | None = None
-        self._clocks: set[str] = set()
+        self._stated: dict[str, str] = {}
 
     def _read_header(self, lines: list[str], hint: re.Match[str] | None) -> None:
         """Find the delimiter and the titles, and leave the rows of numbers."""
@@ -99,8 +115,11 @@ class TextFile:
         if hint is not None:
             self._delimiter = hint[1] or "\t"  # the tab was taken for an end of the line
         titles = self._cells(first)
-        if _are_numbers([cell for cell in titles if cell]) and any(titles):
-            self.titles = self._named(lines, len(titles)) or [str(number) for number in range(len(titles))]
+        numbers = sum(map(is_number, titles))
+        mostly = any(titles) and 2 * numbers > len(titles) and not any(map(says_time, titles))
+        named = self._named(lines, len(titles)) if mostly else None
+        if named is not None or (_are_numbers([cell for cell in titles if cell]) and any(titles)):
+            self.titles = named or [str(number) for number in range(len(titles))]
         else:
             self.titles = titles
             stacked = stacked_titles([self._cells(line) for _, line in self._lines[: MOST_ROWS + 2]])
@@ -135,8 +154,8 @@ class TextFile:
         return None
 
     def unit(self, title: str) -> str | None:
-        """Return s for dates and times; other units stand in the titles."""
-        return "s" if title in self._clocks else None
+        """Return s for dates and times, and the unit that all cells carry; other units stand in the titles."""
+        return self._stated.get(title)
 
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as an editor counts it."""
@@ -152,6 +171,18 @@ class TextFile:
             self._lines = [pair for pair in self._lines if not _FRAME.fullmatch(pair[1].strip())] or self._lines
         if len(self._lines) > 2 and _RULE.fullmatch(self._lines[1][1]):
             del self._lines[1]
+
+    def _leave_out_labview(self) -> bool:
+        """Leave out what LabVIEW writes above a table; return True if it says that the first column is time in seconds.
+
+        Reference: National Instruments, *Specification for the LabVIEW Measurement File (.lvm)*.
+        """
+        ends = [row for row, (_, line) in enumerate(self._lines[:MOST_ABOVE]) if line.startswith(_END_OF_HEADER)]
+        if not ends or len(self._lines) - ends[-1] < 3:
+            return False
+        dimensions = [line.split() for _, line in self._lines[: ends[-1]] if line.startswith("X_Dimension")]
+        self._leave_out(ends[-1] + 1)
+        return any(set(words[1:]) == {"Time"} for words in dimensions)
 
     def _leave_out_again(self, head: set[str], text: str) -> None:
         """Leave out lines that repeat one of the header, where a logger began anew, and say so."""
@@ -215,6 +246,30 @@ class TextFile:
         if begin > MOST_ABOVE or width in counts[:begin] or (begin == 1 and abs(counts[0] - width) < 2):
             return
         if self._begins_at(begin, sign):
+            self._leave_out(begin)
+
+    def _leave_out_settings(self) -> None:
+        """Leave out rows of settings (``Sample Interval,0.01,``) above titles that name a clock, above numbers."""
+        sign = _delimiter_of(self._lines[-1][1])
+        rows = [[cell.strip(' "') for cell in line.split(sign)] for _, line in self._lines[: MOST_ABOVE + 3]]
+        width = len(rows[-1])
+        numbers = [
+            len(row) == width and sum(map(is_number, row)) > 1 and _are_numbers([cell for cell in row if cell])
+            for row in rows
+        ]
+        begin = next((row for row in range(1, len(rows) - 2) if all(numbers[row : row + 3])), 0) - 1
+        if begin < 1 or len(set(rows[begin])) < width or any(map(is_number, rows[begin])):
+            return
+        several = sum(sum(map(is_number, row)) > 1 and not row[0][:1].isalpha() for row in rows[:begin])
+        if not any(map(is_number, (cell for row in rows[:begin] for cell in row))) or several > 2:
+            return  # no settings, or another table
+        if all(map(is_unit_cell, rows[begin])) or not all(rows[begin]) or stacked_titles(rows) is not None:
+            return
+        try:
+            spoken = clock_of(rows[begin]) is not None
+        except InputError:
+            return
+        if spoken:
             self._leave_out(begin)
 
     def _begins_at(self, begin: int, sign: str) -> bool:
@@ -408,8 +463,11 @@ class TextFile:
             return f"{self.where(row)}, column {title!r}"
 
         if (stamps := clock(cells, self.notes, where)) is not None:
-            self._clocks.add(title)
+            self._stated[title] = "s"
             return stamps
+        if (found := measured(cells, title, where, self.notes, commas=self._decimal_commas())) is not None:
+            self._stated[title] = found[1]
+            return found[0]
         try:
             return numbers_of(cells, where, self.notes, commas=self._decimal_commas())
         except InputError:

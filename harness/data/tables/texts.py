@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import re
+import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from harness.data.tables.headers import TIME_WORDS, words_of
 from harness.data.tables.packing import most_unpacked
 from harness.errors import InputError
 
-__all__ = ["CODINGS", "closed_lines", "text_of"]
+__all__ = ["CODINGS", "closed_lines", "suffix_by_content", "text_of"]
 
 CODINGS = {
     "cp1252": "Windows, Western Europe",
@@ -32,7 +33,6 @@ _MAGIC = {
     b"PAR1": ".parquet",
     b"ARROW1": ".feather",
     b"\x89HDF": ".h5",
-    b"PK\x03\x04": ".xlsx or .npz",
     b"MATLAB ": ".mat",
     b"\x93NUMPY": ".npy",
     b"#ROSBAG": ".bag",
@@ -96,17 +96,50 @@ def _coding(raw: bytes) -> str:
     return "cp1252"
 
 
+def suffix_by_content(path: Path) -> str | None:
+    """Return what to do with a file whose first bytes show another format than its suffix; None where they show none.
+
+    A text that is no gzip file, and what only begins as another format does, goes by its suffix.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if head.startswith(b"PK\x03\x04"):
+        try:
+            with zipfile.ZipFile(path) as archive:
+                inside = archive.namelist()
+        except (zipfile.BadZipFile, OSError):
+            return "rename it to end in .xlsx or .npz"
+        if any(name.startswith("xl/") for name in inside):
+            return "rename it to end in .xlsx"
+        if inside and all(name.endswith(".npy") for name in inside):
+            return "rename it to end in .npz"
+        return "unpack it (unzip), and give the table that comes out"
+    for begin, suffix in _MAGIC.items():
+        if head.startswith(begin):
+            return None if suffix == ".csv.gz" and path.suffix.lower() == ".gz" else f"rename it to end in {suffix}"
+    try:
+        text = head.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return None
+    return "it is text: rename it to end in .csv" if text and all(map(_is_text, text)) else None
+
+
+def _is_text(sign: str) -> bool:
+    """Return True for what stands in texts."""
+    return sign.isprintable() or sign in "\t\r\n\f"
+
+
 def text_of(path: Path) -> tuple[str, str]:
     """Return the text of a file, unpacked where it is packed, and its coding."""
     raw = path.read_bytes()
-    for begin, suffix in _MAGIC.items() if path.suffix.lower() != ".gz" else ():
-        if raw.startswith(begin):
-            raise InputError(
-                "a file of another format",
-                expected=f"a table in text, as {path.suffix} says",
-                got=f"a file that begins with {begin!r}",
-                remedy=f"rename it to end in {suffix}",
-            )
+    remedy = suffix_by_content(path)
+    if path.suffix.lower() != ".gz" and remedy and not remedy.endswith(".csv"):
+        raise InputError(
+            "a file of another format",
+            expected=f"a table in text, as {path.suffix} says",
+            got=f"a file that begins with {raw[:4]!r}",
+            remedy=remedy,
+        )
     if path.suffix.lower() == ".gz":
         try:
             with gzip.GzipFile(fileobj=io.BytesIO(raw)) as packed:
@@ -114,7 +147,10 @@ def text_of(path: Path) -> tuple[str, str]:
                 raw = packed.read(most + 1)
         except (OSError, EOFError, zlib.error) as error:
             raise InputError(
-                "not a gzip file", expected="a table packed by gzip", got=str(error), remedy="check the file"
+                "not a gzip file",
+                expected="a table packed by gzip",
+                got=str(error),
+                remedy=remedy or "check that it was copied whole",
             ) from error
         if len(raw) > most:
             raise InputError(
@@ -123,6 +159,13 @@ def text_of(path: Path) -> tuple[str, str]:
                 got="more",
                 remedy="unpack it yourself, or cut or thin it",
             )
+    if path.suffix.lower() == ".gz" and raw.startswith(b"\x1f\x8b"):
+        raise InputError(
+            "a file that was packed twice",
+            expected="a table packed once by gzip",
+            got="another packed file in it",
+            remedy="unpack it (gunzip), and rename what comes out to end in .csv.gz",
+        )
     if raw[:4] in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
         coding = "utf-32"
     elif raw[:2] in (b"\xff\xfe", b"\xfe\xff"):

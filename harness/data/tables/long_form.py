@@ -1,0 +1,148 @@
+"""Tables in long form: each row holds the time, the name of a signal, and one reading of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from harness.data.tables.cells import is_number
+from harness.data.tables.headers import clock_of, says_time, split_header
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["LongTable", "in_long_form"]
+
+NAMES = frozenset(
+    "name signal signalname variable varname tag tagname channel channelname field _field key parameter sensor kanal "
+    "messstelle".split()
+)
+"""Titles of the column that names the signal, in small letters."""
+VALUES = frozenset("value val _value varvalue reading wert messwert valeur valor".split())
+"""Titles of the column of readings, in small letters."""
+UNITS = frozenset("unit units einheit unité unidad".split())
+"""Titles of the column of units, in small letters."""
+MOST = 200
+"""Signals of a table in long form: more names are texts of another kind."""
+FEWEST = 20
+"""Readings of a signal below which it makes no record (:data:`harness.data.conditioning.timebase.SHORTEST`)."""
+
+
+class LongTable:
+    """The signals of a table in long form as columns beside one clock.
+
+    Where all have the same stamps they share the rows; else each row holds what was written in it, in the order of the
+    stamps, and the other signals are empty there.
+
+    Parameters
+    ----------
+    source : reader of a file
+        With texts.
+    columns : tuple of str
+        Titles of the clock, the names, the readings, and the units (empty for none).
+    tags : sequence of str
+        The names, by row.
+
+    Raises
+    ------
+    InputError
+        If a cell cannot be read, or a signal has two units.
+    """
+
+    def __init__(self, source: Any, columns: tuple[str, str, str, str], tags: Sequence[str]) -> None:
+        clock, name, value, unit = columns
+        self._source, self._clock = source, clock
+        names = list(dict.fromkeys(tags))
+        self.titles = [clock, *names]
+        stamps: FloatArray = source.values(clock)
+        readings: FloatArray = source.values(value)
+        written = np.array(tags)
+        own = {one: np.flatnonzero(written == one) for one in names}
+        first = stamps[own[names[0]]]
+        if all(len(rows) == len(first) and np.array_equal(stamps[rows], first) for rows in own.values()):
+            self._rows = own[names[0]]
+            self._columns: dict[str, FloatArray] = {one: readings[rows] for one, rows in own.items()}
+        else:
+            self._rows = np.argsort(stamps, kind="stable")
+            filled = {one: np.full(len(stamps), np.nan) for one in names}
+            for one, rows in own.items():
+                filled[one][rows] = readings[rows]
+            self._columns = {one: column[self._rows] for one, column in filled.items()}
+        self._columns[clock] = stamps[self._rows]
+        self._units = _units_of(source.texts(unit), own, source.where) if unit else {}
+        shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
+        self.notes = [
+            *source.notes,
+            f"{name!r} names the signal of each row, {value!r} its reading: {shown} are columns",
+        ]
+
+    def values(self, title: str) -> FloatArray:
+        """Return one column (N,)."""
+        return self._columns[title].copy()
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: there are plain columns only."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit that the rows of a signal state, and s for dates."""
+        if title != self._clock:
+            return self._units.get(title)
+        stated: str | None = self._source.unit(title)
+        return stated
+
+    def where(self, row: int) -> str:
+        """Return the place of a row (from 0) as the table's owner counts it."""
+        return str(self._source.where(int(self._rows[row])))
+
+
+def _units_of(units: Sequence[str], own: dict[str, Any], where: Callable[[int], str]) -> dict[str, str]:
+    """Return the unit of each signal that states one."""
+    found: dict[str, str] = {}
+    for name, rows in own.items():
+        for row in rows:
+            unit = units[row].strip()
+            if unit and found.setdefault(name, unit) != unit:
+                raise InputError(
+                    f"two units of the signal {name!r}",
+                    expected="one",
+                    got=f"{found[name]!r} and {unit!r}",
+                    remedy="convert its rows to one of them",
+                    place=where(int(row)),
+                )
+    return found
+
+
+def in_long_form(source: Any) -> LongTable | None:
+    """Return the signals of a table in long form as columns; None for any other table.
+
+    Its titles must say it (``name`` and ``value``, or words like these, beside one clock), and every name must stand in
+    at least 20 rows.
+    """
+    titles = [title for title in source.titles if title]
+    found = [
+        [title for title in titles if split_header(title)[0].strip().lower() in words]
+        for words in (NAMES, VALUES, UNITS)
+    ]
+    if len(found[0]) != 1 or len(found[1]) != 1 or len(found[2]) > 1 or not hasattr(source, "texts"):
+        return None
+    taken = [title for some in found for title in some]
+    if split_header(found[1][0])[1] is not None:
+        return None  # one unit for all: readings of one kind, of which nobody says that they are signals apart
+    try:
+        clock = clock_of(titles, taken)
+    except InputError:
+        return None
+    if clock is None or any(says_time(title) for title in titles if title not in (clock, *taken)):
+        return None  # nobody can say which time counts
+    tags = [tag.strip() for tag in source.texts(found[0][0])]
+    counts = Counter(tags)
+    if (
+        not 1 < len(counts) <= MOST
+        or min(counts.values()) < FEWEST
+        or any(not name or is_number(name) for name in counts)
+    ):
+        return None
+    return LongTable(source, (clock, found[0][0], found[1][0], found[2][0] if found[2] else ""), tags)
