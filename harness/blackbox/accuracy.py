@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from harness.blackbox.system import FmuSystem
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["settled"]
+__all__ = ["ROWS", "Coarsest", "Settings", "coarsest", "settled"]
 
 SHARE = 0.3
 """Part of the noise that halving the step may move a reading by (rms): its square adds less than a tenth."""
@@ -23,6 +25,81 @@ FIRST, LAST = 1e-4, 1e-12
 TRIALS = 4
 ROWS = 2000
 """Samples over which settings are compared."""
+
+
+class Settings(NamedTuple):
+    """Communication step [s] and relative tolerance of an FMU; None: the sample time, its own."""
+
+    step: float | None
+    tolerance: float | None
+
+    def words(self, other: Settings, sample_time: float) -> str:
+        """Return in which of them these are finer than others."""
+        return " and ".join(
+            [
+                *([] if self.step == other.step else [f"a communication step of {self.step or sample_time:g} s"]),
+                *([] if self.tolerance == other.tolerance else [f"a tolerance of {self.tolerance:g}"]),
+            ]
+        )
+
+
+class Coarsest(NamedTuple):
+    """The coarsest settings that suffice, how far finer ones than the first moved each reading (ny,), and the last.
+
+    Both in standard deviations of the noise; ``enough`` tells whether any of those tried sufficed.
+    """
+
+    settings: Settings
+    first: FloatArray
+    last: FloatArray
+    enough: bool
+
+
+def coarsest(
+    outputs: Callable[[Settings], FloatArray],
+    own: Settings,
+    sample_time: float,
+    told: float | None,
+    noise: FloatArray,
+) -> Coarsest:
+    """Return the coarsest step and tolerance at which finer ones change less than a part of the noise.
+
+    Parameters
+    ----------
+    outputs : callable
+        From settings to the readings (N, ny) of a run; NaN where there are none.
+    own : Settings
+        What is tried first.
+    sample_time : float
+        Of the readings [s].
+    told : float or None
+        Tolerance of the FMU's default experiment.
+    noise : array (ny,)
+        Standard deviation of the sensors.
+    """
+
+    def apart(a: FloatArray, b: FloatArray) -> FloatArray:
+        both = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+        return np.sqrt(np.mean((a - b)[both] ** 2, axis=0)) / noise if both.any() else np.full(a.shape[1], np.nan)
+
+    now, y = own, outputs(own)
+    first = last = np.zeros(noise.shape)
+    if not np.isfinite(y).any():
+        return Coarsest(own, first, last, True)
+    for _ in range(TRIALS):
+        stricter = Settings(now.step, max(FINER * (now.tolerance or told or FIRST), LAST))
+        finer = Settings((now.step or sample_time) / 2, stricter.tolerance)
+        best = outputs(finer)
+        last = apart(y, best)
+        if not np.isfinite(last).all():  # finer settings break it: those that it has are what there is
+            return Coarsest(now, first, last, True)
+        first = last if now == own else first
+        if (last <= SHARE).all():
+            return Coarsest(now, first, last, True)
+        strict = outputs(stricter)
+        enough = np.isfinite(strict).all() and (apart(strict, best) <= SHARE).all()
+        now, y = (stricter, strict) if enough else (finer, best)
+    return Coarsest(now, first, last, False)
 
 
 def settled(system: FmuSystem, record: Trajectory, noise: FloatArray, x0: FloatArray, told: float | None) -> FmuSystem:
@@ -47,47 +124,25 @@ def settled(system: FmuSystem, record: Trajectory, noise: FloatArray, x0: FloatA
     """
     run = record[:ROWS]
 
-    def outputs(made: FmuSystem) -> FloatArray:
+    def outputs(settings: Settings) -> FloatArray:
+        made = replace(system, step=settings.step, tolerance=settings.tolerance)
         try:
             simulator = FmuSimulator(made, Runner(made, run.spec.sample_time))
             return simulator.run(made.vector(), x0, run.u, float(run.t[0]))[1]
         except HarnessError:  # it does not take such a step or tolerance
             return np.full((len(run), made.ny), np.nan)
 
-    def apart(a: FloatArray, b: FloatArray) -> FloatArray:
-        both = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-        return np.sqrt(np.mean((a - b)[both] ** 2, axis=0)) / noise if both.any() else np.full(a.shape[1], np.nan)
-
-    now, y = system, outputs(system)
-    off = first_off = np.zeros(system.ny)
-    if not np.isfinite(y).any():
+    own = Settings(system.step, system.tolerance)
+    found = coarsest(outputs, own, run.spec.sample_time, told, noise)
+    if found.settings == own:
         return system
-    for _ in range(TRIALS):
-        step, tolerance = now.step or run.spec.sample_time, now.tolerance or told or FIRST
-        stricter = replace(now, tolerance=max(FINER * tolerance, LAST))
-        finer = replace(stricter, step=step / 2)
-        best = outputs(finer)
-        off = apart(y, best)
-        if not np.isfinite(off).all():  # finer settings break it: those that it has are what there is
-            return now
-        if (off <= SHARE).all():
-            return _noted(now, system, run, first_off) if now is not system else system
-        first_off = off if now is system else first_off
-        strict = outputs(stricter)
-        enough = np.isfinite(strict).all() and (apart(strict, best) <= SHARE).all()
-        now, y = (stricter, strict) if enough else (finer, best)
-    words = f"half the step and a hundredth of the tolerance still move {_worst(system, off)}"
-    return replace(now, notes=(*now.notes, f"the FMU's own solver is part of what is fitted: {words}"))
-
-
-def _noted(now: FmuSystem, system: FmuSystem, run: Trajectory, off: FloatArray) -> FmuSystem:
-    """Return the FMU with a note of what was made finer, and why."""
-    changed = [
-        *([] if now.step == system.step else [f"a communication step of {now.step or run.spec.sample_time:g} s"]),
-        *([] if now.tolerance == system.tolerance else [f"a tolerance of {now.tolerance:g}"]),
-    ]
-    words = f"the FMU is run with {' and '.join(changed)}: with its own, finer ones move {_worst(system, off)}"
-    return replace(now, notes=(*now.notes, words))
+    said = found.settings.words(own, run.spec.sample_time)
+    words = f"the FMU is run with {said}: with its own, finer ones move {_worst(system, found.first)}"
+    if not found.enough:
+        moved = f"half the step and a hundredth of the tolerance still move {_worst(system, found.last)}"
+        words = f"the FMU's own solver is part of what is fitted: {moved}"
+    step, tolerance = found.settings
+    return replace(system, step=step, tolerance=tolerance, notes=(*system.notes, words))
 
 
 def _worst(system: FmuSystem, off: FloatArray) -> str:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["fits_fmu", "surround"]
 
+DRY = "dry friction"
+"""The whole of the laws whose force jumps as the motion turns."""
+
 
 def fits_fmu(effect: Effect) -> bool:
     """Return True if an effect can be put around an FMU: no acceleration needed, nothing hidden behind an output.
@@ -100,6 +103,7 @@ def surround(
         hidden=tuple(place.hidden),
         sampled=tuple(place.sampled),
         effects=tuple(wanted),
+        exchanges=nominal.exchanges if any(one.effect.whole == DRY for one in wanted) else 1,
         around=around,
         nominal=nominal,
     )

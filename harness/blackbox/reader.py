@@ -19,6 +19,9 @@ __all__ = ["fmu_system"]
 
 FORCES: dict[str, tuple[set[str], ...]] = {"rad": ({"N", "m"}, {"Nm"}), "m": ({"N"},)}
 """Units (as sets of their symbols) of the force on a coordinate of a unit."""
+POSITIONS, ALIKE = 40, 0.05
+"""Variables that are looked through for a position, and how far (of its motion) it may be off the integral of a speed:
+the trapezoidal rule errs by less over samples that follow the motion."""
 LOOK, NUDGE = 20, 0.01
 """Samples after which the start of a state has moved an output, and by how much it is moved [SI unit]."""
 
@@ -74,6 +77,8 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
         shown: dict[str, str] = {}
         states = _settable(plant, described)
         guessed = [] if plant.spec.states else _exact(described)
+        if plant.spec.states and states:  # named states are kept, whether they move an output or not
+            shown = {output: state for output, state in _moving(plant, states)[1].items() if output != state}
         inputs = tuple(plant.spec.inputs)
         outputs = tuple(
             replace(theirs, period=ours.period) if theirs.period is None else theirs
@@ -82,6 +87,12 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
     if guessed:
         with registry.create("plants", "fmu", **options, states=guessed) as plant:
             states, shown = _moving(plant, _settable(plant, described))
+    coordinates = _coordinates(described, inputs, outputs)
+    driven = {coordinate.force for coordinate in coordinates}
+    if looked := _unseen_positions(described, inputs, outputs, driven):
+        asked = [*looked, *dict.fromkeys(name for positions in looked.values() for name in positions)]
+        with registry.create("plants", "fmu", **options | {"outputs": asked}) as plant:
+            coordinates += _integrals(plant, inputs, looked, driven)
     digest = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
     return FmuSystem(
         path=file,
@@ -93,7 +104,7 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
         parameters=found,
         coordinates=tuple(
             replace(coordinate, position=shown.get(coordinate.position, coordinate.position))
-            for coordinate in _coordinates(described, inputs, outputs)
+            for coordinate in coordinates
         ),
         shown=shown,
     )
@@ -231,7 +242,7 @@ def _coordinates(
     measured = [channel.name for channel in outputs]
     found: list[FmuCoordinate] = []
     for unit, forces in FORCES.items():
-        drives = [row for row, channel in enumerate(inputs) if set(channel.unit.replace("*", " ").split()) in forces]
+        drives = [row for row, channel in enumerate(inputs) if _symbols(channel.unit) in forces]
         moved = [channel.name for channel in outputs if channel.unit == unit]
         if len(moved) != len(drives):
             moved = [
@@ -246,6 +257,64 @@ def _coordinates(
             rate = _rate(rows, position, unit, alone=len(moved) == 1)
             found.append(FmuCoordinate(position, unit, inputs[row].unit, position, rate, row))
     return tuple(found)
+
+
+def _unseen_positions(
+    described: Mapping[str, Any], inputs: Sequence[Channel], outputs: Sequence[Channel], driven: set[int]
+) -> dict[str, list[str]]:
+    """Return, for speeds that are measured where no position is an output, the variables that may be their positions.
+
+    As many speeds as there are force inputs that move nothing yet; states first, as the description marks them.
+    """
+    found: dict[str, list[str]] = {}
+    for unit, forces in FORCES.items():
+        drives = [row for row, channel in enumerate(inputs) if row not in driven and _symbols(channel.unit) in forces]
+        speeds = [channel.name for channel in outputs if channel.unit == f"{unit}/s"]
+        if not drives or len(speeds) != len(drives):
+            continue
+        rows = [variable for variable in described["variables"]
+                if variable["type"] in ("Real", "Float64", "Float32") and variable["si_unit"] == unit
+                and variable["causality"] in ("local", "output") and variable["variability"] == "continuous"
+                and not variable["shape"]]  # fmt: skip
+        states = {variable["derivative_of"] for variable in described["variables"]}
+        rows.sort(key=lambda variable: variable["name"] not in states)
+        if rows:
+            found |= {speed: [str(variable["name"]) for variable in rows[:POSITIONS]] for speed in speeds}
+    return found
+
+
+def _integrals(
+    plant: Any, inputs: Sequence[Channel], looked: Mapping[str, Sequence[str]], driven: set[int]
+) -> tuple[FmuCoordinate, ...]:
+    """Return coordinates whose position moves as the integral of a measured speed while the inputs push."""
+    names = [channel.name for channel in plant.spec.outputs]
+    units = {channel.name: channel.unit for channel in plant.spec.outputs}
+    free = [row for row in range(len(inputs)) if row not in driven]
+    try:
+        first = plant.reset(rng=np.random.default_rng(0), x0={})
+        y = np.vstack([first, plant.rollout(np.ones((LOOK, plant.spec.nu)))])
+    except HarnessError:  # it cannot be looked at
+        return ()
+    found = []
+    for speed, positions in looked.items():
+        unit = units[speed].removesuffix("/s")
+        row = next((k for k in free if _symbols(inputs[k].unit) in FORCES[unit]), None)
+        v = y[:, names.index(speed)]
+        gone = plant.spec.sample_time * np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]))])
+        for name in positions if row is not None else ():
+            moved = y[:, names.index(name)] - y[0, names.index(name)]
+            size = float(np.abs(moved).max())
+            if size > 0.0 and np.abs(moved - gone).max() <= ALIKE * size:
+                assert row is not None
+                found.append(FmuCoordinate(name, unit, inputs[row].unit, name, speed, row))
+                free.remove(row)
+                break
+    return tuple(found)
+
+
+def _symbols(unit: str) -> set[str]:
+    """Return the symbols of a product of units."""
+    return set(unit.replace("*", " ").split())
 
 
 def _rate(rows: Sequence[Mapping[str, Any]], position: str, unit: str, *, alone: bool) -> str | None:

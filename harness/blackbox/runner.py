@@ -23,10 +23,17 @@ class Runner:
         self._left: Any = None
         self._owner = 0
         self._set: dict[str, float] = {}
+        self._finer: dict[int, Runner] = {}
         self._rng = np.random.default_rng(0)  # an FMU draws nothing
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_plant": None, "_left": None, "_owner": 0, "_set": {}}
+        return {**self.__dict__, "_plant": None, "_left": None, "_owner": 0, "_set": {}, "_finer": {}}
+
+    def finer(self, parts: int) -> Runner:
+        """Return the runner of a part of the sample time, made once."""
+        if parts == 1:
+            return self
+        return self._finer.setdefault(parts, Runner(self.nominal, self.sample_time / parts))
 
     @property
     def plant(self) -> Any:

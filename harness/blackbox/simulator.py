@@ -11,16 +11,16 @@ import ctypes
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.blackbox.runner import Runner
-from harness.blackbox.sums import Asked, summed
+from harness.blackbox.sums import summed
 from harness.blackbox.system import FmuSystem
 from harness.errors import HarnessError
-from harness.physics.compiled.rollout_call import Sums
+from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.compiled.sampled import SampledBlocks
 from harness.signals import FloatArray, PlantSpec
 
@@ -30,6 +30,22 @@ STEP = 1e-3
 """Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration."""
 KEPT = 64
 """Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps."""
+
+
+class _Run(NamedTuple):
+    """A run of FMU and effects together: what is filled in row by row, then what it begins and goes on with."""
+
+    table: FloatArray
+    hidden: FloatArray
+    rates: FloatArray
+    past: FloatArray
+    z: FloatArray
+    p: FloatArray
+    u: FloatArray
+    extra: FloatArray | None
+    t0: float
+    plant: Any
+    h: float
 
 
 class FmuSimulator:
@@ -135,22 +151,9 @@ class FmuSimulator:
         y, s = self.sampled.outputs(y, s, p)
         return x, y, s
 
-    def sums(
-        self,
-        p: FloatArray,
-        x0: FloatArray,
-        u: FloatArray,
-        input_jacobian: FloatArray | None,
-        t0: FloatArray,
-        data: tuple[FloatArray, FloatArray, FloatArray],
-        *,
-        columns: npt.NDArray[np.intp] | None = None,
-        limits: FloatArray | None = None,
-        budget: float = np.inf,
-        keep: bool = False,
-        sensitivities: bool = False,
-    ) -> Sums:
+    def sums(self, given: Given, asked: Asked) -> Sums:
         """Return the normal equations of windows of one length; see :func:`harness.blackbox.sums.summed`."""
+        p, x0, u, input_jacobian, t0 = given
 
         def run(k: int) -> tuple[FloatArray, FloatArray]:
             x, y = self.kept_run(p[k], x0[k], u[k], float(t0[k]))
@@ -164,7 +167,6 @@ class FmuSimulator:
             assert found is not None
             return np.asarray(found[0])
 
-        asked = Asked(data, columns, limits, budget, keep, sensitivities)
         return summed(run, slopes, asked, nx=self.nx, unknowns=self.np + self.nx)
 
     def run(
@@ -202,8 +204,12 @@ class FmuSimulator:
         self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float, extra: FloatArray | None
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the FMU's variables, hidden states, rates of the coordinates and readings of one free run."""
-        system, n = self.system, u.shape[0]
-        inner = system.inner_count
+        system = self.system
+        parts = 1 if system.around is None else system.exchanges
+        n = (u.shape[0] - 1) * parts + 1
+        if parts > 1:
+            u, extra = np.repeat(u, parts, axis=0)[:n], None if extra is None else np.repeat(extra, parts, axis=0)[:n]
+        inner, runner = system.inner_count, self.runner.finer(parts)
         values = {parameter.name: float(value) for parameter, value in zip(system.parameters[:inner], p, strict=False)}
         start = {state.name: float(value) for state, value in zip(system.inner_states, x0, strict=False)}
         table = np.full((n, len(self._columns)), np.nan)
@@ -215,14 +221,15 @@ class FmuSimulator:
         try:
             if not np.isfinite(x0).all():
                 raise ArithmeticError("a start that is not finite")
-            table[0] = self.runner.start(values, start)
+            table[0] = runner.start(values, start)
             if system.around is None:
                 pushed = u if extra is None else u + extra
-                table[1:] = self.runner.plant.rollout(np.ascontiguousarray(pushed[:-1]))
+                table[1:] = runner.plant.rollout(np.ascontiguousarray(pushed[:-1]))
             else:
-                self._coupled(table, hidden, rates, past, z, own, u, extra, t0)
+                self._coupled(_Run(table, hidden, rates, past, z, own, u, extra, t0, runner.plant, self.dt / parts))
         except (HarnessError, ArithmeticError):
             table[1:] = np.nan
+        table, hidden, rates = (np.ascontiguousarray(one[::parts]) for one in (table, hidden, rates))
         y = table[:, : system.ny]
         if system.around is not None and system.around.reads and np.isfinite(table).all():
             y = self._readings(table, rates, own, t0)
@@ -284,23 +291,13 @@ class FmuSimulator:
                         return np.asarray((there - y) / (end - p[k]))
         return np.full_like(y, np.nan)
 
-    def _coupled(
-        self,
-        table: FloatArray,
-        hidden: FloatArray,
-        rates: FloatArray,
-        past: FloatArray,
-        z: FloatArray,
-        p: FloatArray,
-        u: FloatArray,
-        extra: FloatArray | None,
-        t0: float,
-    ) -> None:
+    def _coupled(self, run: _Run) -> None:
         """Step FMU and effects together, in C where there is a compiler and the FMU lets us."""
-        step = self.runner.plant.native_step()
+        table, hidden, rates, past, z, p, u, extra, t0, plant, h = run
+        step = plant.native_step()
         library = None if step is None else self._built()
         if library is None or step is None:
-            self._in_python(table, hidden, rates, past, z, p, u, extra, t0)
+            self._in_python(run)
             return
         u = np.ascontiguousarray(u, dtype=float)
         added = None if extra is None else np.ascontiguousarray(extra, dtype=float)
@@ -319,7 +316,7 @@ class FmuSimulator:
                 n,
                 first,
                 t0,
-                self.dt,
+                h,
                 p.ctypes.data,
                 z.ctypes.data,
                 past.ctypes.data,
@@ -330,26 +327,16 @@ class FmuSimulator:
             if first < n - 1:  # the step was not brought to its end in C
                 if not np.isfinite(step.u).all():
                     raise ArithmeticError("a command that is not finite")
-                self.runner.plant.finish_step()
+                plant.finish_step()
                 first += 1
                 table[first] = step.y
 
-    def _in_python(
-        self,
-        table: FloatArray,
-        hidden: FloatArray,
-        rates: FloatArray,
-        past: FloatArray,
-        z: FloatArray,
-        p: FloatArray,
-        u: FloatArray,
-        extra: FloatArray | None,
-        t0: float,
-    ) -> None:
+    def _in_python(self, run: _Run) -> None:
         """Do the same step by step: slower, for systems without a compiler and FMUs that are stepped from Python."""
+        table, hidden, rates, past, z, p, u, extra, t0, plant, h = run
         around = self.system.around
         assert around is not None
-        told, h, plant = np.array(around.rates, dtype=bool), self.dt, self.runner.plant
+        told = np.array(around.rates, dtype=bool)
         for k in range(u.shape[0]):
             hidden[k] = z
             q, v = table[k, self._q], table[k, self._v]

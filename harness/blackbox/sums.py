@@ -3,29 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from harness.physics.compiled.rollout_call import Sums
+from harness.physics.compiled.rollout_call import Asked, Sums
 from harness.signals import FloatArray
 
-__all__ = ["Asked", "summed"]
-
-
-class Asked(NamedTuple):
-    """What :class:`harness.physics.compiled.windows.Windows` asks beside the runs; see its ``trial``.
-
-    ``data`` are the readings (M, N, ny), the weights' sigma (ny,) and the periods (ny,), 0 for an output without one.
-    """
-
-    data: tuple[FloatArray, FloatArray, FloatArray]
-    columns: npt.NDArray[np.intp] | None
-    limits: FloatArray | None
-    budget: float
-    keep: bool
-    sensitivities: bool
+__all__ = ["summed"]
 
 
 def summed(

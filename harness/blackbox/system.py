@@ -70,6 +70,9 @@ class FmuSystem(Dimensions):
     effects : tuple of Placed
     step, tolerance : float or None
         Longest communication step [s] and relative tolerance that it is run with; None: the records' step, its own.
+    exchanges : int
+        How often in a sample effects around it tell it their force: those of dry friction, which jumps (of the nominal
+        one: how often they would have to).
     notes : tuple of str
         What is to be said about how it is run.
     around : Around or None
@@ -92,6 +95,7 @@ class FmuSystem(Dimensions):
     effects: tuple[Placed, ...] = ()
     step: float | None = None
     tolerance: float | None = None
+    exchanges: int = 1
     notes: tuple[str, ...] = ()
     around: Around | None = field(default=None, repr=False)
     nominal: FmuSystem | None = field(default=None, repr=False)
@@ -125,6 +129,7 @@ class FmuSystem(Dimensions):
             around,
             self.step,
             self.tolerance,
+            self.exchanges,
         )
 
     @property

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from harness.blackbox.accuracy import ROWS, Settings, coarsest
 from harness.calibration.calibration import Calibration, Errors
 from harness.calibration.runs import FreeModel, FreeRuns
 from harness.calibration.search import beginnings, best_fit, drawn, estimated_starts
@@ -20,6 +21,7 @@ from harness.models.estimate import null_words
 from harness.parts.files import make_plant
 from harness.physics.definition.parameters import Parameter
 from harness.physics.fitting.fit_result import OutputErrorFit
+from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.physics.fitting.output_error_estimate import output_error_estimate
 from harness.protocols import Plant
 from harness.rng import stream
@@ -36,6 +38,10 @@ MOST_STATES = 20
 """States beyond which starts are not estimated: each costs a run for every derivative."""
 DOMINATES = 0.2
 """Share of the residual's rms that the solver inside may move the outputs by before it is said."""
+
+BIAS = 0.1
+"""Of the noise that a solver may move readings by where only errors are compared, what it may where parameters get
+intervals: noise averages out over a record, an error of the solver does not."""
 
 
 def calibrate(
@@ -103,8 +109,9 @@ def calibrate(
     parameters = free_parameters(contents, free, bounds or {}, given)
     tell = progress or (lambda share, what: None)
     records = _by_use(data)
-    with _plant(contents, data, dict(options or {})) as plant:
-        fixed = {contents.variables[n].key: v for n, v in given.items() if n not in free}
+    fixed = {contents.variables[n].key: v for n, v in given.items() if n not in free}
+    chosen, finer = _settled(contents, data, dict(options or {}), fixed)
+    with _plant(contents, data, chosen) as plant:
         runs, told, notes = _runs(contents, plant, data, parameters, fixed, initial, records["estimation"])
         x0 = {use: _first_starts(told, own) for use, own in records.items()}
         before = np.array([_own(contents, one) for one in parameters])
@@ -123,9 +130,9 @@ def calibrate(
         estimate = output_error_estimate(cast(Any, runs.system), fit, nothing=NOTHING, rule="differences of runs")
         now = {use: _errors(runs, own, p, x0[use], sigma) for use, own in records.items()}
         weak = _hardly(fit, parameters)
-        notes += list(getattr(plant, "warnings", ()))
+        notes += [*getattr(plant, "warnings", ()), *finer]
         count = runs.count
-    notes += _solver_noise(contents, data, dict(options or {}), runs, p, fit, fixed)
+    notes += _solver_noise(contents, data, chosen, runs, p, fit, fixed)
     names = [channel.name for channel in runs.system.states]
     return Calibration(
         model=contents.path,
@@ -167,6 +174,45 @@ def _plant(contents: Contents, data: Dataset, options: dict[str, Any]) -> Plant:
     if contents.kind == "fmu":
         asked |= {"inputs": [one.name for one in spec.inputs], "outputs": [one.name for one in spec.outputs]}
     return make_plant(str(contents.path), asked | options)
+
+
+def _settled(
+    contents: Contents, data: Dataset, options: dict[str, Any], fixed: Mapping[str, float]
+) -> tuple[dict[str, Any], list[str]]:
+    """Return options with a step and tolerance at which finer ones change less than the noise, and what is to be said.
+
+    Where the options name neither; as the model starts by itself along the first record.
+    """
+    if contents.kind != "fmu" or {"step", "tolerance"} & options.keys():
+        return options, []
+    records = [one.measured() for one in data.using("estimation")]
+    record, dt = records[0][:ROWS], data.spec.sample_time
+    known = [data.noise.get(channel.name, np.nan) for channel in data.spec.outputs]
+    noise = np.where(np.isnan(known), sensor_noise(records), known)
+
+    def given(settings: Settings) -> dict[str, Any]:
+        return {name: value for name, value in settings._asdict().items() if value is not None}
+
+    def outputs(settings: Settings) -> FloatArray:
+        try:
+            with _plant(contents, data, options | given(settings)) as plant:
+                if fixed:
+                    plant.preset(fixed)  # type: ignore[attr-defined]
+                first = plant.reset(rng=np.random.default_rng(0))
+                return np.vstack([first, plant.rollout(np.ascontiguousarray(record.u[:-1]))])  # type: ignore[attr-defined]
+        except (InputError, PlantError) as error:
+            if isinstance(error, PlantError) and error.status == "timeout" and settings == own:
+                raise  # it would be waited for as long again
+            return np.full((len(record), data.spec.ny), np.nan)
+
+    own = Settings(None, None)
+    found = coarsest(outputs, own, dt, contents.tolerance, np.maximum(BIAS * noise, 1e-12))
+    if found.settings == own or not found.enough:
+        return options, []
+    worst = int(np.argmax(found.first))
+    moved = f"{data.spec.outputs[worst].name} by {BIAS * found.first[worst]:.2g} of its noise"
+    said = f"the FMU is run with {found.settings.words(own, dt)}: with its own, finer ones move {moved}"
+    return options | given(found.settings), [said]
 
 
 def _runs(

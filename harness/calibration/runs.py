@@ -13,10 +13,10 @@ from typing import Any, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
-from harness.blackbox.sums import Asked, summed
+from harness.blackbox.sums import summed
 from harness.calibration.slopes import OwnSlopes
 from harness.errors import HarnessError, InputError
-from harness.physics.compiled.rollout_call import Sums
+from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.compiled.sampled import SampledBlocks
 from harness.physics.definition.dimensions import Dimensions
 from harness.physics.definition.parameters import Parameter
@@ -172,13 +172,14 @@ class FreeRuns:
         p: FloatArray,
         x0: FloatArray,
         u: FloatArray,
-        slope: FloatArray | None,
-        t0: FloatArray,
-        *,
+        *_: FloatArray | None,
         sensitivities: bool = True,
         columns: npt.NDArray[np.intp] | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Return states (NaN: unknown), outputs (M, N, ny), derivatives (M, N, ny, np + nx) by (p, x0)."""
+        """Return states (NaN: unknown), outputs (M, N, ny), derivatives (M, N, ny, np + nx) by (p, x0).
+
+        No input is delayed, and time begins with every record: what is said of these is passed over.
+        """
         m, n = u.shape[:2]
         x, y = np.full((m, n, self.nx), np.nan), np.empty((m, n, self.system.ny))
         s = np.zeros((m, n, self.system.ny, self.np + self.nx)) if sensitivities else None
@@ -188,26 +189,13 @@ class FreeRuns:
                 s[k] = self._derivatives(p[k], x0[k], u[k], y[k], columns)
         return x, y, s
 
-    def sums(
-        self,
-        p: FloatArray,
-        x0: FloatArray,
-        u: FloatArray,
-        input_jacobian: FloatArray | None,
-        t0: FloatArray,
-        data: tuple[FloatArray, FloatArray, FloatArray],
-        *,
-        columns: npt.NDArray[np.intp] | None = None,
-        limits: FloatArray | None = None,
-        budget: float = np.inf,
-        keep: bool = False,
-        sensitivities: bool = False,
-    ) -> Sums:
+    def sums(self, given: Given, asked: Asked) -> Sums:
         """Return the normal equations of records; what costs too much is not differentiated, for that is the work."""
+        p, x0, u, _, _ = given
         return summed(
             lambda k: (np.full((u.shape[1], self.nx), np.nan), self.run(p[k], x0[k], u[k])),
             lambda k, chosen: self._derivatives(p[k], x0[k], u[k], self.run(p[k], x0[k], u[k]), chosen),
-            Asked(data, columns, limits, budget, keep, sensitivities),
+            asked,
             nx=self.nx,
             unknowns=self.np + self.nx,
             floor=EXACT,

@@ -7,6 +7,7 @@ description. The copy of an FMU therefore names in :data:`STARTS` what was chang
 from __future__ import annotations
 
 import json
+import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -89,14 +90,15 @@ def write_model(model: Path, kind: str, values: Values, units: Mapping[str, str]
         )
     if kind == "fmu":
         added = {STARTS: json.dumps({"names": sorted(values)}).encode()}
-        _copied(model, path, DESCRIPTION, lambda root: _with_starts(root, model, values), added)
+        _copied(model, path, {DESCRIPTION: lambda root: _with_starts(root, model, values)}, added)
     else:
-        _copied(model, path, STRUCTURE, _with_binding, {VALUES: _values(values, units).encode()})
+        changes = {STRUCTURE: _with_binding, OPEN_ENDS: lambda root: _with_values(root, model, values)}
+        _copied(model, path, changes, {VALUES: _values(values, units).encode()})
     return path
 
 
-def _copied(source: Path, target: Path, name: str, change: Callable[[Any], None], added: dict[str, bytes]) -> None:
-    """Copy an archive, one XML file changed and some files added."""
+def _copied(source: Path, target: Path, changes: Mapping[str, Callable[[Any], None]], added: dict[str, bytes]) -> None:
+    """Copy an archive, some XML files changed and some files added."""
     from lxml import etree
 
     parser = etree.XMLParser(resolve_entities=False, no_network=True)
@@ -104,11 +106,11 @@ def _copied(source: Path, target: Path, name: str, change: Callable[[Any], None]
         with zipfile.ZipFile(source) as old, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as new:
             for entry in old.infolist():
                 content = old.read(entry)
-                if entry.filename in added or entry.filename == OPEN_ENDS:  # it would keep the values of before
+                if entry.filename in added:
                     continue
-                if entry.filename == name:
+                if entry.filename in changes:
                     root = etree.fromstring(content, parser)
-                    change(root)
+                    changes[entry.filename](root)
                     content = etree.tostring(root.getroottree(), encoding="UTF-8", xml_declaration=True)
                 new.writestr(entry, content)
             for place, content in added.items():
@@ -130,6 +132,36 @@ def _with_starts(root: Any, model: Path, values: Values) -> None:
             )
         typed = node if node.tag != "ScalarVariable" else node[0]
         typed.set("start", repr((float(value) - (row["offset"] or 0.0)) / (row["scale"] or 1.0)))
+
+
+def _with_values(root: Any, model: Path, values: Values) -> None:
+    """Set the values of components of :data:`OPEN_ENDS`, in the units of their FMUs: its readers know no others."""
+
+    def within(place: Any, element: str, **attributes: str) -> Any:
+        prefix, _, tag = element.partition(":")
+        whole = f"{{{SPACES[prefix]}}}{tag}"
+        named = (
+            one for one in place if one.tag == whole and one.get("name") == attributes.get("name", one.get("name"))
+        )
+        found = next(named, None)
+        if found is None:
+            found = place.makeelement(whole, attributes)
+            place.append(found)
+        return found
+
+    for component in root.iter(f"{{{SPACES['ssd']}}}Component"):
+        start = f"{component.get('name')}."
+        own = {name.removeprefix(start): value for name, value in values.items() if name.startswith(start)}
+        if not own:
+            continue
+        with tempfile.TemporaryDirectory(prefix="sysid-copy-") as scratch, zipfile.ZipFile(model) as archive:
+            described = describe_fmu(archive.extract(component.get("source"), scratch))
+        rows = {row["name"]: row for row in described["variables"]}
+        binding = within(within(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")
+        given = within(within(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="values")
+        for name, value in own.items():
+            typed = within(within(within(given, "ssv:Parameters"), "ssv:Parameter", name=name), "ssv:Real")
+            typed.set("value", repr((float(value) - (rows[name]["offset"] or 0.0)) / (rows[name]["scale"] or 1.0)))
 
 
 def _with_binding(root: Any) -> None:

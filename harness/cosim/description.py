@@ -11,6 +11,7 @@ from typing import Any, Literal
 import msgspec
 
 from harness.cosim.master import Coupled
+from harness.cosim.terminals import expanded
 from harness.cosim.wiring import Connection
 from harness.errors import HarnessError, InputError
 from harness.protocols import Plant
@@ -37,7 +38,7 @@ class PartDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Wiring(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A connection, see :class:`harness.cosim.Connection`."""
+    """A connection, see :class:`harness.cosim.Connection`; of two terminals of FMUs by their names."""
 
     source: str = msgspec.field(name="from")
     target: str = msgspec.field(name="to")
@@ -181,10 +182,14 @@ def couple(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = 
         )
     chosen = {key: (changes or {}).get(key, getattr(read, key)) for key in CHANGEABLE}
     parts: dict[str, Plant] = {}
+    files: dict[str, Path] = {}
     try:
         for name, part in read.parts.items():
+            id, options = _order_of(part, path.parent, chosen["sample_time"])
+            if id == "fmu" and "path" in options:
+                files[name] = Path(options["path"])
             try:
-                parts[name] = make(*_order_of(part, path.parent, chosen["sample_time"]))
+                parts[name] = make(id, options)
             except InputError as error:
                 raise error.located(file=path, place=f"parts.{name}") from error
         wires = [
@@ -193,7 +198,7 @@ def couple(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = 
         try:
             return Coupled(
                 parts,
-                wires,
+                expanded(wires, parts, files),
                 inputs=read.inputs,
                 outputs=read.outputs,
                 sequence=read.sequence,

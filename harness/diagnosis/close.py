@@ -352,6 +352,7 @@ def _repaired_fmu(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
         "spec": spec_to_dict(diagnosis.dataset.spec),
         "model": NOMINAL,
         "sha256": final.digest,
+        "exchanges": final.exchanges,
         "parameters": {key: float(value) for key, value in final.values(last.values).items()},
         "effects": [[placed.effect.name, placed.at] for placed in final.effects],
         "intersample": diagnosis.dataset.intersample,

@@ -1,7 +1,8 @@
 """A repaired FMU as one co-simulation: an SSP package of the FMU and of its effects, which are an FMU of their own.
 
 The effects' FMU gets the command, the positions and rates and the raw outputs; it drives the inputs of the nominal FMU
-and tells what the sensors would. At the sample time of the data the package repeats the roll-outs of the report.
+and tells what the sensors would. At its own step, the sample time of the data or the part of it in which dry friction
+is told, the package repeats the roll-outs of the report.
 """
 
 from __future__ import annotations
@@ -133,7 +134,7 @@ def _ports(system: FmuSystem) -> list[Variable]:
 
 
 def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]:
-    """Return the repaired system of a ``model.json``, its parameters at their fitted values."""
+    """Return the repaired system of a ``model.json``, its parameters at their fitted values, and the step [s]."""
     from harness import registry
     from harness.blackbox.effects import surround
     from harness.blackbox.reader import fmu_system
@@ -157,7 +158,8 @@ def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]
     known = builtin()
     effects = [Placed(known[name] if name in known else registry.load("effects", name), at)
                for name, at in content["effects"]]  # fmt: skip
-    return (surround(system, effects) if effects else system).with_parameters(values), spec.sample_time
+    step = spec.sample_time / int(content.get("exchanges", 1))
+    return (surround(system, effects) if effects else system).with_parameters(values), step
 
 
 def _structure(system: FmuSystem, sample_time: float, effects: Path | None) -> Structure:

@@ -197,6 +197,7 @@ def read_fmu(path: str | Path) -> FmuFile:
         ) from error
     description, problems = _describe(path)
     renamed = _named_apart(description)
+    problems += _without_number(description)
     version = int(str(description.fmiVersion).split(".")[0])
     file = FmuFile(path, description, version, tuple(problems), tuple(renamed))
     _check_description(file)
@@ -261,6 +262,23 @@ def _check_description(file: FmuFile) -> None:
             raise _refuse(
                 file.path, "modelIdentifier", expected, repr(identifier), "do not trust it", "modelIdentifier"
             )
+
+
+def _without_number(description: Any) -> list[str]:
+    """Leave aside what the description writes where a number belongs, and say so; none of it is needed for a run."""
+    places = [(description.defaultExperiment, "DefaultExperiment", name)
+              for name in ("startTime", "stopTime", "stepSize", "tolerance")]  # fmt: skip
+    places.append((description.coSimulation, "CoSimulation", "fixedInternalStepSize"))
+    problems = []
+    for element, where, name in places:
+        text = getattr(element, name, None)
+        try:
+            if text is not None:
+                float(text)
+        except ValueError:
+            setattr(element, name, None)
+            problems.append(f"{name} of {where} is no number and is left aside: {text!r:.40}")
+    return problems
 
 
 def _named_apart(description: Any) -> list[str]:

@@ -69,6 +69,47 @@ def here(data: Any, **asked: Any) -> Any:
     return calibrate(data, **{"options": {"isolated": False}, **asked})
 
 
+def test_a_solver_that_is_too_coarse_is_run_more_finely(records: Callable[..., Dataset]) -> None:
+    """As it is, its error goes into the parameters, and their intervals do not know of it."""
+    truth = {"J": 0.06, "b": 0.03, "mgl": 1.2}
+    data = records(
+        "pendulum-fmu", truth, outputs=["theta"], dt=0.1, n=200, starts=[{"theta": 0.3}], noise=1e-4, size=0.2
+    )
+    asked: dict[str, Any] = {"model": mockup("pendulum"), "free": ["J", "mgl"], "starts": 1}
+    asked["start"] = {"substep": 1.0, "b": 0.03}
+    found = here(data, **asked)
+    for name in asked["free"]:
+        assert abs(found.parameters[name] - truth[name]) < 4 * spread(found)[name]
+    (said,) = [note for note in found.notes if "the FMU is run with" in note]
+    assert re.search(r"a communication step of 0\.0\d+ s and a tolerance of .*finer ones move theta by", said)
+    coarse = here(data, **asked, options={"isolated": False, "step": 0.1})
+    assert any(abs(coarse.parameters[name] - truth[name]) > 10 * spread(found)[name] for name in asked["free"])
+
+
+def test_an_fmu_that_hangs_is_waited_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def hangs(*asked: Any) -> None:
+        made.append(asked)
+        raise PlantError("no answer to make within 60 s", status="timeout")
+
+    data = rig()
+    monkeypatch.setattr("harness.calibration.fitting.make_plant", hangs)
+    with pytest.raises(PlantError, match="no answer to make"):
+        calibrate(data, model=mockup("pendulum"), free=["J"], starts=1)
+    assert len(made) == 1
+
+
+def test_a_description_that_breaks_the_standard_is_read_as_it_is_for_a_run(tmp_path: Path) -> None:
+    path = tmp_path / "odd.fmu"
+    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(path, "w") as new:
+        for entry in old.infolist():
+            text = old.read(entry)
+            new.writestr(entry, text.replace(b"<ModelVariables>", b'<ModelVariables order="1">'))
+    found = here(rig(), model=path, free=["J", "b", "mgl"], starts=1)
+    assert found.parameters["J"] == pytest.approx(0.08, rel=0.02)
+
+
 def test_what_the_data_do_not_tell_is_said_by_direction(records: Callable[..., Dataset]) -> None:
     data = records(
         "drive-fmu", {"M": 30.0, "Fv": 150.0}, outputs=["q"], dt=5e-3, n=300, starts=[{}], noise=1e-4, size=300.0

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import pickle
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from harness import registry
+from harness.blackbox.effects import surround
 from harness.blackbox.reader import fmu_system
 from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator
 from harness.command import main
 from harness.comparison.reports import compare_reports
 from harness.diagnosis.close import Figures
+from harness.diagnosis.fmu.prepare import measured_states, nominal_fmu
+from harness.effects import builtin
+from harness.effects.effect import Placed
 from harness.errors import InputError
-from harness.signals import Channel, FloatArray, PlantSpec
+from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 from plants.mockups import mockup
 
 DT = 0.01
@@ -53,6 +59,93 @@ def test_parameters_that_are_fixed_from_the_initialisation_on_are_calibrated_by_
     assert np.ptp(swung(fixed, {"J": 0.06}) - swung(fixed, {"J": 0.09})) > 0.1
     with pytest.raises(InputError, match=r"a real parameter of the FMU \(tunable are none\), got 'mass'"):
         fmu_system(fixed, SPEC, {"mass": 1.0})
+
+
+SPEED = PlantSpec((Channel("u", "N m"),), (Channel("omega", "rad/s"),), DT)
+
+
+def rewritten(path: Path, *changes: tuple[bytes, bytes]) -> Path:
+    """Write the pendulum with another description."""
+    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(path, "w") as new:
+        for entry in old.infolist():
+            text = old.read(entry)
+            for before, after in changes if entry.filename == "modelDescription.xml" else ():
+                assert before in text
+                text = text.replace(before, after)
+            new.writestr(entry, text)
+    return path
+
+
+def test_a_measured_speed_tells_of_the_position_that_no_output_shows(tmp_path: Path) -> None:
+    """As with tools that show what a sensor measures, and keep the states inside."""
+    inside = (
+        b'name="theta" valueReference="2" causality="output"',
+        b'name="theta" valueReference="2" causality="local"',
+    )
+    listed = (b'<Unknown index="2" dependencies="" />', b"")
+    found = fmu_system(rewritten(tmp_path / "inside.fmu", inside, listed), SPEED)
+    assert [(one.name, one.position, one.rate, one.force_unit) for one in found.coordinates] == [
+        ("theta", "theta", "omega", "N m")
+    ]
+    # an angle that does not move as the integral of the speed is not taken for it
+    other = (b'valueReference="2" causality="local"', b'valueReference="3" causality="local"')
+    assert fmu_system(rewritten(tmp_path / "other.fmu", inside, listed, other), SPEED).coordinates == ()
+
+
+def test_an_output_that_shows_a_named_state_tells_where_it_begins(tmp_path: Path) -> None:
+    path = rewritten(
+        tmp_path / "alias.fmu",
+        (b'valueReference="3" causality="output"', b'valueReference="3" causality="local"'),
+        (b'<Unknown index="3" dependencies="" />', b'<Unknown index="14" dependencies="" />'),
+        (
+            b"</ModelVariables>",
+            b'<ScalarVariable name="speed" valueReference="3" causality="output" variability="continuous">'
+            b'<Real unit="rad/s" /></ScalarVariable></ModelVariables>',
+        ),
+    )
+    system = fmu_system(path, PlantSpec((Channel("u", "N m"),), (Channel("speed", "rad/s"),), DT))
+    assert (system.shown, [state.name for state in system.inner_states]) == ({"speed": "omega"}, ["theta", "omega"])
+    t = np.linspace(0.0, 1.99, 200)
+    record = Trajectory(t, np.zeros((200, 1)), np.cos(3 * t)[:, None], replace(SPEED, outputs=system.outputs))
+    x, known = measured_states(system, FmuSimulator(system, Runner(system, DT)), record, system.vector())
+    assert known == [False, True]
+    assert x[0] == pytest.approx([0.0, 1.0], abs=0.02)
+
+
+def test_dry_friction_is_told_more_often_than_the_data_are() -> None:
+    """A force that jumps and is held for a sample of 50 ms is wrong by its own size where the motion turns."""
+    parts, dt, x0 = 50, 0.05, np.array([0.4, 0.0])
+    nominal = fmu_system(mockup("pendulum"), replace(SPEC, sample_time=dt))
+    t = np.arange(200) * dt
+    u = (0.6 * np.sin(2 * t) + 0.4 * np.sin(5.1 * t))[:, None]
+    finely = np.repeat(u, parts, axis=0)[: (len(u) - 1) * parts + 1]
+    inside = FmuSimulator(nominal, Runner(nominal, dt / parts)).run(nominal.vector({"Fc": 0.1}), x0, finely)[1][::parts]
+    off = []
+    for exchanges in (1, 8):
+        friction = [Placed(builtin()["coulomb_friction"], "theta", {"Fc": 0.1})]
+        made = surround(replace(nominal, exchanges=exchanges), friction, {"theta": {"v": 1.0, "F": 0.5}})
+        y = FmuSimulator(made, Runner(made, dt)).run(made.vector(), x0, u)[1]
+        off.append(float(np.abs(y - inside).max()))
+    assert off[0] > 0.02
+    assert off[1] < 0.15 * off[0]
+    smooth = surround(replace(nominal, exchanges=8), [Placed(builtin()["viscous_friction"], "theta")])
+    assert smooth.exchanges == 1, "what does not jump costs no more runs"
+
+
+@pytest.mark.parametrize(("noise", "least", "most"), [(1e-1, 1, 1), (1e-3, 2, 16)])
+def test_how_often_is_told_by_what_a_push_does_within_a_sample(noise: float, least: int, most: int) -> None:
+    rng = np.random.default_rng(0)
+    dt = 0.05
+    spec = replace(SPEC, sample_time=dt)
+    t = np.linspace(0.0, 199 * dt, 200)
+    runs = []
+    for use in ("estimation", "validation"):
+        u = np.sum([0.3 * np.sin(f * t + rng.uniform(0, 6)) for f in (1.0, 2.3, 5.1)], axis=0)[:, None]
+        with registry.create("plants", "fmu", path=mockup("pendulum"), sample_time=dt, outputs=["theta"]) as plant:
+            y = np.vstack([plant.reset(rng=rng, x0={"theta": 0.4}), plant.rollout(u[:-1])])
+        runs.append(Run(Trajectory(t, u, y + rng.normal(0, noise, y.shape), spec), use, use))
+    data = Dataset(runs=tuple(runs), name="push", noise={"theta": noise})
+    assert least <= nominal_fmu(mockup("pendulum"), data).exchanges <= most
 
 
 def test_a_parameter_is_set_anew_for_every_run(fixed: Path) -> None:

@@ -34,6 +34,13 @@ def test_whiteness_tests_alarm_at_their_level_on_white_residuals() -> None:
         assert 0.015 < rate(found) < 0.1
 
 
+def test_a_record_shorter_than_the_lags_is_tested_over_fewer() -> None:
+    rng = np.random.default_rng(3)
+    found = tests.input_correlation(rng.standard_normal(24), rng.standard_normal(24))
+    assert 0 < found.dof <= 13
+    assert 0 < found.p < 1
+
+
 def test_each_test_sees_what_it_is_for() -> None:
     rng = np.random.default_rng(7)
     n = 2000

@@ -137,6 +137,23 @@ def test_the_package_repeats_the_coupling_here_and_in_libcosim(tmp_path: Path, d
     assert np.ptp(ours, axis=0).min() > 1e-3
 
 
+def test_a_calibrated_copy_begins_with_its_values_in_libcosim_too(tmp_path: Path) -> None:
+    from harness.calibration.written import write_model
+    from harness.trust import trusting
+
+    turned = in_degrees(tmp_path)
+    path = coupling(tmp_path, f'fmu = "{turned.name}"')
+    with trusting(tmp_path):
+        package = exported(path)
+    values = {"a.J": 0.09, "a.mgl": 1.3, "b.b": 0.2}
+    copy = write_model(package, "ssp", values, {}, tmp_path / "copy.ssp")
+    assert_valid(copy, OPEN_ENDS)
+    ours, before = run(copy), run(package)
+    assert np.abs(ours - before).max() > 0.1 * np.ptp(before)
+    theirs = by_libcosim(unpacked(copy) / OPEN_ENDS, ["a.theta", "b.theta"], 200)
+    np.testing.assert_allclose(theirs * np.array([np.pi / 180, 1.0]), ours, rtol=0, atol=1e-9)
+
+
 def test_what_comes_from_outside_is_a_connector_of_the_system_and_an_open_end(tmp_path: Path) -> None:
     from fmpy.ssp.ssd import read_ssd  # held against the schema of SSP 1.0
 

@@ -168,6 +168,15 @@ def test_what_fmpy_runs_is_run_and_said(tmp_path: Path, old: str, new: str, says
     assert any(says in text for text in notes)
 
 
+@pytest.mark.parametrize("name", ["startTime", "stopTime", "stepSize", "tolerance"])
+def test_a_word_where_a_number_belongs_is_left_aside_and_said(tmp_path: Path, name: str) -> None:
+    words = f'<DefaultExperiment {name}="soon" />'
+    path = changed(mockup("pendulum"), tmp_path / "soon.fmu", r"<DefaultExperiment [^>]*/>", words)
+    found = run_as_is(path, isolated=False, stop_time=0.1, sample_time=0.02)
+    assert len(found.trajectory) == 6
+    assert f"{name} of DefaultExperiment is no number and is left aside: 'soon'" in found.notes
+
+
 def test_a_library_may_be_named_with_a_hyphen(tmp_path: Path) -> None:
     path = changed(mockup("pendulum"), tmp_path / "x.fmu", 'modelIdentifier="Pendulum"', 'modelIdentifier="Pen-dulum"')
     with zipfile.ZipFile(path) as old, zipfile.ZipFile(tmp_path / "y.fmu", "w") as new:

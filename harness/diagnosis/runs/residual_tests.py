@@ -104,10 +104,12 @@ def ljung_box(r: FloatArray, lags: int = 25, fitted: int = 0) -> Outcome:
 def input_correlation(u: FloatArray, r: FloatArray, lags: int = 25) -> Outcome:
     """Test the residual for independence of the last ``lags`` inputs (Lagrange multiplier form, any colour of ``u``).
 
+    Of a short record half of its length at most.
+
     With X the matrix of lagged inputs, r' X (X' X)^-1 X' r / s^2 is chi-square if ``r`` is white and free of ``u``
     (Ljung, System Identification, section 16.6).
     """
-    return _projection("input cross-correlation", _lagged(u, lags), r)
+    return _projection("input cross-correlation", _lagged(u, min(lags, len(u) // 2)), r)
 
 
 def cusum_of_squares(r: FloatArray) -> tuple[FloatArray, float, Outcome]:
