@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from harness.cosim.free_run import FreeRun
     from harness.data import LoadedDataset, Nominal
     from harness.data.oddities import DataCheck
-    from harness.data.recipe.chosen import Signals
+    from harness.data.recipe.chosen import Noted, Records, Signals
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.effects.effect import Effect
@@ -218,11 +218,7 @@ def _described_model(path: Path) -> dict[str, Any]:
 
 
 def new_dataset(
-    files: Sequence[str | Path],
-    *,
-    model: str | None = None,
-    out: str | Path = "dataset.toml",
-    force: bool = False,
+    files: Sequence[str | Path], *, model: str | None = None, out: str | Path = "dataset.toml", force: bool = False
 ) -> Path:
     """Write a dataset.toml drafted from files of data (``sysid new dataset FILE...``).
 
@@ -323,12 +319,7 @@ def simulate(
         If a parameter is given a value outside the bounds that its model or FMU declares and ``note`` is not given
         (which gets the sentence otherwise). The run goes on with that value.
     """
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
-        if Path(out).suffix not in (".csv", ".parquet"):
-            raise InputError(
-                "output file", expected="a name that ends in .csv or .parquet", got=str(out), remedy="rename it"
-            )
+    _refuse_overwrite(out, force=force, endings=(".csv", ".parquet"))
     options = dict(options or {})
     if exchange is not None:
         if names_fmu(plant) or not is_plant_file(plant):
@@ -339,10 +330,7 @@ def simulate(
     if scenario is None:
         asked = {"start": start, "stop": stop, "step": step, "tolerance": tolerance}
         trajectory = _as_is(plant, asked, options, bool(hide or scenario_options), progress, note, broke)
-        if out is not None:
-            from harness.data import write_trajectory
-
-            write_trajectory(trajectory, out)
+        _write_record(trajectory, out)
         return trajectory
     if any(value is not None for value in (start, stop, step, tolerance)):
         raise InputError(
@@ -365,10 +353,7 @@ def simulate(
         experiment = made_scenario.prepare(made.spec, streams=streams, role=role)
         experiment = _started(experiment, options.get("start"))
         trajectory = perform(made, experiment, rng=streams(f"{role}/plant"), progress=progress)
-    if out is not None:
-        from harness.data import write_trajectory
-
-        write_trajectory(trajectory, out, references=_from_outside(experiment, made.spec))
+    _write_record(trajectory, out, references=_from_outside(experiment, made.spec))
     return trajectory
 
 
@@ -411,9 +396,8 @@ def halve(
     """
     from harness.cosim.convergence import halved
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
-    _refuse_picture(picture, force=force)
+    _refuse_overwrite(out, force=force)
+    _refuse_overwrite(picture, force=force, endings=PICTURES)
     hearers = [note]
 
     def run(chosen: float | None) -> Trajectory:
@@ -427,10 +411,7 @@ def halve(
         if kept:
             named = ", ".join(kept[:6]) + (", ..." if len(kept) > 6 else "")
             note(f"steps of their own get no finer, only the exchange with the others does: {named}")
-    if out is not None:
-        from harness.data import write_trajectory
-
-        write_trajectory(found.finest, out)
+    _write_record(found.finest, out)
     _draw(found.figure, picture)
     return found
 
@@ -463,22 +444,11 @@ def bench(
     )
 
 
-def bench_public(
-    *,
-    sets: Sequence[str] | None = None,
-    only: str | None = None,
-    out: str | Path = "results/public",
-    choices: str | Path | None = None,
-    download: bool = False,
-    resume: bool = False,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> PublicResult:
+def bench_public(**asked: Any) -> PublicResult:
     """Run the public table (``sysid bench public``); see :func:`harness.benchmark.public.bench_public`."""
     from harness.benchmark import public
 
-    return public.bench_public(
-        sets=sets, only=only, out=out, choices=choices, download=download, resume=resume, progress=progress
-    )
+    return public.bench_public(**asked)
 
 
 def stored_public(directory: str | Path) -> PublicResult | None:
@@ -490,18 +460,11 @@ def stored_public(directory: str | Path) -> PublicResult | None:
     return public.read_public(directory)
 
 
-def plan_bench(
-    suite: str | Path,
-    *,
-    out: str | Path | None = None,
-    workers: int | None = None,
-    seeds: tuple[int, int] | None = None,
-    shard: str | None = None,
-) -> Plan:
+def plan_bench(suite: str | Path, **asked: Any) -> Plan:
     """Return what :func:`bench` would run, and how long it would take; see :func:`harness.benchmark.plan`."""
     from harness import benchmark
 
-    return benchmark.plan(suite, out=out, workers=workers, seeds=seeds, shard=shard)
+    return benchmark.plan(suite, **asked)
 
 
 def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
@@ -642,7 +605,13 @@ def load_dataset(
     ----------
     dataset : path, str, table or records
         The name of a recording (``sysid list recordings``), or what :func:`harness.data.load_dataset` reads.
-    model, validation, ports, undriven, **signals
+    model : str, optional
+        Nominal model that names the ports.
+    validation : path or table, optional
+        Validation data beside a bare file or table; without them the last third validates.
+    undriven : sequence of str
+        Inputs of the model that nothing drove; any other must be recorded.
+    ports, **signals
         See there.
 
     Returns
@@ -718,8 +687,7 @@ def identify_response(
     from harness.frequency import FrequencyResponse, read_response
     from harness.frequency.identified import IdentifiedResponse
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
+    _refuse_overwrite(out, force=force)
     if hasattr(data, "coherence"):
         data = FrequencyResponse.of_spectrum(data)
     elif not isinstance(data, FrequencyResponse):
@@ -749,13 +717,11 @@ def identify(
     identifier: str | None = None,
     options: Mapping[str, Any] | None = None,
     model: str | None = None,
-    validation: Any = None,
-    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     seed: int = 0,
     bounds: bool = False,
     force: bool = False,
-    **signals: Unpack[Signals],
+    **records: Unpack[Records],
 ) -> Identified:
     """Fit one model to a data set, or to an input and an output, and score it on every use of the data.
 
@@ -774,10 +740,6 @@ def identify(
     model : str, optional
         Nominal model that names the ports (needed for a bare CSV or Parquet file). An identifier that fits a physical
         model fits this one, or the one that the data set names, unless ``options`` say otherwise.
-    validation : path, optional
-        Validation file beside a bare CSV or Parquet file.
-    undriven : sequence of str
-        Inputs of the model that nothing drove; any other must be recorded.
     out : path, optional
         JSON file for the model.
     seed : int
@@ -786,9 +748,9 @@ def identify(
         Put bounds for finite samples beside what was measured; of linear models (the analysis ``finite-sample``).
     force : bool
         Overwrite ``out`` if it exists.
-    **signals : Signals
-        ``input``, ``output``, ``column``, ``unit``, ``sample_time``, ``gaps`` and ``run``, as for
-        :func:`harness.load_dataset`.
+    **records : Records
+        ``validation``, ``undriven``, ``input``, ``output``, ``column``, ``unit``, ``sample_time``, ``gaps``, ``run``:
+        as for :func:`harness.load_dataset`.
 
     Raises
     ------
@@ -805,13 +767,12 @@ def identify(
     >>> identify(u, y, sample_time=0.1, options={"order": 1}).poles.round(3)
     array([0.8+0.j])
     """
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
+    _refuse_overwrite(out, force=force)
     from harness.scoring import equation_error, simulation_error
     from harness.scoring.predictive import probability_score
 
     if y is not None:
-        dataset, signals = _table_of(dataset, y, signals)
+        dataset, records = _table_of(dataset, y, records)
     if identifier is None and model is not None:
         raise InputError(
             "no identifier for a physical model",
@@ -822,11 +783,11 @@ def identify(
     if (
         identifier is not None
         and model is None
-        and signals.get("output") is None
+        and records.get("output") is None
         and hasattr(registry.load("identifiers", identifier), "channels")
     ):
-        signals = {**signals, **_channels(registry.create("identifiers", identifier, **dict(options or {})), dataset)}
-    loaded = load_dataset(dataset, model=model, validation=validation, undriven=undriven, **signals)
+        records = {**records, **_channels(registry.create("identifiers", identifier, **dict(options or {})), dataset)}
+    loaded = load_dataset(dataset, model=model, **records)
     data = loaded.dataset
     identifier = default_identifier(data.spec) if identifier is None else identifier
     made = registry.create("identifiers", identifier, **_with_model(identifier, dict(options or {}), loaded.nominal))
@@ -837,9 +798,9 @@ def identify(
             got=type(made).__name__,
             remedy="use it online in a benchmark suite, or choose another (sysid list identifiers)",
         )
-    records = [trajectory.measured() for trajectory in data.estimation]
+    measured = [trajectory.measured() for trajectory in data.estimation]
     try:
-        fitted = made.fit(records, rng=stream("identify", identifier, seed))
+        fitted = made.fit(measured, rng=stream("identify", identifier, seed))
     except HarnessError:
         raise
     except Exception as error:
@@ -857,21 +818,21 @@ def identify(
         (*_said(fitted), *data.warnings),
         probability,
         next(iter((*data.validation, *data.estimation)), None),
-        _bounds_beside(fitted, records, identifier, seed) if bounds else None,
+        _bounds_beside(fitted, measured, identifier, seed) if bounds else None,
     )
 
 
-def _table_of(u: Any, y: Any, signals: Signals) -> tuple[Any, Signals]:
+def _table_of(u: Any, y: Any, records: Records) -> tuple[Any, Records]:
     """Return inputs and outputs that were given apart as a table, and what is said of its columns."""
     from harness.data.tables.memory import input_and_output
 
     table, names, others = input_and_output(u, y)
-    if "input" in signals or "output" in signals:
+    if "input" in records or "output" in records:
         raise InputError(
             "input and output", expected="arrays u and y, or a table with input= and output=", got="both",
             remedy="leave out one",
         )  # fmt: skip
-    return table, {**signals, "input": names, "output": others}
+    return table, {**records, "input": names, "output": others}
 
 
 def _bounds_beside(model: Model, records: Sequence[Trajectory], identifier: str, seed: int) -> Findings:
@@ -892,20 +853,18 @@ def calibrate(
     slopes: str = "differences",
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
-    validation: Any = None,
-    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     ssv: str | Path | None = None,
     model_out: str | Path | None = None,
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
-    **signals: Unpack[Signals],
+    **records: Unpack[Records],
 ) -> Calibration:
     """Fit parameters of an FMU or a system of FMUs to data (``sysid identify DATA --model X.fmu --free p1,p2``).
 
     Parameters
     ----------
-    dataset, validation, undriven
+    dataset
         As for :func:`identify`; columns are named after the model's inputs and outputs.
     model : path
         ``.fmu``, ``.ssp``, ``.ssd`` or an OSP structure. It runs in a process of its own.
@@ -923,7 +882,7 @@ def calibrate(
         Overwrite what exists.
     progress : callable, optional
         Called as ``progress(share, what)``.
-    **signals : Signals
+    **records : Records
         As for :func:`identify`.
 
     Raises
@@ -946,9 +905,7 @@ def calibrate(
     """
     from harness import calibration
 
-    for path in (out, ssv, model_out):
-        if path is not None:
-            _refuse_overwrite(Path(path), force=force)
+    _refuse_overwrite(out, ssv, model_out, force=force)
     name, system = str(model), is_system(str(model))
     if not (system or names_fmu(name)):
         raise InputError(
@@ -958,12 +915,7 @@ def calibrate(
             remedy="a model of equations is fitted by --identifier output-error",
         )
     loaded = load_dataset(
-        dataset,
-        model=None if system else name,
-        validation=validation,
-        undriven=undriven,
-        ports=calibration.ports_of_system(name) if system else None,
-        **signals,
+        dataset, model=None if system else name, ports=calibration.ports_of_system(name) if system else None, **records
     )
     rates = [channel for channel, (_, times) in zip(loaded.dataset.spec.outputs, loaded.measured, strict=True) if times]
     if rates:
@@ -1013,14 +965,12 @@ def close_loop(
     *,
     out: str | Path | None = None,
     model: str | None = None,
-    validation: Any = None,
-    undriven: Sequence[str] = (),
     dictionary: str = "",
     effects: Sequence[str | Effect] = (),
     resume: bool = False,
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
-    **signals: Unpack[Signals],
+    **records: Unpack[Records],
 ) -> Report:
     """Find the effect that a model lacks, add it, report the error before and after.
 
@@ -1033,10 +983,6 @@ def close_loop(
         Folder for ``report.html``, ``report.json`` and ``model.json``; nothing is written without it.
     model : str, optional
         Nominal model: a built-in name, ``FILE.py:NAME``; overrides the one that the data set names.
-    validation : path, optional
-        Validation file beside a bare CSV or Parquet file.
-    undriven : sequence of str
-        Inputs of the model that nothing drove; any other must be recorded.
     dictionary : str
         Which effects are given, tried and left out, such as ``"coulomb_friction(theta); *delay*?"`` or
         ``"!thermal_*"``; all are tried without it. See :class:`harness.diagnosis.wanted.Wanted`.
@@ -1049,7 +995,7 @@ def close_loop(
         Overwrite a finished report in ``out``.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
-    **signals : Signals
+    **records : Records
         As for :func:`identify`.
 
     Returns
@@ -1070,7 +1016,7 @@ def close_loop(
     from harness.diagnosis.dictionary import with_effects_of
 
     laws = with_effects_of(effects)
-    loaded: Any = load_dataset(dataset, model=model, validation=validation, undriven=undriven, **signals)
+    loaded: Any = load_dataset(dataset, model=model, **records)
     how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
     how |= {"dictionary": laws, "wanted": dictionary}
     if loaded.nominal is not None and names_fmu(loaded.nominal.model):
@@ -1120,8 +1066,7 @@ def equations(
     from harness.export.equations import written_model
     from harness.fitted import load_model
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
+    _refuse_overwrite(out, force=force)
     text = written_model(load_model(model, **options) if isinstance(model, str | Path) else model).write(form)
     if out is not None:
         _write_text(Path(out), text)
@@ -1190,33 +1135,11 @@ def learn_residual(
     )
 
 
-def close_fleet(
-    source: str | Path,
-    *,
-    out: str | Path,
-    model: str | None = None,
-    undriven: Sequence[str] = (),
-    engine: str = "local",
-    workers: int | None = None,
-    time_limit: float | None = None,
-    resume: bool = False,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> FleetResult:
+def close_fleet(source: str | Path, **asked: Any) -> FleetResult:
     """Close the loop on many records, each a job; see :func:`harness.fleet.close_fleet`."""
     from harness import fleet
 
-    limit = {} if time_limit is None else {"time_limit": time_limit}
-    return fleet.close_fleet(
-        source,
-        out=out,
-        model=model,
-        undriven=undriven,
-        engine=engine,
-        workers=workers,
-        resume=resume,
-        progress=progress,
-        **limit,
-    )
+    return fleet.close_fleet(source, **asked)
 
 
 def isolability(
@@ -1278,8 +1201,7 @@ def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: boo
         raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
     target = Path(out)
     second = [target.with_name(f"{target.stem}-fmi3.fmu")] if fmi == "both" and names_fmu(target) else []
-    for path in (target, *second):
-        _refuse_overwrite(path, force=force)
+    _refuse_overwrite(target, *second, force=force)
     return room.export(source, out=out, fmi=cast(Any, fmi))
 
 
@@ -1288,12 +1210,9 @@ def compare(
     dataset: Any,
     *,
     model: str | None = None,
-    validation: Any = None,
-    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     force: bool = False,
-    note: Callable[[str], None] | None = None,
-    **signals: Unpack[Signals],
+    **records: Unpack[Noted],
 ) -> Comparison:
     """Put stored models side by side on one data set: fit, residuals, frequency responses.
 
@@ -1303,16 +1222,14 @@ def compare(
         Files that ``identify`` wrote, or folders that ``close_loop`` wrote.
     dataset : path or table
         As for ``identify``.
-    model, validation, undriven
-        As for ``identify``.
+    model : str, optional
+        As for :func:`identify`.
     out : path, optional
         HTML page to write.
     force : bool
         Overwrite ``out`` if it exists.
-    note : callable, optional
-        Called with what is odd about the records (:func:`check_data`).
-    **signals : Signals
-        As for :func:`identify`.
+    **records : Noted
+        As for :func:`identify`; ``note``, a callable, gets what is odd about the records (:func:`check_data`).
 
     Raises
     ------
@@ -1321,25 +1238,14 @@ def compare(
     """
     from harness import comparison as room
     from harness.comparison.models import read_model
-    from harness.data.whole_files import whole_file
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
+    _refuse_overwrite(out, force=force)
     found = {str(path): read_model(path) for path in models}
     spec = next(iter(found.values())).spec
-    data = load_dataset(
-        dataset,
-        model=model,
-        validation=validation,
-        undriven=undriven,
-        ports=(spec.inputs, spec.outputs) if _is_table(dataset) and model is None else None,
-        **signals,
-    ).dataset
-    _note_oddities(data, note)
+    ports = (spec.inputs, spec.outputs) if _is_table(dataset) and model is None else None
+    data = _noted(dataset, model=model, ports=ports, **records)
     result = room.compare(found, data)
-    if out is not None:
-        with whole_file(out) as scratch:
-            scratch.write_text(result.html(), encoding="utf-8")
+    _write_page(out, result)
     return result
 
 
@@ -1354,12 +1260,10 @@ def spectrum(
     dataset: Any,
     *,
     model: str | None = None,
-    undriven: Sequence[str] = (),
     segment: int | None = None,
     out: str | Path | None = None,
     force: bool = False,
-    note: Callable[[str], None] | None = None,
-    **signals: Unpack[Signals],
+    **records: Unpack[Noted],
 ) -> Spectrum:
     """Return the frequency response that the estimation records of a data set show.
 
@@ -1367,18 +1271,16 @@ def spectrum(
     ----------
     dataset : path or table
         As for ``identify``.
-    model, undriven
-        As for ``identify``.
+    model : str, optional
+        As for :func:`identify`.
     segment : int, optional
         Samples of a segment of Welch's method.
     out : path, optional
         Picture to write: ``.svg``, ``.png`` or ``.pdf``.
     force : bool
         Overwrite ``out`` if it exists.
-    note : callable, optional
-        Called with what is odd about the records (:func:`check_data`).
-    **signals : Signals
-        As for :func:`identify`.
+    **records : Noted
+        As for :func:`identify`; ``note``, a callable, gets what is odd about the records (:func:`check_data`).
 
     Raises
     ------
@@ -1387,9 +1289,8 @@ def spectrum(
     """
     from harness import comparison as room
 
-    _refuse_picture(out, force=force)
-    data = load_dataset(dataset, model=model, undriven=undriven, **signals).dataset
-    _note_oddities(data, note)
+    _refuse_overwrite(out, force=force, endings=PICTURES)
+    data = _noted(dataset, model=model, **records)
     found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
     _draw(found.plot, out)
     return found
@@ -1402,38 +1303,26 @@ def order(
     orders: Sequence[int] = (),
     options: Mapping[str, Any] | None = None,
     model: str | None = None,
-    validation: Any = None,
-    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
-    note: Callable[[str], None] | None = None,
-    **signals: Unpack[Signals],
+    **records: Unpack[Noted],
 ) -> OrderSelection:
     """Fit models of every order, judge them on data that they did not see, and show where more is no gain.
 
     Parameters
     ----------
     dataset : path or table
-        As for ``identify``.
     identifiers : sequence of str
         Ids of identifiers with the option ``order``; by default ``arx``, ``n4sid`` and ``ho-kalman``.
     orders : sequence of int
         By default 1 to 12.
     options : mapping, optional
         Further options of the identifiers.
-    model, validation, undriven
-        As for ``identify``.
-    out : path, optional
-        Picture to write: ``.svg``, ``.png`` or ``.pdf``.
     seed : int
         For identifiers that draw random numbers.
-    force : bool
-        Overwrite ``out`` if it exists.
-    note : callable, optional
-        Called with what is odd about the records (:func:`check_data`).
-    **signals : Signals
-        As for :func:`identify`.
+    model, out, force, **records
+        As for :func:`spectrum`.
 
     Raises
     ------
@@ -1442,10 +1331,8 @@ def order(
     """
     from harness import comparison as room
 
-    _refuse_picture(out, force=force)
-    path = registry.dataset_path(dataset)
-    data = load_dataset(path, model=model, validation=validation, undriven=undriven, **signals).dataset
-    _note_oddities(data, note)
+    _refuse_overwrite(out, force=force, endings=PICTURES)
+    data = _noted(dataset, model=model, **records)
     asked: dict[str, Any] = {"identifiers": identifiers} if identifiers else {}
     if orders:
         asked["orders"] = orders
@@ -1461,31 +1348,19 @@ def arx_orders(
     nk: Sequence[int] = (1,),
     *,
     model: str | None = None,
-    validation: Any = None,
-    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     force: bool = False,
-    note: Callable[[str], None] | None = None,
-    **signals: Unpack[Signals],
+    **records: Unpack[Noted],
 ) -> ArxGrid:
     """Judge the ARX models of a whole grid of orders, from one QR factorisation of the data.
 
     Parameters
     ----------
     dataset : path or table
-        As for ``identify``.
     na, nb, nk : sequence of int
         Past outputs, coefficients of each input, delays that are tried, each with each.
-    model, validation, undriven
-        As for ``identify``.
-    out : path, optional
-        Picture to write: ``.svg``, ``.png`` or ``.pdf``.
-    force : bool
-        Overwrite ``out`` if it exists.
-    note : callable, optional
-        Called with what is odd about the records (:func:`check_data`).
-    **signals : Signals
-        As for :func:`identify`.
+    model, out, force, **records
+        As for :func:`spectrum`.
 
     Returns
     -------
@@ -1499,10 +1374,8 @@ def arx_orders(
     """
     from harness import comparison as room
 
-    _refuse_picture(out, force=force)
-    path = registry.dataset_path(dataset)
-    data = load_dataset(path, model=model, validation=validation, undriven=undriven, **signals).dataset
-    _note_oddities(data, note)
+    _refuse_overwrite(out, force=force, endings=PICTURES)
+    data = _noted(dataset, model=model, **records)
     found = room.arx_orders(data, na, nb, nk)
     _draw(found.plot, out)
     return found
@@ -1517,13 +1390,11 @@ def modes(
     window: int | None = None,
     options: Mapping[str, Any] | None = None,
     model: str | None = None,
-    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
-    note: Callable[[str], None] | None = None,
     progress: Callable[[int, int], None] | None = None,
-    **signals: Unpack[Signals],
+    **records: Unpack[Noted],
 ) -> Modes:
     """Return the modes of vibration that a data set determines; see :func:`harness.modal.identify_modes`.
 
@@ -1534,16 +1405,14 @@ def modes(
         ``input`` is ``["none"]`` is the answer to unknown excitation.
     identifier, orders, criteria, window, options, seed, progress
         As for :func:`harness.modal.identify_modes`.
-    model, undriven
-        As for ``identify``.
+    model : str, optional
+        As for :func:`identify`.
     out : path, optional
         Folder to write: the page ``modes.html``, ``modes.json``, and the pictures as SVG.
     force : bool
         Overwrite what is in ``out``.
-    note : callable, optional
-        Called with what is odd about the records (:func:`check_data`).
-    **signals : Signals
-        As for :func:`identify`.
+    **records : Noted
+        As for :func:`identify`; ``note``, a callable, gets what is odd about the records (:func:`check_data`).
 
     Raises
     ------
@@ -1557,8 +1426,7 @@ def modes(
         raise InputError(
             "the output exists", expected="a new folder", got="an existing one", remedy="--force", file=folder
         )
-    data = load_dataset(dataset, model=model, undriven=undriven, **signals).dataset
-    _note_oddities(data, note)
+    data = _noted(dataset, model=model, **records)
     found = identify_modes(
         (*data.estimation, *data.validation),
         name=data.name,
@@ -1623,7 +1491,7 @@ def analyse(
     """
     from harness.models.analysis import Analysis
 
-    _refuse_picture(out, force=force)
+    _refuse_overwrite(out, force=force, endings=PICTURES)
     made = cast(Analysis, registry.create("analyses", name, **dict(options or {})))
     if made.takes == "data" and hasattr(made, "channels") and signals.get("output") is None:
         signals = {**signals, **_channels(made, subject)}
@@ -1689,11 +1557,9 @@ def check_data(
     dataset: Any,
     *,
     model: str | None = None,
-    validation: Any = None,
-    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     force: bool = False,
-    **signals: Unpack[Signals],
+    **records: Unpack[Records],
 ) -> DataCheck:
     """Say what is odd about the records of a data set; see :mod:`harness.data.oddities`.
 
@@ -1701,13 +1567,13 @@ def check_data(
 
     Parameters
     ----------
-    dataset, model, validation, undriven
+    dataset, model
         As for ``identify``. With a nominal model given by equations, these are asked about the inputs too.
     out : path, optional
         HTML page to write, the odd rows marked in pictures.
     force : bool
         Overwrite ``out`` if it exists.
-    **signals : Signals
+    **records : Records
         As for :func:`identify`.
 
     Raises
@@ -1716,22 +1582,18 @@ def check_data(
         If the data cannot be used at all.
     """
     from harness.data.oddities import DataCheck
-    from harness.data.whole_files import whole_file
     from harness.diagnosis.records.inputs_check import inputs_checked
     from harness.physics.arms.arm import is_arm
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
+    _refuse_overwrite(out, force=force)
     path = registry.dataset_path(dataset)
-    loaded = load_dataset(path, model=model, validation=validation, undriven=undriven, **signals)
+    loaded = load_dataset(path, model=model, **records)
     data, nominal = loaded.dataset, loaded.nominal
     if nominal is not None and not names_fmu(nominal.model) and not is_arm(nominal.model):
         system = loaded.system()
         data = inputs_checked(system, loaded.for_system(system))
     found = DataCheck(data)
-    if out is not None:
-        with whole_file(out) as scratch:
-            scratch.write_text(found.html(), encoding="utf-8")
+    _write_page(out, found)
     return found
 
 
@@ -1791,20 +1653,14 @@ def vet(
     """
     from harness import vetting
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
+    _refuse_overwrite(out, force=force)
     found = vetting.vet(path, options=options, limit=limit, progress=progress)
     _write_page(out, found)
     return found
 
 
 def agreement(
-    run: str | Path,
-    reference: str | Path,
-    *,
-    out: str | Path | None = None,
-    force: bool = False,
-    **asked: Any,
+    run: str | Path, reference: str | Path, *, out: str | Path | None = None, force: bool = False, **asked: Any
 ) -> Agreement:
     """Compare the run of an FMU, or a table of a run, with a reference (``sysid check X.fmu --reference ref.csv``).
 
@@ -1829,20 +1685,16 @@ def agreement(
     """
     from harness import vetting
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
+    _refuse_overwrite(out, force=force)
     found = vetting.agreement(run, reference, **asked)
     _write_page(out, found)
     return found
 
 
-def _write_page(out: str | Path | None, found: Vetting | Agreement) -> None:
+def _write_page(out: str | Path | None, found: Vetting | Agreement | Comparison | DataCheck) -> None:
     """Write what was found as a page of its own, if one was asked for."""
-    from harness.data.whole_files import whole_file
-
     if out is not None:
-        with whole_file(out) as scratch:
-            scratch.write_text(found.html(), encoding="utf-8")
+        _write_text(Path(out), found.html())
 
 
 def _checked(name: str, *, progress: Callable[..., None]) -> list[CheckResult]:
@@ -1852,12 +1704,14 @@ def _checked(name: str, *, progress: Callable[..., None]) -> list[CheckResult]:
     return conformance.check(name)
 
 
-def _note_oddities(data: Dataset, note: Callable[[str], None] | None) -> None:
-    """Tell what is odd about records."""
+def _noted(dataset: Any, note: Callable[[str], None] | None = None, **how: Any) -> Dataset:
+    """Return the records of a data set, and tell what is odd about them."""
     from harness.data.oddities import lines
 
+    data = load_dataset(dataset, **how).dataset
     for text in lines(data.oddities or ()) if note is not None else ():
         cast(Any, note)(text)
+    return data
 
 
 def _from_outside(experiment: Experiment, spec: PlantSpec) -> dict[str, FloatArray]:
@@ -1942,10 +1796,7 @@ def _told(run: FreeRun, note: Callable[[str], None] | None, broke: Callable[[Pla
 
 
 def _system_as_is(
-    plant: str,
-    asked: Mapping[str, float | None],
-    options: dict[str, Any],
-    progress: Callable[[int, int], None] | None,
+    plant: str, asked: Mapping[str, float | None], options: dict[str, Any], progress: Callable[[int, int], None] | None
 ) -> FreeRun:
     """Return the run of a coupling or a system of another tool with its own experiment."""
     from harness.cosim.free_run import free_run, window
@@ -2018,29 +1869,28 @@ def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, s
     return made
 
 
-def _refuse_overwrite(path: Path, *, force: bool) -> None:
-    """Raise if a file would be overwritten, or its folder is missing."""
-    if path.exists() and not force:
-        raise InputError("the output exists", expected="a new file", got="an existing one", remedy="--force", file=path)
-    if not path.parent.is_dir():
-        raise InputError(
-            "the output's folder is missing",
-            expected="an existing folder",
-            got="none",
-            remedy=f"make {path.parent} first",
-            file=path,
-        )
+PICTURES = (".svg", ".png", ".pdf")
+"""Endings of the pictures that are drawn."""
 
 
-def _refuse_picture(out: str | Path | None, *, force: bool) -> None:
-    """Raise if a picture cannot be written there."""
-    if out is None:
-        return
-    _refuse_overwrite(Path(out), force=force)
-    if Path(out).suffix not in (".svg", ".png", ".pdf"):
-        raise InputError(
-            "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
-        )
+def _refuse_overwrite(*outs: str | Path | None, force: bool, endings: Sequence[str] = ()) -> None:
+    """Raise if a file that is to be written would be overwritten, its folder is missing, or it ends otherwise."""
+    for path in (Path(out) for out in outs if out is not None):
+        if path.exists() and not force:
+            raise InputError(
+                "the output exists", expected="a new file", got="an existing one", remedy="--force", file=path
+            )
+        if not path.parent.is_dir():
+            raise InputError(
+                "the output's folder is missing",
+                expected="an existing folder",
+                got="none",
+                remedy=f"make {path.parent} first",
+                file=path,
+            )
+        if endings and path.suffix not in endings:
+            ends = f"a name that ends in {', '.join(endings[:-1])} or {endings[-1]}"
+            raise InputError("output file", expected=ends, got=str(path), remedy="rename it")
 
 
 def _draw(plot: Callable[[], Any], out: str | Path | None) -> None:
@@ -2051,6 +1901,14 @@ def _draw(plot: Callable[[], Any], out: str | Path | None) -> None:
     if out is not None:
         with whole_file(out) as scratch:
             plain_texts(plot()).savefig(scratch, format=Path(out).suffix[1:])
+
+
+def _write_record(record: Trajectory, out: str | Path | None, **more: Any) -> None:
+    """Write a record if a file was asked for."""
+    if out is not None:
+        from harness.data import write_trajectory
+
+        write_trajectory(record, out, **more)
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

@@ -20,6 +20,7 @@ __all__ = [
     "InputError",
     "PlantError",
     "PluginError",
+    "as_described",
     "as_written",
     "no_file",
     "printable",
@@ -182,6 +183,34 @@ def unread(path: str | Path, error: Exception) -> str:
     if isinstance(error, UnicodeDecodeError):
         return "bytes that are no text in UTF-8"
     return error.strerror or type(error).__name__ if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+
+
+@contextmanager
+def as_described(what: str, *, remedy: str = "write the model anew") -> Iterator[None]:
+    """Refuse, in one line, a description that ``to_dict`` did not write, where reading it meets something else.
+
+    Raises
+    ------
+    InputError
+        In place of what reading content of another shape raises.
+
+    Examples
+    --------
+    >>> with as_described("a model"):
+    ...     {}["spec"]
+    Traceback (most recent call last):
+    harness.errors.InputError: description of a model: expected what to_dict() writes, got KeyError: 'spec'; remedy:
+    write the model anew
+    """
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"description of {what}",
+            expected="what to_dict() writes",
+            got=f"{type(error).__name__}: {error}",
+            remedy=remedy,
+        ) from error
 
 
 def refuse_no_file(name: str, expected: str) -> None:

@@ -15,7 +15,9 @@ import numpy as np
 
 from harness.errors import InputError
 
-__all__ = ["BoundsWarning", "instead", "meant_options", "outside", "say_beyond"]
+__all__ = ["BoundsWarning", "instead", "meant_options", "options_of", "outside", "say_beyond"]
+
+_Factory = typing.TypeVar("_Factory", bound=Callable[..., Any])
 
 _WORDS: dict[Any, str] = {
     float: "a number",
@@ -107,6 +109,40 @@ def _listed(kind: Any) -> bool:
     return (origin in (list, Sequence, Collection, Iterable) and len(parts) == 1) or (
         origin is tuple and len(parts) == 2 and parts[1] is ...
     )
+
+
+def options_of(made: Callable[..., Any], *without: str) -> Callable[[_Factory], _Factory]:
+    """Give a factory that takes ``**options`` the signature of what it hands them on to.
+
+    Parameters
+    ----------
+    made : callable
+        What takes the options, and says in its docstring what they mean.
+    *without : str
+        Parameters of it that the factory itself fills in.
+
+    Examples
+    --------
+    >>> def plant(kind: str, mass: float = 1.0, sample_time: float = 0.01): ...
+    >>> @options_of(plant, "kind")
+    ... def heavy(*, mass=5.0, **options): ...
+    >>> {one.name: one.default for one in inspect.signature(heavy).parameters.values()}
+    {'mass': 5.0, 'sample_time': 0.01}
+    """
+
+    def told(factory: _Factory) -> _Factory:
+        signature, whole = inspect.signature(factory), inspect.signature(made)
+        own = [one for one in signature.parameters.values() if one.kind is not one.VAR_KEYWORD]
+        kept = {*without, *(one.name for one in own)}
+        more = [one.replace(kind=one.KEYWORD_ONLY) for one in whole.parameters.values() if one.name not in kept]
+        back = made if inspect.isclass(made) else whole.return_annotation
+        back = vars(sys.modules[made.__module__]).get(back, back) if isinstance(back, str) else back
+        vars(factory).update(
+            __signature__=whole.replace(parameters=[*own, *more], return_annotation=back), __options_of__=made
+        )
+        return factory
+
+    return told
 
 
 def instead(unknown: Sequence[str], known: Iterable[str]) -> str:

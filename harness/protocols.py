@@ -46,7 +46,8 @@ class Plant(Protocol):
     """Something that steps: inputs held for one sample time go in, sampled outputs come out.
 
     ``reset`` starts at time 0 and returns ``y[0]``; ``step(u)`` holds ``u`` for one sample time and returns the next
-    output. Arrays are float64 of shape (nu,) and (ny,). A plant that breaks raises
+    output. Arrays are float64 of shape (nu,) and (ny,). An input of another shape, or not finite, is refused by
+    :class:`harness.errors.InputError`; a plant that breaks, diverges or is closed raises
     :class:`harness.errors.PlantError` with a status. ``close`` may be called twice.
     """
 

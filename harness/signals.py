@@ -18,7 +18,7 @@ from harness.display import drawing, page, table
 from harness.errors import InputError
 from harness.plots import plot_record
 
-__all__ = ["Channel", "Dataset", "FloatArray", "Oddity", "PlantSpec", "Run", "Trajectory", "Use", "residual"]
+__all__ = ["Channel", "Dataset", "FloatArray", "Oddity", "PlantSpec", "Ported", "Run", "Trajectory", "Use", "residual"]
 
 FloatArray = npt.NDArray[np.float64]
 Use = Literal["estimation", "validation", "test"]
@@ -101,8 +101,25 @@ class Channel:
         return f"{self.name} [{self.unit}]"
 
 
+class Ported:
+    """What has inputs and outputs."""
+
+    inputs: Any
+    outputs: Any
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+
 @dataclass(frozen=True)
-class PlantSpec:
+class PlantSpec(Ported):
     """What a plant or a model speaks: its channels, its sample time, whether inputs feed through.
 
     Parameters
@@ -152,16 +169,6 @@ class PlantSpec:
                 got=repr(self.sample_time),
                 remedy="give it in s",
             )
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return len(self.inputs)
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        return len(self.outputs)
 
     def __str__(self) -> str:
         inputs = ", ".join(map(str, self.inputs)) or "no input"

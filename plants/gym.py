@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from harness.errors import InputError, PlantError, PluginError
 from harness.protocols import Ability, Plant
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import initial_values, positive, refuse_input
 
 __all__ = ["GymPlant", "environment"]
 
 
-class GymPlant:
+class GymPlant(BasePlant):
     """A Gymnasium environment behind the stepping interface: actions in, observations out, rewards left out.
 
     Parameters
@@ -69,11 +70,6 @@ class GymPlant:
         self._open = self._running = True
 
     @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
     def abilities(self) -> frozenset[Ability]:
         """None: an environment hides its state."""
         return frozenset()
@@ -120,12 +116,6 @@ class GymPlant:
         if self._open:
             self._env.close()
         self._open = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _flat(self, seen: Any) -> FloatArray:
         """Return an observation as float64 (ny,)."""

@@ -5,19 +5,20 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values
 
 __all__ = ["ReplayPlant"]
 
 
-class ReplayPlant:
+class ReplayPlant(BasePlant):
     """Plays a recording sample by sample.
 
     A recording cannot answer what would have happened under other inputs: they are refused. After its last sample
@@ -166,15 +167,6 @@ class ReplayPlant:
     def set_state(self, state: Any) -> None:
         """Go back to a sample of this same plant object."""
         self._k = int(state)
-
-    def close(self) -> None:
-        """Nothing to release; may be called twice."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _compare(self, given: FloatArray, start: int) -> None:
         """Refuse inputs (n, nu) that differ from those recorded from ``start`` on, or warn."""

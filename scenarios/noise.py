@@ -149,10 +149,8 @@ def coloured_noise(n: int, sample_time: float, bandwidth: float | None, *, rng: 
 
     Parameters
     ----------
-    n : int
-        Samples.
-    sample_time : float
-        Seconds.
+    n, sample_time : int, float
+        Samples, and seconds between them.
     bandwidth : float or None
         Corner frequency [Hz] of the first-order spectrum; None is white.
     rng : numpy.random.Generator

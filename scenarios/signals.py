@@ -261,10 +261,8 @@ def chirp(
 
     Parameters
     ----------
-    n : int
-        Samples.
-    sample_time : float
-        Seconds.
+    n, sample_time : int, float
+        Samples, and seconds between them.
     band : (first, last)
         Hz; a falling sweep has ``first > last``.
     law : {"linear", "logarithmic"}
@@ -376,10 +374,8 @@ def band_noise(n: int, sample_time: float, band: tuple[float, float], *, rng: np
 
     Parameters
     ----------
-    n : int
-        Samples.
-    sample_time : float
-        Seconds.
+    n, sample_time : int, float
+        Samples, and seconds between them.
     band : (low, high)
         Hz.
     rng : numpy.random.Generator

@@ -18,10 +18,8 @@ def triangle(n: int, sample_time: float, frequency: float, *, levels: int = 1, s
 
     Parameters
     ----------
-    n : int
-        Samples.
-    sample_time : float
-        Seconds.
+    n, sample_time : int, float
+        Samples, and seconds between them.
     frequency : float
         Hz.
     levels : int

@@ -16,13 +16,12 @@ from typing import Annotated, Any
 import typer
 
 from harness import __version__, api
-from harness.cli.equations import equations
 from harness.cli.loop import close_loop, isolability, learn_residual
 from harness.cli.models import check_data, compare, export, identify, order, spectrum
 from harness.cli.opening import open_page
 from harness.cli.options import AsJson, Force, ModelName
 from harness.cli.runs import bench, query, simulate, table
-from harness.cli.structures import analyse, modes
+from harness.cli.structures import analyse, equations, modes
 from harness.cli.terminal import fail, print_fmu, print_json, print_parts, print_rows, print_system, print_written, say
 from harness.cli.vetting import check
 from harness.errors import HarnessError, InputError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from harness import api
-from harness.cli.terminal import noted, print_json, print_rows, progress_bar, say, text_pairs
+from harness.cli.terminal import noted, print_json, print_paths, print_rows, say, share_bar, text_pairs
 from harness.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,8 +28,7 @@ Bounds = Annotated[
     list[str] | None, typer.Option("--bound", metavar="NAME=LOW:HIGH", help="of a free parameter, in SI, repeatable")
 ]
 Start = Annotated[
-    list[str] | None,
-    typer.Option("--start", metavar="NAME=VALUE", help="with --free: start value in SI, repeatable"),
+    list[str] | None, typer.Option("--start", metavar="NAME=VALUE", help="with --free: start value in SI, repeatable")
 ]
 Starts = Annotated[int, typer.Option(min=1, help="with --free: starts of the search; the first is as declared")]
 Initial = Annotated[
@@ -61,8 +60,7 @@ def calibrated(
 ) -> Calibration:
     """Fit, and print what was found."""
     names = [name.strip() for text in free for name in _names(text)]
-    with progress_bar("calibrating") as bar:
-        task = bar.add_task("reading", total=None)
+    with share_bar("calibrating", "reading") as show:
         found = api.calibrate(
             dataset,
             free=[name for name in names if name],
@@ -71,7 +69,7 @@ def calibrated(
             out=out,
             ssv=ssv,
             model_out=copy,
-            progress=lambda share, what: bar.update(task, completed=share, total=1.0, description=what),
+            progress=show,
             **asked,
         )
     for text in found.notes:
@@ -83,9 +81,7 @@ def calibrated(
     print_rows(found.error_rows())
     for text in found.remarks():
         say(text)
-    for path in (out, ssv, copy):
-        if path is not None:
-            say(f"wrote {path}")
+    print_paths(out, ssv, copy)
     return found
 
 

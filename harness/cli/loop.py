@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,14 +34,16 @@ from harness.cli.terminal import (
     option_pairs,
     print_json,
     print_planned,
-    progress_bar,
     say,
+    share_bar,
     wide_console,
 )
 from harness.errors import InputError, printable
 
 if TYPE_CHECKING:
-    from harness.data.recipe.chosen import Signals
+    from harness.data.recipe.chosen import Records
+    from harness.diagnosis import Report
+    from harness.learned import LearnedResidual
     from harness.scoring.acceptance import Demands
 
 __all__ = ["close_loop", "isolability", "learn_residual"]
@@ -57,10 +60,8 @@ def close_loop(
     ],
     out: Annotated[Path, typer.Option(help="folder for report.html and report.json; of a fleet, for fleet.html")],
     model: ModelName = None,
-    validation: Validation = None,
-    undriven: Undriven = None,
     *,
-    signals: Signals,
+    records: Records,
     dictionary: Annotated[
         str,
         typer.Option(
@@ -81,18 +82,18 @@ def close_loop(
     max_error: MaxError = None,
     max_share: MaxShare = None,
     junit: Junit = None,
-    trust: Trust = None,
 ) -> None:
     """Find the effect that a model lacks, add it, report the error before and after; of one record or of a fleet."""
     from harness.fleet import is_fleet
 
     demands = demands_of(fail_on, max_error, max_share)
     if is_fleet(dataset):
-        if any(signals.values()):
+        validation, undriven = records.pop("validation"), records.pop("undriven")
+        if any(records.values()):
             raise InputError(
                 "columns chosen for a fleet",
                 expected="records whose titles are the model's ports, or a dataset.toml for each",
-                got=" ".join(f"--{name.replace('_', '-')}" for name, value in signals.items() if value),
+                got=" ".join(f"--{name.replace('_', '-')}" for name, value in records.items() if value),
                 remedy="leave it out",
             )
         if validation is not None or force:
@@ -121,31 +122,22 @@ def close_loop(
             + ("--engine" if engine != "local" else "--workers" if time_limit is None else "--time-limit"),
             remedy="leave it out, or give a folder, a pattern in quotes or a table of records",
         )
-    with progress_bar("closing the loop") as bar:
-        task = bar.add_task(dataset, total=1.0)
-
-        def show(fraction: float, what: str) -> None:
-            bar.update(task, completed=fraction, description=what)
-
+    with share_bar("closing the loop", dataset) as show:
         report = api.close_loop(
             dataset,
             out=out,
             model=model,
-            validation=validation,
-            undriven=undriven or (),
             dictionary=dictionary,
             effects=effect or (),
             resume=resume,
             force=force,
             progress=show,
-            **signals,
+            **records,
         )
     if as_json:
         print_json(report.data)
     else:
-        wide_console().print(printable(str(report)), highlight=False, markup=False, soft_wrap=True)
-        for text in report.data["warnings"]:
-            noted(text)
+        _print_told(report)
         say(f"report: {out / 'report.html'}")
     judged("close-loop", demands.of_report(str(report.data["dataset"]), report.data), junit)
 
@@ -154,7 +146,7 @@ def _close_fleet(
     source: str,
     out: Path,
     model: str | None,
-    undriven: list[str] | None,
+    undriven: Sequence[str],
     as_json: bool,
     resume: bool,
     workers: int | None,
@@ -169,11 +161,11 @@ def _close_fleet(
             source,
             out=out,
             model=model,
-            undriven=undriven or (),
+            undriven=undriven,
             engine=engine,
             workers=workers,
-            time_limit=time_limit,
             resume=resume,
+            **({} if time_limit is None else {"time_limit": time_limit}),
             progress=show,
         )
     if as_json:
@@ -209,12 +201,7 @@ def learn_residual(
     trust: Trust = None,
 ) -> None:
     """Learn what a closed loop left over as a force without a name: not physical, with the hull of its data."""
-    with progress_bar("learning a residual force") as bar:
-        task = bar.add_task(str(loop), total=1.0)
-
-        def show(fraction: float, what: str) -> None:
-            bar.update(task, completed=fraction, description=what)
-
+    with share_bar("learning a residual force", str(loop)) as show:
         found = api.learn_residual(
             loop,
             dataset,
@@ -231,10 +218,15 @@ def learn_residual(
     if as_json:
         print_json(found.data)
         return
+    _print_told(found)
+    say(f"page: {out / 'learned.html'}")
+
+
+def _print_told(found: Report | LearnedResidual) -> None:
+    """Print what was found, and what it warns of."""
     wide_console().print(printable(str(found)), highlight=False, markup=False, soft_wrap=True)
     for text in found.data["warnings"]:
         noted(text)
-    say(f"page: {out / 'learned.html'}")
 
 
 def isolability(

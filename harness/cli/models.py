@@ -17,10 +17,11 @@ from harness.cli.options import (
     MaxError,
     ModelName,
     OptionPairs,
+    Page,
+    Picture,
     Seed,
     Trust,
     Undriven,
-    Validation,
     demands_of,
     judged,
     of_table,
@@ -31,6 +32,7 @@ from harness.cli.terminal import (
     option_pairs,
     print_identified,
     print_json,
+    print_paths,
     print_rows,
     print_written,
     say,
@@ -40,7 +42,7 @@ from harness.errors import InputError
 from harness.frequency import is_response
 
 if TYPE_CHECKING:
-    from harness.data.recipe.chosen import Signals
+    from harness.data.recipe.chosen import Records, Signals
     from harness.models.arx_orders import ArxGrid
 
 __all__ = ["check_data", "compare", "export", "identify", "order", "spectrum"]
@@ -50,30 +52,19 @@ __all__ = ["check_data", "compare", "export", "identify", "order", "spectrum"]
 def check_data(
     dataset: DatasetName,
     model: ModelName = None,
-    validation: Validation = None,
-    undriven: Undriven = None,
     *,
-    signals: Signals,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
+    records: Records,
+    out: Page = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Say what is odd about records: spikes, held readings, late inputs and more; fits are kept from these."""
-    found = api.check_data(
-        dataset,
-        model=model,
-        validation=validation,
-        undriven=undriven or (),
-        out=out,
-        force=force,
-        **signals,
-    )
+    found = api.check_data(dataset, model=model, out=out, force=force, **records)
     if as_json:
         print_json(found.to_dict())
         return
     say(str(found))
-    if out is not None:
-        say(f"wrote {out}")
+    print_paths(out)
 
 
 @of_table
@@ -88,10 +79,8 @@ def identify(
     ] = None,
     option: OptionPairs = None,
     model: ModelName = None,
-    validation: Validation = None,
-    undriven: Undriven = None,
     *,
-    signals: Signals,
+    records: Records,
     free: Free = None,
     bound: Bounds = None,
     start: Start = None,
@@ -109,14 +98,13 @@ def identify(
     junit: Junit = None,
     as_json: AsJson = False,
     force: Force = False,
-    trust: Trust = None,
 ) -> None:
     """Fit one model to a data set and score it; with --free the parameters of an FMU or a system of FMUs."""
     demands = demands_of(None, max_error, None)
     if is_response(dataset):
         _identify_response(
-            dataset, identifier, option, signals,
-            {"file of records": validation, "a physical model": model, "--bounds": bounds or None}, out,
+            dataset, identifier, option, records,
+            {"file of records": records["validation"], "a physical model": model, "--bounds": bounds or None}, out,
             as_json=as_json, force=force,
         )  # fmt: skip
         return
@@ -144,11 +132,9 @@ def identify(
             out=out,
             as_json=as_json,
             options=option_pairs(option, "--option"),
-            validation=validation,
-            undriven=undriven or (),
             seed=seed,
             force=force,
-            **signals,
+            **records,
         )
         judged("identify", demands.of_errors(Path(model).name, found.errors()), junit)
         return
@@ -161,13 +147,11 @@ def identify(
         identifier=identifier,
         options=option_pairs(option, "--option"),
         model=model,
-        validation=validation,
-        undriven=undriven or (),
         out=out,
         seed=seed,
         bounds=bounds,
         force=force,
-        **signals,
+        **records,
     )
     name = identifier or api.default_identifier(fitted.model.spec)
     if as_json:
@@ -178,8 +162,7 @@ def identify(
             print_rows([dict(row) for row in fitted.bounds.rows])
             for text in fitted.bounds.words:
                 say(text)
-        if out is not None:
-            say(f"wrote {out}")
+        print_paths(out)
     judged("identify", demands.of_errors(name, fitted.errors()), junit)
 
 
@@ -187,7 +170,7 @@ def _identify_response(
     file: str,
     identifier: str | None,
     option: list[str] | None,
-    signals: Signals,
+    signals: Records,
     no_use: dict[str, Any],
     out: Path | None,
     *,
@@ -214,8 +197,7 @@ def _identify_response(
         return
     for line in found.words():
         say(line)
-    if out is not None:
-        say(f"wrote {out}")
+    print_paths(out)
 
 
 @of_table
@@ -225,12 +207,9 @@ def compare(
         typer.Argument(metavar="MODEL... DATASET", help="model.json files, then the data set; or two reports"),
     ],
     model: ModelName = None,
-    validation: Validation = None,
-    undriven: Undriven = None,
     *,
-    signals: Signals,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
-    trust: Trust = None,
+    records: Records,
+    out: Page = None,
     max_error: MaxError = None,
     junit: Junit = None,
     as_json: AsJson = False,
@@ -255,23 +234,12 @@ def compare(
         say(str(told))
         print_rows(told.rows())
         return
-    found = api.compare(
-        files[:-1],
-        files[-1],
-        model=model,
-        validation=validation,
-        undriven=undriven or (),
-        out=out,
-        force=force,
-        note=noted,
-        **signals,
-    )
+    found = api.compare(files[:-1], files[-1], model=model, out=out, force=force, note=noted, **records)
     if as_json:
         print_json(found.rows())
     else:
         print_rows(found.rows())
-        if out is not None:
-            say(f"wrote {out}")
+        print_paths(out)
     checks = [check for one in found.models for check in demands.of_errors(one.name, one.errors())]
     judged("compare", checks, junit)
 
@@ -286,21 +254,13 @@ def spectrum(
     segment: Annotated[
         int | None, typer.Option(min=16, help="use Welch's method with segments of so many samples")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
+    out: Picture = None,
     as_json: AsJson = False,
     force: Force = False,
-    trust: Trust = None,
 ) -> None:
     """Show the frequency response in the data, with bands and coherence."""
     found = api.spectrum(
-        dataset,
-        model=model,
-        undriven=undriven or (),
-        segment=segment,
-        out=out,
-        force=force,
-        note=noted,
-        **signals,
+        dataset, model=model, undriven=undriven or (), segment=segment, out=out, force=force, note=noted, **signals
     )
     if as_json:
         print_json(found.rows(64))
@@ -308,8 +268,7 @@ def spectrum(
         counted = "averages" if found.method == "Welch" else "lines each"
         say(f"{found.method}, {found.averages:.0f} {counted}; deviation is one standard deviation of the magnitude")
         print_rows(found.rows())
-        if out is not None:
-            say(f"wrote {out}")
+        print_paths(out)
 
 
 def export(
@@ -358,15 +317,12 @@ def order(
     nk: Annotated[str, typer.Option(metavar="A..B", help="of all ARX models: delays")] = "1",
     option: OptionPairs = None,
     model: ModelName = None,
-    validation: Validation = None,
-    undriven: Undriven = None,
     *,
-    signals: Signals,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
+    records: Records,
+    out: Picture = None,
     seed: Seed = 0,
     as_json: AsJson = False,
     force: Force = False,
-    trust: Trust = None,
 ) -> None:
     """Show which order a linear model needs: held-out errors by order, and singular values.
 
@@ -378,17 +334,14 @@ def order(
                 dataset,
                 *(_span(text, flag) for text, flag in ((na, "--na"), (nb, "--nb"), (nk, "--nk"))),
                 model=model,
-                validation=validation,
-                undriven=undriven or (),
                 out=out,
                 force=force,
                 note=noted,
-                **signals,
+                **records,
             ),
             as_json=as_json,
         )
-        if out is not None and not as_json:
-            say(f"wrote {out}")
+        print_paths(None if as_json else out)
         return
     first, last = whole_range(orders, "--orders")
     found = api.order(
@@ -397,13 +350,11 @@ def order(
         orders=range(first, last + 1),
         options=option_pairs(option, "--option"),
         model=model,
-        validation=validation,
-        undriven=undriven or (),
         out=out,
         seed=seed,
         force=force,
         note=noted,
-        **signals,
+        **records,
     )
     if as_json:
         print_json(
@@ -412,5 +363,4 @@ def order(
     else:
         say(f"judged on {found.judged}")
         print_rows(found.rows())
-        if out is not None:
-            say(f"wrote {out}")
+        print_paths(out)

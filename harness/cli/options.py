@@ -27,6 +27,8 @@ __all__ = [
     "MaxShare",
     "ModelName",
     "OptionPairs",
+    "Page",
+    "Picture",
     "Resume",
     "ScenarioPairs",
     "Seed",
@@ -59,6 +61,8 @@ ModelName = Annotated[
         autocompletion=completed("models"),
     ),
 ]
+Picture = Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")]
+Page = Annotated[Path | None, typer.Option("--out", "-o", help="page.html")]
 Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
 Undriven = Annotated[
     list[str] | None, typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove")
@@ -94,8 +98,7 @@ Units = Annotated[
     typer.Option("--unit", metavar="NAME=UNIT", help="of a table: unit of a signal or of time, repeatable"),
 ]
 SampleTime = Annotated[
-    float | None,
-    typer.Option("--sample-time", help="of a table without a time column, or with rough stamps [s]"),
+    float | None, typer.Option("--sample-time", help="of a table without a time column, or with rough stamps [s]")
 ]
 Gaps = Annotated[
     str | None, typer.Option("--gaps", help="of a table with holes: split makes a record of every piece between them")
@@ -155,27 +158,36 @@ TABLE = {
     "run": Runs,
 }
 """Options that say which columns of a table are which signals, by name."""
+BESIDE = {"validation": Validation, "undriven": Undriven}
+"""What else is said of records."""
 
 
 def of_table(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options of :data:`TABLE`; it receives what they say as its argument ``signals``."""
-    hints = get_type_hints(command, localns={"Signals": dict}, include_extras=True)
+    """Give a command the options of :data:`TABLE` where it takes ``signals``, of :data:`BESIDE` too for ``records``.
+
+    It receives what they say as that argument. ``--trust`` is the last of its options.
+    """
+    hints = get_type_hints(command, localns={"Signals": dict, "Records": dict}, include_extras=True)
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():
-        if parameter.name != "signals":
+        if parameter.name not in ("signals", "records"):
             parameters.append(parameter.replace(annotation=hints[parameter.name]))
             continue
+        taken, options = parameter.name, TABLE if parameter.name == "signals" else BESIDE | TABLE
         parameters += [
-            inspect.Parameter(name, parameter.kind, default=None, annotation=hint) for name, hint in TABLE.items()
+            inspect.Parameter(name, parameter.kind, default=None, annotation=hint) for name, hint in options.items()
         ]
+    parameters.append(inspect.Parameter("trust", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Trust))
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
-        said = {name: given.pop(name) for name in TABLE}
-        pairs = {name: text_pairs(said.pop(name), f"--{name}") for name in ("column", "unit")}
-        plain = {name: said.pop(name) for name in ("sample_time", "gaps")}
-        signals = {name: names or None for name, names in said.items()} | pairs | plain
-        command(**given, signals=signals)
+        said = {name: given.pop(name) for name in options}
+        said |= {name: text_pairs(said[name], f"--{name}") for name in ("column", "unit")}
+        said |= {name: said[name] or None for name in ("input", "output", "run")}
+        if "undriven" in said:
+            said["undriven"] = said["undriven"] or ()
+        del given["trust"]  # what it does is done once it is read
+        command(**given, **{taken: said})
 
     called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     vars(called)["__signature__"] = inspect.Signature(parameters)

@@ -19,6 +19,7 @@ from harness.cli.terminal import (
     print_answer,
     print_bench,
     print_json,
+    print_paths,
     print_public,
     print_rows,
     progress_bar,
@@ -51,8 +52,7 @@ def simulate(
     option: OptionPairs = None,
     scenario_option: ScenarioPairs = None,
     hide: Annotated[
-        list[str] | None,
-        typer.Option(metavar="EFFECT@PORT:k=v,...", help="hide an effect in the plant, repeatable"),
+        list[str] | None, typer.Option(metavar="EFFECT@PORT:k=v,...", help="hide an effect in the plant, repeatable")
     ] = None,
     role: Annotated[
         str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
@@ -65,8 +65,7 @@ def simulate(
         str | None, typer.Option(help="of a coupling or system: jacobi (all step at once) | gauss-seidel (in turn)")
     ] = None,
     halve: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="of a file without a scenario: halve the step N times"),
+        int | None, typer.Option(metavar="N", help="of a file without a scenario: halve the step N times")
     ] = None,
     picture: Annotated[
         Path | None,
@@ -108,9 +107,7 @@ def simulate(
             print_json(found.rows())
             return
         print_rows(found.rows())
-        for path in (out, picture):
-            if path is not None:
-                say(f"wrote {path}")
+        print_paths(out, picture)
         return
     broken: list[PlantError] = []
     try:
@@ -145,8 +142,7 @@ def simulate(
         print_json({"spec": spec_to_dict(trajectory.spec), **said})
         return
     say(str(trajectory))
-    if out is not None:
-        say(f"wrote {out}")
+    print_paths(out)
     for error in broken:  # what came before it is kept, and the exit status says that it is not the whole
         raise error
 
@@ -262,7 +258,7 @@ def query(
     answer = api.query(directory, sql, filters=text_pairs(only, "--filter"))
     if out is not None:
         answer.write(out, force=force)
-        say(f"wrote {out}")
+        print_paths(out)
     elif as_json:
         print_json(answer.records())
     else:

@@ -1,7 +1,8 @@
-"""The commands of ``sysid`` that look into a structure, a process or a model: modes, and registered analyses."""
+"""The commands of ``sysid`` that look into a structure, a process or a model: modes, analyses, equations."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,17 +15,28 @@ from harness.cli.options import (
     Force,
     ModelName,
     OptionPairs,
+    Picture,
     Seed,
     Trust,
     Undriven,
     of_table,
 )
-from harness.cli.terminal import completed, noted, option_pairs, print_json, print_rows, progress_bar, say, whole_range
+from harness.cli.terminal import (
+    completed,
+    noted,
+    option_pairs,
+    print_json,
+    print_paths,
+    print_rows,
+    progress_bar,
+    say,
+    whole_range,
+)
 
 if TYPE_CHECKING:
     from harness.data.recipe.chosen import Signals
 
-__all__ = ["analyse", "modes"]
+__all__ = ["analyse", "equations", "modes"]
 
 
 @of_table
@@ -58,7 +70,6 @@ def modes(
     seed: Seed = 0,
     as_json: AsJson = False,
     force: Force = False,
-    trust: Trust = None,
 ) -> None:
     """Show frequencies, damping and shapes of a structure with 95 % intervals, and what the data leave open."""
     from harness.modal import Criteria
@@ -91,15 +102,13 @@ def modes(
         say("no mode is determined by these data")
     for text in found.words():
         say(text)
-    if out is not None:
-        say(f"wrote {out}")
+    print_paths(out)
 
 
 @of_table
 def analyse(
     name: Annotated[
-        str,
-        typer.Argument(metavar="ANALYSIS", help="id (sysid list analyses)", autocompletion=completed("analyses")),
+        str, typer.Argument(metavar="ANALYSIS", help="id (sysid list analyses)", autocompletion=completed("analyses"))
     ],
     subject: Annotated[
         str,
@@ -112,11 +121,10 @@ def analyse(
     ] = None,
     *,
     signals: Signals,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
+    out: Picture = None,
     seed: Seed = 0,
     as_json: AsJson = False,
     force: Force = False,
-    trust: Trust = None,
 ) -> None:
     """Look into a finite process, a mechanism, a plant or records with a registered analysis."""
     found = api.analyse(
@@ -135,5 +143,30 @@ def analyse(
     print_rows([dict(row) for row in found.rows])
     for text in found.words:
         say(text)
-    if out is not None:
-        say(f"wrote {out}")
+    print_paths(out)
+
+
+class Form(StrEnum):
+    """What the equations are printed as."""
+
+    text = "text"
+    latex = "latex"
+    python = "python"
+    c = "c"
+
+
+def equations(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="name, URDF, MJCF, model.json, folder of close-loop")],
+    form: Annotated[Form, typer.Option("--as", help="text, latex, python or c")] = Form.text,
+    option: OptionPairs = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Trust = None,
+) -> None:
+    """Print the equations of a model: motion, energy, lumped parameters, regressor, as text, LaTeX, Python or C."""
+    text = api.equations(model, form=form.value, out=out, force=force, **option_pairs(option, "--option"))
+    if as_json:
+        print_json({"model": model, "as": form.value, "text": text, "wrote": None if out is None else str(out)})
+        return
+    say(text.rstrip() if out is None else f"wrote {out}")

@@ -16,6 +16,8 @@ from harness.errors import InputError, printable
 from harness.supervision.interrupts import stop_if_asked
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
@@ -40,6 +42,7 @@ __all__ = [
     "print_identified",
     "print_json",
     "print_parts",
+    "print_paths",
     "print_planned",
     "print_public",
     "print_rows",
@@ -48,6 +51,7 @@ __all__ = [
     "progress_bar",
     "say",
     "seed_range",
+    "share_bar",
     "text_pairs",
     "whole_range",
     "wide_console",
@@ -106,8 +110,14 @@ def print_written(paths: Sequence[Any], *, as_json: bool) -> None:
     if as_json:
         print_json({"written": [str(path) for path in paths]})
         return
+    print_paths(*paths)
+
+
+def print_paths(*paths: Path | None) -> None:
+    """Print which files were written, of those that were asked for."""
     for path in paths:
-        say(f"wrote {path}")
+        if path is not None:
+            say(f"wrote {path}")
 
 
 def wide_console() -> Console:
@@ -184,6 +194,18 @@ def jobs_bar(title: str, name: str) -> Iterator[Callable[[int, int, str], None]]
 
         def show(done: int, total: int, what: str) -> None:
             bar.update(task, completed=done, total=total, description=what)
+
+        yield show
+
+
+@contextmanager
+def share_bar(title: str, name: str) -> Iterator[Callable[[float, str], None]]:
+    """Show how much of one thing is done; yields what is called as ``show(share, what)``."""
+    with progress_bar(title) as bar:
+        task = bar.add_task(name, total=None)
+
+        def show(share: float, what: str) -> None:
+            bar.update(task, completed=share, total=1.0, description=what)
 
         yield show
 
@@ -393,6 +415,7 @@ def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
 
 def print_identified(fitted: Identified, identifier: str) -> None:
     """Print the scores of a model, output by output."""
+    from harness.models.determined import bands_of, gaps_words
     from harness.models.estimate import estimate_of
 
     say(f"{identifier}: NRMSE (rms)")
@@ -420,6 +443,8 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     for equation in getattr(fitted.model, "equations", ()):
         say(f"  {equation}")
     _print_order(fitted.model, conditioned=estimate is not None)
+    if gaps := gaps_words(bands_of(fitted.model), fitted.model.spec.sample_time):
+        say(f"  {gaps}")
     bands = (getattr(fitted.model, "notes", None) or {}).get("bands")
     if isinstance(bands, str):  # how far ahead learned models vouch for their bands
         say(f"  {bands}")

@@ -9,7 +9,7 @@ import typer
 
 from harness import api
 from harness.cli.options import AsJson, Force, Junit, OptionPairs, judged
-from harness.cli.terminal import noted, option_pairs, print_json, print_rows, progress_bar, say, text_pairs
+from harness.cli.terminal import noted, option_pairs, print_json, print_paths, print_rows, say, share_bar, text_pairs
 from harness.errors import InputError
 from harness.trust import names_fmu
 
@@ -45,8 +45,7 @@ def check(
 ) -> None:
     """Hold a plug-in to its contract, vet an FMU, or hold a run against a reference; status 1 if something fails."""
     if reference is not None:
-        with progress_bar("checking") as bar:
-            bar.add_task(name, total=None)
+        with share_bar("checking", name):
             agreed = api.agreement(
                 name,
                 reference,
@@ -66,7 +65,7 @@ def check(
             print_json(agreed.to_dict())
         else:
             print_rows(agreed.rows())
-            _written(out)
+            print_paths(out)
         judged("check", agreed.checks(), junit)
         return
     asked = {"--tube": tube, "--inputs": inputs, "--start": start, "--stop": stop, "--step": step}
@@ -78,21 +77,15 @@ def check(
             remedy="name the reference",
         )
     if names_fmu(name):
-        with progress_bar("checking") as bar:
-            task = bar.add_task(name, total=None)
+        with share_bar("checking", name) as show:
             vetted = api.vet(
-                name,
-                options=option_pairs(option, "--option"),
-                limit=limit,
-                out=out,
-                force=force,
-                progress=lambda share, what: bar.update(task, completed=share, total=1.0, description=what),
+                name, options=option_pairs(option, "--option"), limit=limit, out=out, force=force, progress=show
             )
         if as_json:
             print_json(vetted.to_dict())
         else:
             say(str(vetted))
-            _written(out)
+            print_paths(out)
         judged("check", vetted.checks(), junit)
         return
     if option or out is not None:
@@ -108,9 +101,3 @@ def check(
     from harness.scoring.acceptance import Check
 
     judged("check", [Check(name, result.name, result.passed, result.reason or "") for result in results], junit)
-
-
-def _written(out: Path | None) -> None:
-    """Say which page was written."""
-    if out is not None:
-        say(f"wrote {out}")

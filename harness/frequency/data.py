@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import InputError
-from harness.signals import Channel, FloatArray
+from harness.signals import Channel, FloatArray, Ported
 
 __all__ = ["FrequencyResponse"]
 
 
 @dataclass(frozen=True, eq=False)
-class FrequencyResponse:
+class FrequencyResponse(Ported):
     """Complex response of outputs to inputs at some frequencies.
 
     Parameters
@@ -69,16 +69,6 @@ class FrequencyResponse:
             if not np.isfinite(spread).all() or np.any(spread <= 0):
                 _refuse("variance", "finite numbers above 0", "others")
             object.__setattr__(self, "variance", np.array(spread[order]))
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return len(self.inputs)
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        return len(self.outputs)
 
     def between(self, low: float, high: float) -> FrequencyResponse:
         """Return the part from ``low`` to ``high`` [Hz], both included."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, as_described
 from harness.signals import FloatArray
 
 __all__ = ["Estimate", "RankDecision", "estimate_of", "null_words"]
@@ -192,7 +192,7 @@ class Estimate:
         InputError
             If it is none.
         """
-        try:
+        with as_described("an estimate", remedy="fit the model anew"):
             rank = content["rank"]
             decision = (
                 None
@@ -222,13 +222,6 @@ class Estimate:
                 str(content["message"]),
                 tuple(map(str, content["on_bound"])),
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                "description of an estimate",
-                expected="what to_dict() writes",
-                got=f"{type(error).__name__}: {error}",
-                remedy="fit the model anew",
-            ) from error
 
     def __str__(self) -> str:
         parts = []

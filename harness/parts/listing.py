@@ -109,10 +109,11 @@ def _factory(kind: str, id: str, made: Any) -> dict[str, Any]:
     made_class = made if inspect.isclass(made) else registry.returned_class(made)
     classes = [] if made_class is None else [one for one in made_class.__mro__ if one.__doc__ and one is not object]
     kept = getattr(made_class, "Options", None)  # a class may keep its options in one object
-    texts = [text, *(inspect.cleandoc(one.__doc__ or "") for one in (*classes, *([kept] if kept is not None else [])))]
+    others = (getattr(made, "__options_of__", None), *classes, kept)
+    texts = [text, *(inspect.cleandoc(one.__doc__ or "") for one in others if one is not None)]
     said = _told(text)
     if classes and OF_CLASS.search(said):  # what the class does is what the part does
-        said = OF_CLASS.sub(".", said) + "\n\n" + _told(texts[1])
+        said = OF_CLASS.sub(".", said) + "\n\n" + _told(inspect.cleandoc(classes[0].__doc__ or ""))
     rows = [
         {
             "name": one.name,

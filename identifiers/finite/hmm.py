@@ -17,6 +17,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.records import usable
 from identifiers.finite.hmm_pass import Record, expected_counts, filtered_beliefs
+from identifiers.finite.mdp import finite_sizes
 
 __all__ = ["HiddenMarkov", "HmmModel", "spectral_estimate"]
 
@@ -178,7 +179,7 @@ class HiddenMarkov:
         if self.states is not None and self.states < 1:
             raise InputError("option states", expected="at least 1", got=str(self.states), remedy="correct it")
         given, spec = usable(trajectories, samples=4, what=what, holes="kept")
-        actions, observations = _sizes(spec)
+        observations, actions = finite_sizes(spec, "hidden-markov")
         records = [_record(record) for record in given]
         samples = sum(len(seen) for seen, _ in records)
         if self.states is not None:
@@ -357,16 +358,3 @@ def _record(record: Trajectory) -> Record:
     """Return observations and actions of a record as C integers."""
     seen: npt.NDArray[np.intc] = record.y[:, 0].astype(np.intc)
     return seen, record.u[:, 0].astype(np.intc) if record.spec.nu else np.zeros(len(record), dtype=np.intc)
-
-
-def _sizes(spec: PlantSpec) -> tuple[int, int]:
-    """Return the numbers of actions and observations, or refuse signals that are no categories."""
-    kinds = [channel.kind for channel in (*spec.inputs, *spec.outputs)]
-    if spec.ny != 1 or spec.nu > 1 or any(kind != "category" for kind in kinds):
-        raise FitError(
-            "hidden-markov needs a finite process",
-            expected="one category output and at most one category input",
-            got=str(spec),
-            remedy="quantise the signals into categories first, or use another identifier",
-        )
-    return (spec.inputs[0].categories if spec.nu else 1), spec.outputs[0].categories

@@ -17,7 +17,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.records import usable
 
-__all__ = ["MdpCounting", "MdpModel", "OnlineCounting", "count_transitions", "weissman_bound"]
+__all__ = ["MdpCounting", "MdpModel", "OnlineCounting", "count_transitions", "finite_sizes", "weissman_bound"]
 
 
 def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:
@@ -34,7 +34,7 @@ def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:
         How often action a in state s led to s'. No transition is counted across a seam.
     """
     spec = trajectories[0].spec
-    states, actions = _sizes(spec)
+    states, actions = finite_sizes(spec, "mdp-counting")
     flat = np.zeros(states * actions * states)
     for record in trajectories:
         y, u = record.y[:, 0], record.u[:, 0] if spec.nu else np.zeros(len(record))
@@ -215,7 +215,7 @@ class OnlineCounting:
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> tuple[FloatArray, int]:
         """Return empty counts."""
-        states, actions = _sizes(spec)
+        states, actions = finite_sizes(spec, "mdp-counting")
         return np.zeros((states, actions, states)), -1
 
     def start(self, state: tuple[FloatArray, int], y: FloatArray) -> tuple[FloatArray, int]:
@@ -266,12 +266,12 @@ def _transitions(record: Trajectory) -> tuple[npt.NDArray[np.int64], npt.NDArray
     return s[:-1], a[:-1], s[1:]
 
 
-def _sizes(spec: PlantSpec) -> tuple[int, int]:
-    """Return the numbers of states and actions, or refuse signals that are no categories."""
+def finite_sizes(spec: PlantSpec, what: str) -> tuple[int, int]:
+    """Return the numbers of outputs (or states) and actions, or refuse signals that are no categories."""
     kinds = [channel.kind for channel in (*spec.inputs, *spec.outputs)]
     if spec.ny != 1 or spec.nu > 1 or any(kind != "category" for kind in kinds):
         raise FitError(
-            "mdp-counting needs a finite process",
+            f"{what} needs a finite process",
             expected="one category output and at most one category input",
             got=str(spec),
             remedy="quantise the signals into categories first, or use another identifier",

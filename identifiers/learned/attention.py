@@ -13,7 +13,7 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.lag_training import lag_task
-from identifiers.learned.training import Trained
+from identifiers.learned.training import Excited, Trained
 
 __all__ = ["AttentionEnsemble", "AttentionModel", "AttentionNetwork"]
 
@@ -71,7 +71,7 @@ class AttentionEnsemble(Ensemble):
 
 
 @dataclass(frozen=True)
-class AttentionNetwork(Trained):
+class AttentionNetwork(Excited, Trained):
     """Ensemble of networks that look back over many samples by attention, for plants whose past matters late.
 
     As ``neural-network`` an affine fit comes first and the network learns what it leaves; the last fifth of every
@@ -90,9 +90,6 @@ class AttentionNetwork(Trained):
         Units of the tanh layer.
     members : int
         Networks.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     order: int = 20
@@ -100,7 +97,6 @@ class AttentionNetwork(Trained):
     heads: int = 4
     hidden: int = 32
     members: int = 3
-    least_excitation: float = 2.0
     _: KW_ONLY
     steps: int = 1500
 
@@ -115,7 +111,7 @@ class AttentionNetwork(Trained):
                 got=f"{self.width}, heads {self.heads}",
                 remedy="correct one of them",
             )
-        task = lag_task(trajectories, self.order, what, self.least_excitation)
+        task = lag_task(trajectories, self.order, what, self)
         spec, d = task.spec, self.width
         shapes = {
             "embed": (spec.ny + spec.nu, d),

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError
-from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
-from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.common.observers import best_gain, fitted_start, riccati_gains, run_in_steps
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.observers import best_gain, fitted_start, riccati_gains
 from identifiers.common.scaling import centred
-from identifiers.learned.training import Trained, need_torch, train_tables
+from identifiers.learned.state_network import StateNetwork
+from identifiers.learned.training import Excited, Trained, need_torch, train_tables
 
 __all__ = ["EmbedToControl", "LatentModel"]
 
@@ -56,7 +55,7 @@ _HELD_OUT = 5
 
 
 @dataclass(frozen=True, eq=False)
-class LatentModel:
+class LatentModel(StateNetwork):
     """``z+ = z + z A + (z . look(z)) turn(z) + u B(z) + drift(z)``, ``y = decoder(z)``, in scaled signals.
 
     Parameters
@@ -83,11 +82,6 @@ class LatentModel:
     rest: FloatArray
     filter_gain: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """No samples: the initial state is estimated."""
-        return 0
 
     @property
     def a_matrix(self) -> FloatArray:
@@ -127,20 +121,10 @@ class LatentModel:
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next latent state (..., nz); NaN once it is far outside the data."""
         x = np.asarray(x, dtype=float)
-        v = (np.broadcast_to(u, (*x.shape[:-1], self.spec.nu)) - self.u_mean) / self.u_std
+        v = self._input(np.broadcast_to(u, (*x.shape[:-1], self.spec.nu)))
         with np.errstate(over="ignore", invalid="ignore"):
             new = _ahead(np, self.tables, x, v)
             return np.where(np.abs(new).max(axis=-1, keepdims=True) <= _FAR, new, np.nan)
-
-    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the latent state (..., nz) moved by the error of the output just seen."""
-        predicted = self.output(x, u)
-        miss = residual(self.spec.outputs, np.broadcast_to(y, predicted.shape), predicted) / self.y_std
-        return np.asarray(x + miss @ self.filter_gain.T)
-
-    def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the outputs (M, N, ny) from latent states x (M, nz) under inputs u (M, N, nu)."""
-        return run_in_steps(self, x, u)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -174,7 +158,7 @@ class LatentModel:
 
 
 @dataclass(frozen=True)
-class EmbedToControl(Trained):
+class EmbedToControl(Excited, Trained):
     """A latent state of few numbers for many outputs, whose dynamics are linear about every point.
 
     After Watter, Springenberg, Boedecker and Riedmiller 2015 (*NeurIPS*, sec. 2): an encoder, locally linear dynamics
@@ -195,16 +179,12 @@ class EmbedToControl(Trained):
         Units of each network.
     window : int
         Samples of a training window.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     latent: int = 4
     lags: int = 4
     hidden: int = 16
     window: int = 15
-    least_excitation: float = 2.0
     _: KW_ONLY
     steps: int = 1000
     rate: float = 3e-3
@@ -214,10 +194,7 @@ class EmbedToControl(Trained):
         """Return the model; held-out losses stand in its notes."""
         what = "embed-to-control"
         self.refuse_small(what, self.latent, self.lags, self.hidden, self.window)
-        records, spec = usable(trajectories, samples=self.lags + 3 * self.window, what=what)
-        real_signals(spec, what)
-        moving(records, what)
-        refuse_undetermined(records, what, self.least_excitation)
+        records, spec = self.asked(trajectories, samples=self.lags + 3 * self.window, what=what, inputs=True)
         if spec.feedthrough:
             raise FitError(
                 f"{what}: feedthrough",
@@ -225,7 +202,6 @@ class EmbedToControl(Trained):
                 got=str(spec),
                 remedy="use neural-state-space or neural-output-error",
             )
-        records.sort(key=lambda record: (len(record), record.y.tobytes()))
         need_torch(what)
         (u_mean, u_std), (y_mean, y_std) = (
             centred([record.u for record in records]),

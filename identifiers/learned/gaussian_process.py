@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.common.bands import Bands, held_out_folds, held_out_runs
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.learned.training import Excited
 
 __all__ = ["GaussianProcess", "GaussianProcessModel", "Kernel", "Posterior"]
 
@@ -178,7 +177,7 @@ class GaussianProcessModel(LagModel):
 
 
 @dataclass(frozen=True)
-class GaussianProcess:
+class GaussianProcess(Excited):
     """Gaussian process regression of the next output, with bands.
 
     Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, eq. 5.8 and 5.9) of at most ``exact``
@@ -200,16 +199,12 @@ class GaussianProcess:
     affine : bool
         Add a linear term to the kernel. Free runs then leave the data on straight lines instead of turning back to the
         mean, but the bands hardly widen there: what is nearly affine where it was seen is taken for affine everywhere.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     order: int = 1
     exact: int = 500
     inducing: int = 200
     affine: bool = False
-    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GaussianProcessModel:
         """Return the model; lengths and noise stand in its notes, in the units of the data."""
@@ -221,12 +216,7 @@ class GaussianProcess:
                 got=f"{self.order}, {self.exact}, {self.inducing}",
                 remedy="raise them",
             )
-        records, spec = usable(trajectories, samples=self.order + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
-        refuse_undetermined(records, what, self.least_excitation)
-        # Samples are drawn by row: in whatever order records come, they make the same model.
-        records.sort(key=lambda record: (len(record), record.y.tobytes()))
+        records, spec = self.asked(trajectories, samples=self.order + 2, what=what)
         rows, later = regression_data(records, self.order)
         if len(rows) < rows.shape[1] + 3:
             raise FitError(

@@ -8,16 +8,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from harness.judgement import refuse_undetermined
 from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import Bands, held_out_runs
 from identifiers.common.lag_state import Scaling, regression_data
 from identifiers.common.reach import Reach
-from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.ensemble import Ensemble, own_spread
 from identifiers.learned.lag_network import LagNetwork
-from identifiers.learned.training import Schedule, need_torch, one_thread, train
+from identifiers.learned.training import Excited, Schedule, need_torch, one_thread, train
 
 __all__ = ["LagTask", "lag_task"]
 
@@ -152,7 +150,7 @@ class LagTask:
         return replace(ensemble, members=tuple(replace(m, bands=bands) for m in ensemble.members), notes=notes)
 
 
-def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, least_excitation: float) -> LagTask:
+def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, asks: Excited) -> LagTask:
     """Return the task that records pose; raises FitError if they cannot be learned from.
 
     Parameters
@@ -162,15 +160,9 @@ def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, least_ex
         Past outputs and inputs.
     what : str
         Name of the identifier, for messages.
-    least_excitation : float
-        As of :func:`harness.judgement.refuse_undetermined`.
+    asks : Excited
     """
-    records, spec = usable(trajectories, samples=max(10, 2 * order + 6), what=what)
-    real_signals(spec, what)
-    moving(records, what, inputs=False)
-    refuse_undetermined(records, what, least_excitation)
-    # Batches are drawn by row: in whatever order records come, they make the same model.
-    records.sort(key=lambda record: (len(record), record.y.tobytes()))
+    records, spec = asks.asked(trajectories, samples=max(10, 2 * order + 6), what=what)
     cuts = [len(record) - max(len(record) // 5, order + 2) for record in records]
     rows, later = regression_data([record[:cut] for record, cut in zip(records, cuts, strict=True)], order)
     kept, kept_later = regression_data([record[cut:] for record, cut in zip(records, cuts, strict=True)], order)

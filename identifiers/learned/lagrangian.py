@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from math import ceil
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from harness.errors import FitError
-from harness.models.distributions import NormalMixture, normal
 from harness.physics.fitting.smoothing import smooth
 from harness.scoring import same_language
-from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.common.bands import Bands, banded, refuse_share, told
-from identifiers.common.observers import alpha_beta_gains, best_gain, fitted_start, run_in_steps
+from identifiers.common.bands import Bands, banded, refuse_share
+from identifiers.common.observers import alpha_beta_gains, best_gain, fitted_start
 from identifiers.common.records import moving, real_signals, usable
+from identifiers.learned.state_network import BandedNetwork
 from identifiers.learned.training import Trained, need_torch, train_tables
 
 __all__ = ["LagrangianModel", "LagrangianNetwork"]
@@ -132,7 +132,7 @@ class Form:
 
 
 @dataclass(frozen=True, eq=False)
-class LagrangianModel:
+class LagrangianModel(BandedNetwork):
     """``d/dt dL/dv - dL/dq = tau - d^2 v`` with ``L = v' M(q) v / 2 - V(q)``, M and V networks; state [q, v].
 
     Parameters
@@ -157,11 +157,7 @@ class LagrangianModel:
     filter_gain: FloatArray
     bands: Bands | None = None
     notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """No samples: the initial state is estimated."""
-        return 0
+    called: ClassVar[str] = "lagrangian-network"
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (2 n + 1,) whose free run fits the start of the record best."""
@@ -174,17 +170,6 @@ class LagrangianModel:
         """Return the output (..., ny)."""
         return np.asarray(x, dtype=float)[..., list(self.columns)]
 
-    def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
-        """Return the normal distribution of the output (..., ny), as wide as held-out data asked for.
-
-        Raises
-        ------
-        InputError
-            If the model was stored without bands.
-        """
-        return normal(self.output(x, u), told(self.bands, "lagrangian-network").at(np.asarray(x)[..., -1]),
-                      self.spec.outputs)  # fmt: skip
-
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next state (..., 2 n + 1); NaN once it is far outside the data."""
         n = len(self.form.names)
@@ -196,17 +181,6 @@ class LagrangianModel:
             x = np.where(near, x, 0.0)
             q, v = self.form.step(np, self.tables, x[..., :n], x[..., n:], u, self.spec.sample_time)
             return np.concatenate([np.where(near, np.concatenate([q, v], axis=-1), np.nan), since], axis=-1)
-
-    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the state (..., 2 n + 1) moved by the error of the output just seen."""
-        x, n = np.asarray(x, dtype=float), len(self.form.names)
-        predicted = self.output(x, u)
-        miss = residual(self.spec.outputs, np.broadcast_to(y, predicted.shape), predicted)
-        return np.concatenate([x[..., : 2 * n] + miss @ self.filter_gain.T, 0.0 * x[..., 2 * n :]], axis=-1)
-
-    def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the outputs (M, N, ny) from states x (M, 2 n) or (M, 2 n + 1) under inputs u (M, N, nu)."""
-        return run_in_steps(self, x, u)
 
     def energy(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return kinetic and potential energy (...) of states (..., 2 n or more), in the unit of input times way."""

@@ -12,7 +12,7 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.lag_training import lag_task
-from identifiers.learned.training import Trained, draw_layers
+from identifiers.learned.training import Excited, Trained, draw_layers
 
 __all__ = ["EnsembleModel", "NetworkModel", "NeuralNetwork"]
 
@@ -58,7 +58,7 @@ class EnsembleModel(Ensemble):
 
 
 @dataclass(frozen=True)
-class NeuralNetwork(Trained):
+class NeuralNetwork(Excited, Trained):
     """Ensemble of networks that predict the next output from past outputs and inputs.
 
     An affine fit comes first, the network learns what it leaves; so a network that learns nothing is an ARX model. The
@@ -75,15 +75,11 @@ class NeuralNetwork(Trained):
         Units of the hidden layers.
     members : int
         Networks; 1 gives a single model.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     order: int = 1
     hidden: tuple[int, ...] = (32, 32)
     members: int = 5
-    least_excitation: float = 2.0
     _: KW_ONLY
     batch: int = 256
 
@@ -91,7 +87,7 @@ class NeuralNetwork(Trained):
         """Return the ensemble; held-out losses stand in its notes."""
         what = "neural-network"
         self.refuse_small(what, self.order, self.members, *self.hidden)
-        task = lag_task(trajectories, self.order, what, self.least_excitation)
+        task = lag_task(trajectories, self.order, what, self)
         spec, scaling, size = task.spec, task.scaling, task.size
         layers = draw_layers((task.x.shape[1], *self.hidden, spec.ny), rng, self.members)
         layers[-1] = (0.1 * layers[-1][0], layers[-1][1])

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from harness.judgement import refuse_undetermined
-from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
-from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.common.bands import Bands, banded, refuse_share, told
-from identifiers.common.observers import best_gain, fitted_start, riccati_gains, run_in_steps
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.bands import Bands, banded, refuse_share
+from identifiers.common.observers import best_gain, fitted_start, riccati_gains
 from identifiers.common.scaling import centred
-from identifiers.learned.training import Trained, draw_layers, need_torch, train_tables
+from identifiers.learned.state_network import BandedNetwork
+from identifiers.learned.training import Excited, Trained, draw_layers, need_torch, train_tables
 from identifiers.linear.least_squares import Arx
 
 __all__ = ["NeuralStateModel", "NeuralStateSpace"]
@@ -33,7 +31,7 @@ _FAR = 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class NeuralStateModel:
+class NeuralStateModel(BandedNetwork):
     """``x+ = A x + B u + drift + tanh([x, u] W1 + b1) W2``, ``y = C x + D u + offset``, in scaled signals.
 
     Parameters
@@ -61,11 +59,7 @@ class NeuralStateModel:
     lags: int
     bands: Bands | None = None
     notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """No samples: the initial state is estimated."""
-        return 0
+    called: ClassVar[str] = "neural-state-space"
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (nx + 1,) whose free run fits the start of the record best."""
@@ -82,17 +76,6 @@ class NeuralStateModel:
         scaled = np.asarray(x)[..., : len(t["A"])] @ t["C"].T + self._input(u) @ t["D"].T + t["offset"]
         return np.asarray(self.y_mean + self.y_std * scaled)
 
-    def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
-        """Return the normal distribution of the output (..., ny), as wide as held-out data asked for.
-
-        Raises
-        ------
-        InputError
-            If the model was stored without bands.
-        """
-        return normal(self.output(x, u), told(self.bands, "neural-state-space").at(np.asarray(x)[..., -1]),
-                      self.spec.outputs)  # fmt: skip
-
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the next state (..., nx + 1); NaN once it is far outside the data."""
         t = self.tables
@@ -105,17 +88,6 @@ class NeuralStateModel:
             new = x @ t["A"].T + v @ t["B"].T + t["drift"] + hidden @ t["W2"]
             near = np.abs(new).max(axis=-1, keepdims=True) <= _FAR
             return np.concatenate([np.where(near, new, np.nan), since], axis=-1)
-
-    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the state (..., nx + 1) moved by the error of the output just seen."""
-        x, nx = np.asarray(x, dtype=float), len(self.tables["A"])
-        predicted = self.output(x, u)
-        miss = residual(self.spec.outputs, np.broadcast_to(y, predicted.shape), predicted) / self.y_std
-        return np.concatenate([x[..., :nx] + miss @ self.filter_gain.T, 0.0 * x[..., nx:]], axis=-1)
-
-    def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the outputs (M, N, ny) from states x (M, nx) or (M, nx + 1) under inputs u (M, N, nu)."""
-        return run_in_steps(self, x, u)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -142,12 +114,9 @@ class NeuralStateModel:
         bands = Bands.from_dict(content.get("bands"))
         return cls(spec, tables, **arrays, lags=lags, bands=bands, notes=dict(content.get("notes", {})))
 
-    def _input(self, u: FloatArray) -> FloatArray:
-        return np.asarray((np.asarray(u, dtype=float) - self.u_mean) / self.u_std)
-
 
 @dataclass(frozen=True)
-class NeuralStateSpace(Trained):
+class NeuralStateSpace(Excited, Trained):
     """Neural state-space model, trained by the simulation error of many short windows.
 
     The state of every window comes from past outputs and inputs through an encoder that is trained too (Beintema, Toth
@@ -169,9 +138,6 @@ class NeuralStateSpace(Trained):
         Let y[k] depend on u[k]; always so for a plant with feedthrough.
     held_out : float
         Share of every record, its end, that is not learned from and tells how wide the bands are.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     order: int = 3
@@ -179,7 +145,6 @@ class NeuralStateSpace(Trained):
     window: int = 60
     direct: bool = False
     held_out: float = 0.2
-    least_excitation: float = 2.0
     _: KW_ONLY
     rate: float = 3e-3
 
@@ -189,11 +154,7 @@ class NeuralStateSpace(Trained):
         self.refuse_small(what, self.order, self.hidden, self.window)
         refuse_share(self.held_out, what)
         lags = self.order
-        records, spec = usable(trajectories, samples=2 * lags + 20, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
-        refuse_undetermined(records, what, self.least_excitation)
-        records.sort(key=lambda record: (len(record), record.y.tobytes()))
+        records, spec = self.asked(trajectories, samples=2 * lags + 20, what=what)
         need_torch(what)
         (u_mean, u_std), (y_mean, y_std) = (
             centred([record.u for record in records]),

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.polynomial_pass import Polynomials
 from identifiers.learned.recurrent_fit import Fitted, Problem, cascade, descend_from, subspace_start
 from identifiers.learned.recurrent_model import RecurrentEnsemble, own_member, vouched
+from identifiers.learned.training import Excited
 
 __all__ = ["PolynomialStateSpace"]
 
@@ -49,7 +48,7 @@ class _Grown:
 
 
 @dataclass(frozen=True)
-class PolynomialStateSpace:
+class PolynomialStateSpace(Excited):
     """``x+ = A x + B u + E zeta(x, u)``, ``y = C x + D u + F eta(x, u)``, zeta and eta monomials, by simulation error.
 
     The polynomial nonlinear state-space model of Paduart, Lauwers, Swevers, Smolders, Schoukens & Pintelon 2010
@@ -78,8 +77,6 @@ class PolynomialStateSpace:
         Cost of the squares of the nonlinear coefficients, in those of scaled output errors.
     iterations : int
         At most, for each degree.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`).
 
     Examples
     --------
@@ -101,7 +98,6 @@ class PolynomialStateSpace:
     crossed: bool = True
     ridge: float = 1e-3
     iterations: int = 100
-    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
         """Return the model; order, degree and held-out error stand in its notes."""
@@ -114,11 +110,7 @@ class PolynomialStateSpace:
                 got=f"{self.order}, {self.degree}, {self.outside}, {self.iterations}, ridge {self.ridge}",
                 remedy="correct them",
             )
-        records, spec = usable(trajectories, samples=5 * ((self.order or 1) + 4), what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
-        refuse_undetermined(records, what, self.least_excitation)
-        records.sort(key=lambda record: (len(record), record.y.tobytes()))
+        records, spec = self.asked(trajectories, samples=5 * ((self.order or 1) + 4), what=what)
         problems = Problem.scaled(records)
         best: _Grown | None = None
         for order in range(1, _MOST_ORDER + 1) if self.order is None else (self.order,):

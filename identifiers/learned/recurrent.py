@@ -12,20 +12,18 @@ import numpy as np
 
 from harness.data.whole_files import whole_file
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_undetermined
 from harness.signals import Trajectory
 from identifiers.common.bands import refuse_share
-from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.recurrent_fit import Fitted, Problem, descend
 from identifiers.learned.recurrent_model import RecurrentEnsemble, RecurrentModel, vouched
 from identifiers.learned.recurrent_pass import Layout
-from identifiers.learned.training import bar
+from identifiers.learned.training import Excited, bar
 
 __all__ = ["NeuralOutputError", "RecurrentEnsemble", "RecurrentModel"]
 
 
 @dataclass(frozen=True)
-class NeuralOutputError:
+class NeuralOutputError(Excited):
     """Ensemble of small neural state-space models, each fitted by the simulation error of whole records.
 
     What output-error methods do for linear models (Ljung 1999, *System Identification*, sec. 7.2), for a network: the
@@ -61,9 +59,6 @@ class NeuralOutputError:
         Show a bar on the error stream.
     held_out : float
         Share of every record, its end, that is not learned from and tells how wide the bands are.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     order: int = 3
@@ -77,7 +72,6 @@ class NeuralOutputError:
     checkpoint: str | None = None
     progress: bool = False
     held_out: float = 0.2
-    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
         """Return the ensemble; the held-out errors of its members stand in its notes."""
@@ -91,11 +85,7 @@ class NeuralOutputError:
                 remedy="correct them",
             )
         refuse_share(self.held_out, what)
-        records, spec = usable(trajectories, samples=ceil((self.order + 4) / self.held_out), what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
-        refuse_undetermined(records, what, self.least_excitation)
-        records.sort(key=lambda record: (len(record), record.y.tobytes()))
+        records, spec = self.asked(trajectories, samples=ceil((self.order + 4) / self.held_out), what=what)
         layout = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
         problems = Problem.scaled(records, self.held_out)
         direct = self.direct or spec.feedthrough

@@ -21,6 +21,7 @@ from identifiers.learned.ensemble import Ensemble, own_spread
 from identifiers.learned.polynomial_pass import Polynomials
 from identifiers.learned.recurrent_fit import Fitted, Problem, Recurrence, fit_start
 from identifiers.learned.recurrent_pass import Layout
+from identifiers.learned.state_network import StateNetwork
 
 __all__ = ["RecurrentEnsemble", "RecurrentModel", "own_member", "vouched"]
 
@@ -41,7 +42,7 @@ _LEAST_SPREAD = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class RecurrentModel:
+class RecurrentModel(StateNetwork):
     """``x+ = f(x, u)``, ``y = g(x, u)`` in scaled signals: small networks or polynomials, as the layout says.
 
     The state is ``[x, steps, drift]``. ``steps`` counts those since an output was seen: predictions are as uncertain as
@@ -96,11 +97,6 @@ class RecurrentModel:
     bands: Bands | None = None
     edges: FloatArray | None = None
     notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """No samples: the initial state is estimated."""
-        return 0
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the likeliest state at the first sample (nx + 1 + ny,), from the first 50 and what is usual."""
@@ -214,9 +210,6 @@ class RecurrentModel:
         bands = Bands.from_dict(content.get("bands"))
         more: dict[str, Any] = {"reach": reach, "fade": fade, "bands": bands, "edges": edges}
         return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, **more, **arrays)
-
-    def _input(self, u: FloatArray) -> FloatArray:
-        return np.asarray((np.asarray(u, dtype=float) - self.u_mean) / self.u_std)
 
 
 _ARRAYS = (

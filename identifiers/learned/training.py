@@ -14,15 +14,59 @@ import numpy as np
 
 from harness.data.whole_files import whole_file
 from harness.errors import InputError
-from harness.signals import FloatArray
+from harness.judgement import refuse_undetermined
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.records import moving, real_signals, usable
 
-__all__ = ["Schedule", "Trained", "bar", "draw_layers", "need_torch", "one_thread", "train", "train_tables"]
+__all__ = ["Excited", "Schedule", "Trained", "bar", "draw_layers", "need_torch", "one_thread", "train", "train_tables"]
 
 _LOOK = 50
 """Steps between two looks at the held-out loss."""
 
 Schedule = tuple[int, float, int]
 """Steps, learning rate at the start, and rows or windows of a batch."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excited:
+    """What an identifier of nonlinear black boxes asks of its records.
+
+    Parameters
+    ----------
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
+    """
+
+    least_excitation: float = 2.0
+
+    def asked(
+        self, trajectories: Sequence[Trajectory], *, samples: int, what: str, inputs: bool = False
+    ) -> tuple[list[Trajectory], PlantSpec]:
+        """Return the records that can be learned from, in an order of their own, and their spec.
+
+        Rows, windows and batches are drawn from them: in whatever order records come, they make the same model.
+
+        Parameters
+        ----------
+        trajectories : sequence of Trajectory
+        samples : int
+            Least number of samples of a record.
+        what : str
+            Name of the identifier, for messages.
+        inputs : bool
+            Ask that every input moves.
+
+        Raises
+        ------
+        FitError
+            If there are none.
+        """
+        records, spec = usable(trajectories, samples=samples, what=what)
+        real_signals(spec, what)
+        moving(records, what, inputs=inputs)
+        refuse_undetermined(records, what, self.least_excitation)
+        return sorted(records, key=lambda record: (len(record), record.y.tobytes())), spec
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.records import moving, real_signals, usable
+from identifiers.learned.training import Excited
 
 __all__ = ["ForestModel", "RandomForest", "Tree", "grow_tree"]
 
@@ -207,7 +208,7 @@ class ForestModel(LagModel):
 
 
 @dataclass(frozen=True)
-class RandomForest:
+class RandomForest(Excited):
     """Random forest on lagged outputs and inputs (Breiman 2001, *Machine Learning* 45:5); one tree is CART.
 
     Parameters
@@ -220,16 +221,12 @@ class RandomForest:
         Least number of samples in a leaf.
     increments : bool
         Predict the change of the output: what a tree rounds off is then small beside the output.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     order: int = 2
     trees: int = 30
     leaf: int = 5
     increments: bool = True
-    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> ForestModel:
         """Return the model; its errors come from the samples that a tree did not see."""

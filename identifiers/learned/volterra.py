@@ -16,6 +16,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.excitation import excited_lags
 from identifiers.common.records import moving, real_signals, usable
+from identifiers.learned.training import Excited
 
 __all__ = ["Volterra", "VolterraModel"]
 
@@ -130,7 +131,7 @@ class VolterraModel:
 
 
 @dataclass(frozen=True)
-class Volterra:
+class Volterra(Excited):
     """Volterra series by regularised least squares (Schetzen 1980, *The Volterra and Wiener Theories*, ch. 3).
 
     The regularisation prefers kernels that decay, and is chosen on the last fifth of every record. Suits plants that
@@ -142,14 +143,10 @@ class Volterra:
         Samples that the output remembers, the present one included.
     order : {1, 2}
         1 is a finite impulse response.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     memory: int = 20
     order: int = 2
-    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> VolterraModel:
         """Return the model."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -121,10 +121,8 @@ class GreyBoxModel:
         after = samples([self._values[column] for kind, _, column in blocks.output_blocks if kind != "quantise"])
         return before, after
 
-    @property
-    def burn_in(self) -> int:
-        """No samples: the initial state is estimated."""
-        return 0
+    burn_in: ClassVar[int] = 0
+    """No samples: the initial state is estimated."""
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (nx,) whose free run fits the record best, over short stretches first."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.options import options_of
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.row_solvers import Estimator, huber, instrumental, total
@@ -414,45 +415,19 @@ class Lumped:
             )
 
 
-def lumped_torque(
-    model: str | None = None,
-    *,
-    known: Mapping[str, float] | None = None,
-    smoothing: Smoothing = "auto",
-    intersample: Intersample = "zoh",
-    tolerance: float = 1e-6,
-    estimator: Estimator = "least-squares",
-    intervals: int = 0,
-) -> Lumped:
+@options_of(Lumped, "form", "window")
+def lumped_torque(model: str | None = None, **options: Any) -> Lumped:
     """Lumped parameters from the torque form (inverse dynamics); options as of :class:`Lumped`."""
-    return Lumped("torque", model, None, known, smoothing, intersample, tolerance, estimator, intervals)
+    return Lumped("torque", model, None, **options)
 
 
-def lumped_energy(
-    model: str | None = None,
-    *,
-    window: float | None = None,
-    known: Mapping[str, float] | None = None,
-    smoothing: Smoothing = "auto",
-    intersample: Intersample = "zoh",
-    tolerance: float = 1e-6,
-    estimator: Estimator = "least-squares",
-    intervals: int = 0,
-) -> Lumped:
+@options_of(Lumped, "form")
+def lumped_energy(model: str | None = None, **options: Any) -> Lumped:
     """Lumped parameters from the energy form (work over short intervals); options as of :class:`Lumped`."""
-    return Lumped("energy", model, window, known, smoothing, intersample, tolerance, estimator, intervals)
+    return Lumped("energy", model, **options)
 
 
-def lumped_momentum(
-    model: str | None = None,
-    *,
-    window: float | None = None,
-    known: Mapping[str, float] | None = None,
-    smoothing: Smoothing = "auto",
-    intersample: Intersample = "zoh",
-    tolerance: float = 1e-6,
-    estimator: Estimator = "least-squares",
-    intervals: int = 0,
-) -> Lumped:
+@options_of(Lumped, "form")
+def lumped_momentum(model: str | None = None, **options: Any) -> Lumped:
     """Lumped parameters from the momentum (weak) form; options as of :class:`Lumped`."""
-    return Lumped("momentum", model, window, known, smoothing, intersample, tolerance, estimator, intervals)
+    return Lumped("momentum", model, **options)

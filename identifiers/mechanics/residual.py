@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError, InputError, as_described
 from harness.models.estimate import Estimate
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.normal import NormalEquations
@@ -83,18 +83,11 @@ class ResidualModel(GreyBoxModel):
     def from_dict(cls, content: dict[str, Any]) -> ResidualModel:
         """Return the model of a description; raises InputError if it is none."""
         plain = GreyBoxModel.from_dict(content)
-        try:
+        with as_described("a residual-physics model"):
             forces = tuple(
                 (str(force["coordinate"]), Basis.from_dict(force["basis"]), np.array(force["weights"], dtype=float))
                 for force in content["forces"]
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                "description of a residual-physics model",
-                expected="what to_dict() writes",
-                got=f"{type(error).__name__}: {error}",
-                remedy="write the model anew",
-            ) from error
         own = plain.recipe
         recipe = ResidualRecipe(own.model, own.options, own.outputs, own.effects, forces=forces)
         return cls(

@@ -39,17 +39,11 @@ class MaximumLikelihood(PhysicalFit):
 
     Examples
     --------
-    >>> from harness.physics.models import oscillator
-    >>> from harness.signals import PlantSpec
-    >>> system = oscillator().system()
-    >>> rng = np.random.default_rng(0)
-    >>> u = np.repeat(rng.normal(size=(60, 1)), 10, axis=0)
-    >>> y = system.simulator(0.02, backend="casadi").rollout([2.0, 0.3, 5.0], [0.1, 0.0], u)
-    >>> data = Trajectory(np.arange(600) * 0.02, u, y + 0.002 * rng.normal(size=y.shape),
-    ...                   PlantSpec(system.inputs, system.outputs, 0.02))
-    >>> fitted = MaximumLikelihood(model="oscillator").fit([data], rng=rng)
+    >>> import harness
+    >>> record = harness.simulate("pendulum-ode", scenario="prbs", scenario_options={"duration": 6.0})
+    >>> fitted = MaximumLikelihood(model="pendulum").fit([record.measured()], rng=np.random.default_rng(0))
     >>> {name: round(value, 2) for name, value in fitted.parameters.items()}
-    {'m': 2.0, 'c': 0.3, 'k': 5.0}
+    {'J': 0.1, 'b': 0.05, 'mgl': 1.0}
     """
 
     latent: bool = True

@@ -127,10 +127,8 @@ class PlantModel:
         """Channels and sample time of the plant."""
         return self.plant.spec
 
-    @property
-    def burn_in(self) -> int:
-        """No samples: the initial state is estimated."""
-        return 0
+    burn_in: ClassVar[int] = 0
+    """No samples: the initial state is estimated."""
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (nx,) that explains the start of the record best (Gauss-Newton, differences in x0)."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from harness.errors import FitError, InputError
 from harness.models.estimate import Estimate
+from harness.options import options_of
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.records import real_signals, usable
@@ -363,11 +364,6 @@ class OnlineGreyBox:
         return mean, covariance, middle, (away * second) @ off.T, (off * second) @ off.T
 
 
-def _made(kind: Literal["ekf", "ukf"], given: dict[str, Any]) -> OnlineGreyBox:
-    values = dict(given)
-    return OnlineGreyBox(kind, values.pop("model"), values.pop("options") or {}, values.pop("start") or {}, **values)
-
-
 def ekf(
     model: str | None = None,
     *,
@@ -379,18 +375,10 @@ def ekf(
     disturbance: float = 1e-3,
 ) -> OnlineGreyBox:
     """Return the extended Kalman filter for state and parameters; options as of :class:`OnlineGreyBox`."""
-    return _made("ekf", locals())
+    return OnlineGreyBox("ekf", model, options or {}, start or {}, fixed, doubt, walk, disturbance)
 
 
-def ukf(
-    model: str | None = None,
-    *,
-    options: Mapping[str, Any] | None = None,
-    start: Mapping[str, float] | None = None,
-    fixed: tuple[str, ...] = (),
-    doubt: float = 0.5,
-    walk: float = 0.0,
-    disturbance: float = 1e-3,
-) -> OnlineGreyBox:
+@options_of(ekf)
+def ukf(model: str | None = None, **options: Any) -> OnlineGreyBox:
     """Return the unscented Kalman filter for state and parameters; options as of :class:`OnlineGreyBox`."""
-    return _made("ukf", locals())
+    return replace(ekf(model, **options), kind="ukf")

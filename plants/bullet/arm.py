@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from math import hypot, isfinite
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 from harness.errors import InputError, PlantError
-from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.bullet.engine import explicit_urdf, stiffest_rate
 from plants.bullet.options import ArmOptions, Joints, joints_of, settings_of
 from plants.bullet.outputs import BASE_STATES, Camera, channels, reader
@@ -28,7 +28,7 @@ GREATEST_DAMPED_STEP = 0.9
 """Joint damping times step over inertia beyond which a plant is refused: Bullet's damping is explicit."""
 
 
-class ArmPlant:
+class ArmPlant(BasePlant):
     """A URDF in PyBullet with every hidden default written down.
 
     The engine integrates by semi-implicit Euler: the error falls with the first power of the step
@@ -93,17 +93,6 @@ class ArmPlant:
         except BaseException:
             self.close()
             raise
-
-    @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
-    def abilities(self) -> frozenset[Ability]:
-        """Snapshots (bit for bit), batch, truth; feedthrough where the contact force is measured."""
-        found: set[Ability] = {"snapshots", "batch", "truth"}
-        return frozenset(found | {"feedthrough"} if self.spec.feedthrough else found)
 
     @property
     def declared(self) -> dict[str, Any]:
@@ -203,12 +192,6 @@ class ArmPlant:
     def close(self) -> None:
         """Disconnect from the engine; may be called twice."""
         self._world.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _bind(self) -> None:
         """Keep the functions that move and read the world at hand."""

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Self
 
 import numpy as np
 
 from harness.errors import InputError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs, positive
 
 __all__ = ["MarkedArmPlant"]
 
 
-class MarkedArmPlant:
+class MarkedArmPlant(BasePlant):
     """Pairs <q, p>: joint readings go in, the place of a marker on the last body comes out; nothing moves by itself.
 
     Parameters
@@ -65,7 +65,7 @@ class MarkedArmPlant:
             low, high = (joint.lower, joint.upper) if np.isfinite(joint.lower) else (-reach, reach)
             inputs.append(Channel(channel.name, channel.unit, low, high))
         time = positive("sample_time", sample_time)
-        self.spec = PlantSpec(tuple(inputs), self._arm.channels, time, feedthrough=True)
+        self._spec = PlantSpec(tuple(inputs), self._arm.channels, time, feedthrough=True)
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
         """Return the marker with all readings 0; there is no state to set."""
@@ -90,12 +90,3 @@ class MarkedArmPlant:
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Return the markers (N, 3) at readings (N, n)."""
         return self._arm.places(checked_inputs(inputs, self.spec), self._parameters)
-
-    def close(self) -> None:
-        """Nothing is held open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from harness.errors import PlantError
-from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive
 
 __all__ = ["CompassGait"]
@@ -19,7 +19,7 @@ _BISECTIONS = 40
 """Halvings of an engine step in which the foot strikes."""
 
 
-class CompassGait:
+class CompassGait(BasePlant):
     """Goswami's compass gait (Goswami, Thuilot & Espiau 1998, *Int. J. Robotics Research* 17, sec. 2 and app.).
 
     ``stance`` and ``swing`` are the angles of the legs from the vertical, positive with the foot ahead of the hip; the
@@ -71,17 +71,7 @@ class CompassGait:
         self._spec = PlantSpec((hip,), states, positive("sample_time", sample_time), states)
         self._dt, self._substeps = sample_time / int(positive("substeps", substeps)), int(substeps)
         self._default = [0.2187, -0.3234, -1.0918, -0.3772]  # just after a strike of its limit cycle at 3 degrees
-        self._x, self._closed = np.array(self._default), False
-
-    @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
-    def abilities(self) -> frozenset[Ability]:
-        """Snapshots (bit for bit), batch, truth."""
-        return frozenset({"snapshots", "batch", "truth"})
+        self._x = np.array(self._default)
 
     def impact(self, x: FloatArray) -> FloatArray:
         """Return the state (4,) just after a heel strike from the one just before it (equations of the appendix)."""
@@ -139,20 +129,6 @@ class CompassGait:
         """Go back to a state."""
         self._need_open()
         self._x = np.array(state)
-
-    def close(self) -> None:
-        """Nothing to release; may be called twice."""
-        self._closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    def _need_open(self) -> None:
-        if self._closed:
-            raise PlantError("the plant is closed: make a new one", status="terminated")
 
     def _moved(self, x: FloatArray, torque: float, dt: float) -> FloatArray:
         """Return the state ``dt`` later, over a heel strike where there is one."""

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from harness.errors import InputError, PlantError
-from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive, refuse_input
 
 __all__ = ["LinearPlant"]
 
 
-class LinearPlant:
+class LinearPlant(BasePlant):
     """``x[k+1] = A x[k] + B u[k] + w[k]``, ``y[k] = C x[k] + D u[k] + v[k]`` with white w of covariance Q, v of R.
 
     Parameters
@@ -87,20 +87,17 @@ class LinearPlant:
         self._w, self._v = _root("Q", Q, nx), _root("R", R, ny)
         limit = positive("u_limit", u_limit, infinite=True)
         self._direct = bool(self.D.any())
-        self.spec = PlantSpec(
+        self._spec = PlantSpec(
             tuple(Channel(n, minimum=-limit, maximum=limit) for n in _names("inputs", inputs, "u", nu)),
             tuple(Channel(n) for n in _names("outputs", outputs, "y", ny)),
             positive("sample_time", sample_time),
             tuple(Channel(n) for n in _names("states", states, "x", nx, lone=False)),
             self._direct,
         )
-        direct: tuple[Ability, ...] = ("feedthrough",) if self._direct else ()
-        self.abilities: frozenset[Ability] = frozenset(("snapshots", "batch", "truth", "batch-truth", *direct))
         self._initial = dict(initial or {})
         initial_values(self._initial, self.spec.states, [0.0] * nx)
         self._rng = np.random.default_rng(0)
         self._x, self._seen = np.zeros(nx), np.zeros(ny)
-        self._closed = False
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
         """Start anew; ``x0`` goes before the option ``initial``; returns ``y[0]`` (ny,) with no input."""
@@ -168,20 +165,6 @@ class LinearPlant:
     def discrete(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return A, B, C."""
         return self.A, self.B, self.C
-
-    def close(self) -> None:
-        """Refuse further use; may be called twice."""
-        self._closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    def _need_open(self) -> None:
-        if self._closed:
-            raise PlantError("the plant is closed: make a new one", status="terminated")
 
 
 def _matrix(name: str, given: Any, rows: int, columns: int) -> FloatArray:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from harness.errors import InputError, PlantError
 from harness.options import outside
-from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs, finite, initial_values, positive, refuse_input
 from plants.equations.ode_adaptive import AdaptiveEngine, Integrator, checked_integrator
 from plants.equations.ode_engine import (
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["OdePlant"]
 
 
-class OdePlant:
+class OdePlant(BasePlant):
     """A model of :mod:`harness.physics` as a plant, its input held over every sample.
 
     Parameters
@@ -143,7 +143,6 @@ class OdePlant:
         self._delays_in = [(b.index, DelayLine(value[b.parameter], dt)) for b in sampled if b.kind == "input_delay"]
         self._delays_out = [(b.index, DelayLine(value[b.parameter], dt)) for b in sampled if b.kind == "output_delay"]
         self._rounding = [(b.index, value[b.parameter]) for b in sampled if b.kind == "quantise"]
-        self._closed = False
         self._shape, self._dt = (self._spec.nu,), dt
         # nothing between the caller and the engine: no memory, no noise, no rounding
         self._direct = not (self._delays_in or self._delays_out or self._rounding or self._noises)
@@ -153,17 +152,6 @@ class OdePlant:
         self._y = np.zeros(self._spec.ny)
         self._timed = depends_on_time(self.system)
         self._hold: tuple[FloatArray, FloatArray, float] | None = None
-
-    @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
-    def abilities(self) -> frozenset[Ability]:
-        """Snapshots (bit for bit), batches with the truth; feedthrough where an output depends on an input."""
-        direct: tuple[Ability, ...] = ("feedthrough",) if self._spec.feedthrough else ()
-        return frozenset(("snapshots", "batch", "truth", "batch-truth", *direct))
 
     @property
     def substeps(self) -> int:
@@ -349,16 +337,6 @@ class OdePlant:
         c = np.column_stack([(self._engine.output(size * one, np.zeros(nu), 0.0) - y0) / size for one in np.eye(nx)])
         return a, b, c
 
-    def close(self) -> None:
-        """Refuse further use; may be called twice."""
-        self._closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle options and running state; compiled code and expressions are made again."""
         lines = tuple(line.get_state() for _, line in (*self._delays_in, *self._delays_out))
@@ -368,11 +346,6 @@ class OdePlant:
         self._x, self._k, lines, self._rng, self._closed = state
         for (_, line), held in zip((*self._delays_in, *self._delays_out), lines, strict=True):
             line.set_state(held)
-
-    def _need_open(self) -> None:
-        """Refuse the use of a closed plant."""
-        if self._closed:
-            raise PlantError("the plant is closed: make a new one", status="terminated")
 
     def _sense(self, y: FloatArray, *, advance: bool) -> FloatArray:
         """Return what the sensors tell: late and rounded."""

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from harness.errors import InputError
-from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive
 from plants.finite.mdp import category_number
 
 __all__ = ["MachinesMdp"]
 
 
-class MachinesMdp:
+class MachinesMdp(BasePlant):
     """A ring of machines, each up (1) or down (0); every step one of them, or none, is rebooted.
 
     A machine that runs fails more often while the one before it in the ring is down; a machine that is down comes back
@@ -71,16 +71,6 @@ class MachinesMdp:
         self._rng = np.random.default_rng(0)
         self._state = np.ones(self.machines, dtype=np.intp)
 
-    @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
-    def abilities(self) -> frozenset[Ability]:
-        """Snapshots (bit for bit, the generator included), batch, truth."""
-        return frozenset({"snapshots", "batch", "truth"})
-
     def chances(self, state: FloatArray, action: int) -> FloatArray:
         """Return the probability (machines,) that each machine is up after an action."""
         now = np.asarray(state, dtype=np.intp)
@@ -122,15 +112,6 @@ class MachinesMdp:
     def set_state(self, state: Any) -> None:
         """Go back to a state of this same plant object."""
         self._state, self._rng.bit_generator.state = state[0].copy(), state[1]
-
-    def close(self) -> None:
-        """Nothing to release; may be called twice."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _move(self, action: int) -> None:
         """Draw the next states, one number for each machine."""

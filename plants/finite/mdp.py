@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.errors import InputError
-from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive
 
 __all__ = ["FiniteMdp", "category_number", "checked_distribution", "cumulated", "grid_mdp"]
@@ -19,7 +19,7 @@ TOLERANCE = 1e-9
 """How far a distribution's sum may be from 1."""
 
 
-class FiniteMdp:
+class FiniteMdp(BasePlant):
     """A finite Markov decision process as a plant: action in, state out.
 
     Parameters
@@ -86,16 +86,6 @@ class FiniteMdp:
         self._state = 0
 
     @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
-    def abilities(self) -> frozenset[Ability]:
-        """Snapshots (bit for bit, the generator included), batch, truth."""
-        return frozenset({"snapshots", "batch", "truth"})
-
-    @property
     def true_transition(self) -> FloatArray:
         """The transition probabilities (S, A, S)."""
         return self.transition
@@ -140,15 +130,6 @@ class FiniteMdp:
     def set_state(self, state: Any) -> None:
         """Go back to a state of this same plant object."""
         self._state, self._rng.bit_generator.state = state
-
-    def close(self) -> None:
-        """Nothing to release; may be called twice."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _move(self, action: int) -> None:
         """Draw the next state."""

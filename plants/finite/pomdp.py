@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.errors import InputError
-from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs
 from plants.finite.mdp import FiniteMdp, checked_distribution, cumulated, grid_mdp
 
 __all__ = ["FinitePomdp", "grid_pomdp"]
 
 
-class FinitePomdp:
+class FinitePomdp(BasePlant):
     """A finite POMDP as a plant: action in, observation out; the hidden state is the truth.
 
     Parameters
@@ -73,16 +73,6 @@ class FinitePomdp:
         self._spec = PlantSpec(hidden.inputs, (seen,), hidden.sample_time, hidden.states)
 
     @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
-    def abilities(self) -> frozenset[Ability]:
-        """Snapshots (bit for bit, the generator included), batch, truth."""
-        return frozenset({"snapshots", "batch", "truth"})
-
-    @property
     def true_transition(self) -> FloatArray:
         """The transition probabilities (S, A, S)."""
         return self._mdp.transition
@@ -117,15 +107,6 @@ class FinitePomdp:
     def set_state(self, state: Any) -> None:
         """Go back to a state of this same plant object."""
         self._mdp.set_state(state)
-
-    def close(self) -> None:
-        """Nothing to release; may be called twice."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _observed(self) -> FloatArray:
         """Draw an observation of the present state."""

@@ -6,15 +6,15 @@ import importlib
 from collections.abc import Callable, Mapping, Sequence
 from math import hypot, isfinite
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 from harness.errors import InputError, PlantError
 from harness.physics.arms.formats.mjcf_spec import mujoco
-from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, refuse_input
 from plants.mujoco.settings import Cone, Integrator, Settings, Solver, built, times
 from plants.mujoco.signals import Inputs, Outputs, inputs_of, outputs_of, states_of
@@ -25,7 +25,7 @@ BLOCK = 4000
 """Engine steps that a roll-out takes at once: their states are held in memory."""
 
 
-class MujocoPlant:
+class MujocoPlant(BasePlant):
     """A robot in MuJoCo: an MJCF, or a URDF, by its path.
 
     The file says everything that no option says: timestep, integrator, solver, friction, actuators with their gears
@@ -163,21 +163,9 @@ class MujocoPlant:
         self._inputs, self._outputs = every, measured
         self._columns = [states.channels.index(channel) for channel in measured.channels] if not measured.stage else []
         self._block = max(1, BLOCK // self._substeps)
-        self._closed = False
         self._step: Callable[[FloatArray], FloatArray]
         self._bind()
         self.true_parameters: dict[str, float] = {}
-
-    @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
-    def abilities(self) -> frozenset[Ability]:
-        """Snapshots (bit for bit), batch, truth; feedthrough where a sensor of accelerations or forces is read."""
-        found: set[Ability] = {"snapshots", "batch", "truth", "batch-truth"}
-        return frozenset(found | {"feedthrough"} if self.spec.feedthrough else found)
 
     @property
     def declared(self) -> dict[str, Any]:
@@ -229,15 +217,7 @@ class MujocoPlant:
         return self._read()
 
     def step(self, u: FloatArray) -> FloatArray:
-        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,).
-
-        Raises
-        ------
-        InputError
-            If ``u`` has the wrong shape or is not finite.
-        PlantError
-            If the run diverges, or the plant is closed.
-        """
+        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,). It raises what a plant may."""
         return self._step(u)
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
@@ -284,12 +264,6 @@ class MujocoPlant:
             del self._read, self._advance, self._put
             self._step = self._refused
             self._data = self._model = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _bind(self) -> None:
         """Keep at hand the functions that set the inputs, move on and read: a step costs little more than they do."""
@@ -387,11 +361,6 @@ class MujocoPlant:
     def _state(self) -> FloatArray:
         data = self._data
         return np.concatenate([data.qpos, data.qvel, data.act])
-
-    def _need_open(self) -> None:
-        """Refuse the use of a closed plant."""
-        if self._closed:
-            raise PlantError("the plant is closed: make a new one", status="terminated")
 
     def _diverged(self) -> None:
         """Say when a run diverged, and what helps."""

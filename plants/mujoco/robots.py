@@ -23,12 +23,8 @@ def one_joint_arm(*, mass: float = 1.0, length: float = 0.5, link_inertia: float
 
     Parameters
     ----------
-    mass : float
-        In kg.
-    length : float
-        From hinge to centre of mass [m].
-    link_inertia : float
-        About the centre of mass [kg m^2].
+    mass, length, link_inertia : float
+        In kg; from hinge to centre of mass [m]; about the centre of mass [kg m^2].
     **options
         Of :class:`plants.mujoco.plant.MujocoPlant`.
 

@@ -6,13 +6,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError, PlantError
+from harness.errors import InputError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
+from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive, refuse_input
 
 __all__ = ["PymunkPlant", "State", "mechanism_spec", "pin_forces", "point_mass_pole", "put"]
@@ -21,7 +22,7 @@ State = tuple[float, ...]
 """Of each moving body: position x, y, velocity x, y, angle, angular velocity."""
 
 
-class PymunkPlant(ABC):
+class PymunkPlant(BasePlant, ABC):
     """A plant with one input in a pymunk space.
 
     Subclasses say how the space is built from the state of its bodies (``_place``), how the bodies stand in named
@@ -61,20 +62,14 @@ class PymunkPlant(ABC):
             spec = replace(spec, outputs=tuple(spec.states[column] for column in chosen))
         self._spec, self._substeps, self._default = spec, int(substeps), list(start)
         self._dt = spec.sample_time / self._substeps
-        self._closed = False
         self._space: Any
         self._bodies: tuple[Any, ...]
         self._place(self._bodies_at(self._default))
 
     @property
-    def spec(self) -> PlantSpec:
-        """Channels and sample time."""
-        return self._spec
-
-    @property
     def abilities(self) -> frozenset[Ability]:
         """Snapshots (taking one rebuilds the space, see :meth:`get_state`), batch, truth."""
-        return frozenset({"snapshots", "batch", "truth"})
+        return super().abilities
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
         """Start anew, from named states where given; returns ``y[0]`` (ny,). ``rng`` is not used."""
@@ -135,16 +130,6 @@ class PymunkPlant(ABC):
         self._need_open()
         self._place(state)
 
-    def close(self) -> None:
-        """Release the space; may be called twice."""
-        self._closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
     @abstractmethod
     def _bodies_at(self, values: Sequence[float]) -> State:
         """Return the state of the bodies at named states, in the order of ``spec.states``."""
@@ -171,11 +156,6 @@ class PymunkPlant(ABC):
     def _measured(self) -> FloatArray:
         """Return the outputs (ny,)."""
         return self._read() if self._columns is None else self.truth()[self._columns]
-
-    def _need_open(self) -> None:
-        """Refuse the use of a closed plant."""
-        if self._closed:
-            raise PlantError("the plant is closed: make a new one", status="terminated")
 
 
 def mechanism_spec(places: Sequence[Channel], unit: str, u_limit: float, sample_time: float) -> PlantSpec:

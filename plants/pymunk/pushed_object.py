@@ -143,15 +143,7 @@ class PymunkPushedObject(PymunkPlant):
         return frozenset({"batch", "truth"})
 
     def step(self, u: FloatArray) -> FloatArray:
-        """Hold ``u`` (2,) for one sample time; returns the next output (7,).
-
-        Raises
-        ------
-        InputError
-            If ``u`` has the wrong shape or is not finite.
-        PlantError
-            If the plant is closed.
-        """
+        """Hold ``u`` (2,) for one sample time; returns the next output (7,); raises as :class:`PymunkPlant` does."""
         self._need_open()
         if not (isinstance(u, np.ndarray) and u.shape == (2,) and np.isfinite(u).all()):
             refuse_input(u, self.spec)

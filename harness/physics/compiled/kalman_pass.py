@@ -117,17 +117,7 @@ class Pass(Protocol):
 
     parameter_count: int
 
-    def __call__(
-        self,
-        record: Trajectory,
-        p: Any,
-        x0: Any,
-        noise: Noise,
-        *,
-        columns: npt.NDArray[np.intp] | None = None,
-        keep: bool = False,
-        by_noise: bool = False,
-    ) -> Filtered | None:
+    def __call__(self, *given: Any, **how: Any) -> Filtered | None:
         """Return the innovations of a record, None if the state diverges; see :meth:`KalmanPass.__call__`."""
         ...
 

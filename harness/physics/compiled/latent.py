@@ -82,16 +82,7 @@ def with_latent_forces(system: System) -> Disturbed:
 
 
 def without_latent_forces(system: System) -> Disturbed:
-    """Return the system with no latent force: output error, the limit in which nothing disturbs the plant.
-
-    Parameters
-    ----------
-    system : System
-
-    Returns
-    -------
-    Disturbed
-    """
+    """Return the system with no latent force: output error, the limit in which nothing disturbs the plant."""
     return Disturbed(_readable(system), ())
 
 

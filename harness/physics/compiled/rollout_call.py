@@ -6,18 +6,50 @@ import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["Sums", "all_columns", "call_rollout", "repeated_rollout"]
+__all__ = ["Asked", "Given", "Sums", "all_columns", "call_rollout", "repeated_rollout"]
 
 _COUNTS = ("m", "n", "substeps", "every", "chosen")
 _INPUTS = ("p", "x0", "u", "d", "t0", "columns")
 _ROWS = ("x", "y", "s")
 _SUMS = ("measured", "sigma", "period", "limit", "cost", "squares", "gram", "gradient")
+
+
+class Given(NamedTuple):
+    """Windows of one length, as :meth:`harness.physics.compiled.simulator.Simulator.windows` takes them.
+
+    Parameters (M, np), starts (M, nx), inputs (M, N, nu) as the equations see them, their derivatives by the delays
+    (M, N, nu, delays) or None, and times of the first samples (M,).
+    """
+
+    p: FloatArray
+    x0: FloatArray
+    u: FloatArray
+    input_jacobian: FloatArray | None
+    t0: FloatArray
+
+
+class Asked(NamedTuple):
+    """What :class:`harness.physics.compiled.windows.Windows` asks beside the runs; see its ``trial``."""
+
+    data: tuple[FloatArray, FloatArray, FloatArray]
+    """Readings (M, N, ny), the weights' sigma (ny,) and the periods (ny,), 0 for an output that does not wrap."""
+    columns: npt.NDArray[np.intp] | None
+    """Which of (p, x0) are asked for; the sums of the others are 0. All of them without."""
+    limits: FloatArray | None
+    """A window (M,) whose cost exceeds its limit is pruned, its cost infinite (negative: not simulated)."""
+    budget: float
+    """All of them are once they together exceed it."""
+    keep: bool
+    """Give states and residuals too."""
+    sensitivities: bool
+    """Give the sensitivities by all columns too."""
 
 
 @dataclass(eq=False)

@@ -12,10 +12,14 @@ import casadi as ca
 import numpy as np
 
 from harness.physics.compiled.ccode import FINE, dense
+from harness.physics.compiled.rollout_call import Given
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray
 
 __all__ = ["Functions", "Linear"]
+
+How = tuple[float, int, bool, bool, tuple[int, ...]]
+"""Sample time, substeps, whether inputs move along lines, whether sensitivities are asked for, columns of delays."""
 
 
 @contextlib.contextmanager
@@ -188,16 +192,9 @@ class Functions:
             self._machines[key] = ca.Function("step", [x, u, p, t], [state])
         return self._machines[key]
 
-    def windows(
-        self,
-        p: FloatArray,
-        x0: FloatArray,
-        u: FloatArray,
-        input_jacobian: FloatArray | None,
-        t0: FloatArray,
-        how: tuple[float, int, bool, bool, tuple[int, ...]],
-    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    def windows(self, given: Given, how: How) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Simulate windows on the virtual machine; ``how`` is dt, substeps, foh, sensitivities and delay columns."""
+        p, x0, u, input_jacobian, t0 = given
         m, n = u.shape[:2]
         _, _, foh, sensitivities, _ = how
         nx, ny, ns = self.system.nx, self.system.ny, self.system.np + self.system.nx
@@ -211,7 +208,7 @@ class Functions:
                 d_held = input_jacobian[window].reshape(n, -1)
                 d_after = np.vstack([d_held[1:], d_held[-1:]]) if foh else d_held
             start = p[window], x0[window]
-            k = self.virtual_machine(*how, *start, held, after, d_held, d_after, float(t0[window]))
+            k = self.virtual_machine(how, *start, held, after, d_held, d_after, float(t0[window]))
             rows = k[0].shape[0]
             x[window, :rows], y[window, :rows] = k[0], k[1]
             if s is not None:
@@ -220,11 +217,7 @@ class Functions:
 
     def virtual_machine(
         self,
-        dt: float,
-        substeps: int,
-        foh: bool,
-        sensitivities: bool,
-        delay_columns: tuple[int, ...],
+        how: How,
         p: FloatArray,
         x0: FloatArray,
         u: FloatArray,
@@ -235,7 +228,8 @@ class Functions:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Simulate one window; returns (x, y, sensitivities of y), rows up to the last finite state."""
         n, nx = u.shape[0], self.system.nx
-        step, look = self._sample(dt, substeps, foh, sensitivities, delay_columns)
+        dt, _, _, sensitivities, _ = how
+        step, look = self._sample(*how)
         columns = [u, u_next] + ([d, d_next] if d is not None and d_next is not None else [])
         moving = np.hstack(columns) if d is not None else np.hstack([u, u_next])
         start = x0

@@ -13,7 +13,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.physics.compiled.ccode import FINE, without_signs
 from harness.physics.compiled.compilation import Compilation, compiles
-from harness.physics.compiled.rollout_call import Sums, all_columns, call_rollout
+from harness.physics.compiled.rollout_call import Asked, Given, Sums, all_columns, call_rollout
 from harness.physics.compiled.rollout_code import Functions
 from harness.physics.compiled.rollout_source import rollout_source
 from harness.physics.compiled.sampled import SampledBlocks
@@ -259,60 +259,33 @@ class Simulator:
         """
         seen = np.ascontiguousarray(u)
         input_jacobian = None if input_jacobian is None else np.ascontiguousarray(input_jacobian)
-        values, start, times = p, x0, t0
         m, n = seen.shape[:2]
         library = self._library(sensitivities, m * n)
         run = self._in_casadi if library is None else functools.partial(self._in_c, library)
         if self.intersample != "smooth":
-            x, y, s = run(values, start, seen, input_jacobian, times, sensitivities, self.dt, self.substeps)
+            x, y, s = run(Given(p, x0, seen, input_jacobian, t0), sensitivities, self.dt, self.substeps)
         else:
             pieces = self.substeps
             seen, input_jacobian = self.refined(seen), None if input_jacobian is None else self.refined(input_jacobian)
-            x, y, s = run(values, start, seen, input_jacobian, times, sensitivities, self.dt / pieces, 1)
+            x, y, s = run(Given(p, x0, seen, input_jacobian, t0), sensitivities, self.dt / pieces, 1)
             x, y = np.ascontiguousarray(x[:, ::pieces]), np.ascontiguousarray(y[:, ::pieces])
             s = None if s is None else np.ascontiguousarray(s[:, ::pieces])
-        y, s = self.sampled.outputs(y, s, values)
+        y, s = self.sampled.outputs(y, s, p)
         return x, y, s
 
-    def sums(
-        self,
-        p: FloatArray,
-        x0: FloatArray,
-        u: FloatArray,
-        input_jacobian: FloatArray | None,
-        t0: FloatArray,
-        data: tuple[FloatArray, FloatArray, FloatArray],
-        *,
-        columns: Any = None,
-        limits: FloatArray | None = None,
-        budget: float = np.inf,
-        keep: bool = False,
-        sensitivities: bool = False,
-    ) -> Sums | None:
+    def sums(self, given: Given, asked: Asked) -> Sums | None:
         """Simulate windows as :meth:`windows` does and sum up the normal equations on the way.
-
-        Parameters
-        ----------
-        p, x0, u, input_jacobian, t0 : as for :meth:`windows`
-        data : tuple
-            Measured outputs (M, N, ny), sigma (ny,), periods (ny,), 0 for an output that does not wrap.
-        columns : array of int, optional
-            Which of (p, x0) are asked for; the sums of the others are 0. All of them by default.
-        limits, budget : array (M,), float
-            A window whose cost exceeds its limit is pruned, its cost infinite (negative: not simulated); all of them
-            once they together exceed the budget.
-        keep, sensitivities : bool
-            Give states and residuals, and the sensitivities by all columns, too.
 
         Returns
         -------
         Sums or None
             None if that is not possible: no compiled code, or sensors that act on the samples.
         """
+        p, x0, u, input_jacobian, t0 = given
+        (measured, sigma, period), columns, limits, budget, keep, sensitivities = asked
         possible = self.backend != "casadi" and self._compiles and not self.sampled.output_blocks
         if not possible or (library := self._compiled(True).library()) is None:
             return None
-        measured, sigma, period = data
         m, n, ny, ns = u.shape[0], u.shape[1], self.spec.ny, self.np + self.nx
         smooth = self.intersample == "smooth"
         substeps, every = (1, self.substeps) if smooth else (self.substeps, 1)
@@ -398,17 +371,9 @@ class Simulator:
         return None
 
     def _in_c(
-        self,
-        library: ctypes.CDLL,
-        p: FloatArray,
-        x0: FloatArray,
-        u: FloatArray,
-        input_jacobian: FloatArray | None,
-        t0: FloatArray,
-        sensitivities: bool,
-        dt: float,
-        substeps: int,
+        self, library: ctypes.CDLL, given: Given, sensitivities: bool, dt: float, substeps: int
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        p, x0, u, input_jacobian, t0 = given
         m, n = u.shape[:2]
         ny, ns = self.spec.ny, self.np + self.nx
         x, y = np.empty((m, n, self.nx)), np.empty((m, n, ny))
@@ -420,18 +385,10 @@ class Simulator:
         return x, y, s
 
     def _in_casadi(
-        self,
-        p: FloatArray,
-        x0: FloatArray,
-        u: FloatArray,
-        input_jacobian: FloatArray | None,
-        t0: FloatArray,
-        sensitivities: bool,
-        dt: float,
-        substeps: int,
+        self, given: Given, sensitivities: bool, dt: float, substeps: int
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         how = dt, substeps, self.intersample != "zoh", sensitivities, self.sampled.delay_columns
-        return self.functions.windows(p, x0, u, input_jacobian, t0, how)
+        return self.functions.windows(given, how)
 
 
 def _rebuilt(system: Equations, dt: float, intersample: Intersample, substeps: int, backend: Backend) -> Simulator:

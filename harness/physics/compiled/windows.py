@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from harness.physics.compiled.rollout_call import Sums
+from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.fitting.smoothing import smooth
 from harness.signals import FloatArray, Trajectory
 
@@ -187,7 +187,7 @@ class Windows:
         inputs, input_jacobians = self._inputs(p)
         for number, group in enumerate(self.groups):
             values = np.ascontiguousarray(np.broadcast_to(p, (len(group.order), p.shape[0])))
-            given = (
+            given = Given(
                 values,
                 np.ascontiguousarray(x0[group.order]),
                 inputs[number],
@@ -196,17 +196,11 @@ class Windows:
             )
             found = None
             if self._summing:
-                found = self.simulator.sums(
-                    *given,
-                    (self._y[number], self.sigma, self._wraps),
-                    columns=columns,
-                    limits=None if limits is None else np.ascontiguousarray(limits[group.order]),
-                    budget=budget,
-                    keep=keep,
-                    sensitivities=jacobian,
-                )
+                limit = None if limits is None else np.ascontiguousarray(limits[group.order])
+                data = self._y[number], self.sigma, self._wraps
+                found = self.simulator.sums(given, Asked(data, columns, limit, budget, keep, jacobian))
             if found is None:
-                found = self._summed(number, *given)
+                found = self._summed(number, given)
             budget = min(budget, found.budget)
             result.costs[group.order], result.squares = found.costs, result.squares + found.squares
             result.gram[group.order], result.gradient[group.order] = found.gram, found.gradient
@@ -222,17 +216,9 @@ class Windows:
             result.jacobian = np.vstack(rows)
         return result
 
-    def _summed(
-        self,
-        number: int,
-        p: FloatArray,
-        x0: FloatArray,
-        u: FloatArray,
-        input_jacobian: FloatArray | None,
-        t0: FloatArray,
-    ) -> Sums:
+    def _summed(self, number: int, given: Given) -> Sums:
         """Return the sums of a group of windows from their sensitivities."""
-        x, y, s = self.simulator.windows(p, x0, u, input_jacobian, t0)
+        x, y, s = self.simulator.windows(*given)
         assert s is not None
         m = y.shape[0]
         r = self._y[number] - y

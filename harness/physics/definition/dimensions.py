@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from harness.signals import Ported
+
 __all__ = ["Dimensions"]
 
 
-class Dimensions:
+class Dimensions(Ported):
     """Counts and names of a model with ``inputs``, ``outputs``, ``states`` and ``parameters``."""
 
-    inputs: Any
-    outputs: Any
     parameters: Any
 
     @property
@@ -20,16 +20,6 @@ class Dimensions:
         """Number of states."""
         states: Sequence[Any] = self.states  # type: ignore[attr-defined]
         return len(states)
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return len(self.inputs)
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        return len(self.outputs)
 
     @property
     def np(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -76,15 +76,8 @@ class Maximised(Protocol):
         """Return the point of a vector."""
         ...
 
-    def jacobians(
-        self,
-        z: FloatArray,
-        found: list[Filtered],
-        which: npt.NDArray[np.intp],
-        exact: bool,
-        deviations: FloatArray | None = None,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return what chosen entries do to innovations, over their deviations, and to logarithms of variances."""
+    def jacobians(self, *given: Any, **how: Any) -> tuple[FloatArray, FloatArray]:
+        """Return what chosen entries do to innovations and variances; see ``Likelihood.jacobians``."""
         ...
 
 

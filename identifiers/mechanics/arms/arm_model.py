@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import as_described
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
@@ -48,11 +48,8 @@ class ArmDynamics:
     friction: FloatArray
     motor_inertia: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """No samples: the initial state is read off the record."""
-        return 0
+    burn_in: ClassVar[int] = 0
+    """No samples: the initial state is read off the record."""
 
     @cached_property
     def arm(self) -> ArmModel:
@@ -168,19 +165,12 @@ class ArmDynamics:
         InputError
             If it is none.
         """
-        try:
+        with as_described("an arm model"):
             bodies, damping, friction, motor = (
                 np.array(content[key], dtype=float) for key in ("inertial", "damping", "friction", "motor_inertia")
             )
             spec, notes = spec_from_dict(content["spec"]), dict(content.get("notes", {}))
             return cls(spec, str(content["model"]), bodies, damping, friction, motor, notes)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                "description of an arm model",
-                expected="what to_dict() writes",
-                got=f"{type(error).__name__}: {error}",
-                remedy="write the model anew",
-            ) from error
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError, InputError, as_described
 from harness.models.estimate import Estimate, RankDecision, null_words
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
@@ -51,11 +51,8 @@ class MarkerModel:
     marker: tuple[float, float, float]
     parameters: dict[str, float]
     notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """No samples: there is no state."""
-        return 0
+    burn_in: ClassVar[int] = 0
+    """No samples: there is no state."""
 
     @cached_property
     def arm(self) -> MarkedArm:
@@ -95,18 +92,11 @@ class MarkerModel:
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> MarkerModel:
         """Return the model of a description; raises InputError if it is none."""
-        try:
+        with as_described("a marker model"):
             x, y, z = (float(value) for value in content["marker"])
             values = {str(name): float(value) for name, value in content["parameters"].items()}
             notes = dict(content.get("notes", {}))
             return cls(spec_from_dict(content["spec"]), str(content["model"]), (x, y, z), values, notes)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(
-                "description of a marker model",
-                expected="what to_dict() writes",
-                got=f"{type(error).__name__}: {error}",
-                remedy="write the model anew",
-            ) from error
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}

@@ -36,33 +36,17 @@ WIDE = 2.093
 
 
 @dataclass(frozen=True)
-class FloatingInertial:
-    """Inertial parameters of a floating robot from its motion, torques and contact forces; what can be told at all.
-
-    The equations of the whole tree with the base's six rows are linear in ten parameters a body. A force that was
-    measured at a site enters by the transpose of its Jacobian; one that was not is eliminated by the null space of it
-    (Mistry, Schaal & Yamane 2009, *Humanoids*, eq. 7). What that costs is shown: the rank, and the spread of every
-    parameter. Channels are named as the plant ``mjcf`` names them: ``base_x`` ... ``base_z``, ``base_qw`` ...
-    ``base_qz``, where measured ``base_wx`` ... ``base_wz``, ``q1`` ..., ``tau1`` ... (inputs or outputs), and
-    ``SITE_force_x`` ... ``SITE_force_z`` in the axes of the world.
+class OnSites:
+    """A robot without a fixed base, and the sites at which it touches.
 
     Parameters
     ----------
     model : str
         An MJCF with one free joint.
     contacts : sequence of str
-        Sites at which something may touch, measured or not.
+        Sites at which something may touch.
     radius : float
         Of the ball around such a site: the force acts so far below it [m].
-    unmeasured : sequence of str
-        Contacts whose force is eliminated although the record has it.
-    free : sequence of str, optional
-        Bodies that are fitted; the others stay as in the file. All by default.
-    trust : float
-        Relative standard deviation of the file's inertial parameters.
-    friction : bool
-        Fit damping and dry friction of the joints beside.
-    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal", "none"}
 
     Raises
     ------
@@ -76,6 +60,34 @@ class FloatingInertial:
     model: str = ""
     contacts: Sequence[str] = ()
     radius: float = 0.0
+
+
+@dataclass(frozen=True)
+class FloatingInertial(OnSites):
+    """Inertial parameters of a floating robot from its motion, torques and contact forces; what can be told at all.
+
+    The equations of the whole tree with the base's six rows are linear in ten parameters a body. A force that was
+    measured at a site enters by the transpose of its Jacobian; one that was not is eliminated by the null space of it
+    (Mistry, Schaal & Yamane 2009, *Humanoids*, eq. 7). What that costs is shown: the rank, and the spread of every
+    parameter. Channels are named as the plant ``mjcf`` names them: ``base_x`` ... ``base_z``, ``base_qw`` ...
+    ``base_qz``, where measured ``base_wx`` ... ``base_wz``, ``q1`` ..., ``tau1`` ... (inputs or outputs), and
+    ``SITE_force_x`` ... ``SITE_force_z`` in the axes of the world.
+
+    Parameters
+    ----------
+    contacts : sequence of str
+        Sites at which something may touch, measured or not.
+    unmeasured : sequence of str
+        Contacts whose force is eliminated although the record has it.
+    free : sequence of str, optional
+        Bodies that are fitted; the others stay as in the file. All by default.
+    trust : float
+        Relative standard deviation of the file's inertial parameters.
+    friction : bool
+        Fit damping and dry friction of the joints beside.
+    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal", "none"}
+    """
+
     unmeasured: Sequence[str] = ()
     free: Sequence[str] | None = None
     trust: float = 0.3
@@ -183,36 +195,21 @@ class FloatingInertial:
 
 
 @dataclass(frozen=True)
-class Contacts:
+class Contacts(OnSites):
     """Friction cone and restitution of the contacts of a floating robot, from measured forces and its motion.
 
     Channels as of :class:`FloatingInertial`; the ground is level and at rest.
 
     Parameters
     ----------
-    model : str
-        An MJCF with one free joint.
     contacts : sequence of str
         Sites whose force was measured.
-    radius : float
-        Of the ball around such a site [m].
     fast : float
         Speed from which on a contact slides [m/s].
     smoothing : {"none", "auto", "local", "spline", "kalman", "forward", "causal"}
         None by default: an impact is no smooth motion (give measured rates).
-
-    Raises
-    ------
-    InputError
-        If the file or a name cannot be used.
-    FitError
-        If the record lacks a signal.
     """
 
-    takes: ClassVar[Takes] = "data"
-    model: str = ""
-    contacts: Sequence[str] = ()
-    radius: float = 0.0
     fast: float = 0.01
     smoothing: Smoothing = "none"
 
