@@ -14,9 +14,10 @@ from harness.data.conditioning.timebase import pieces_of
 from harness.data.conditioning.trends import without_trend
 from harness.data.conditioning.unstated import refuse_unlikely_seconds
 from harness.data.oddities.between import _worse, mismatched
+from harness.data.oddities.examine import _Look, _unwrapped
 from harness.data.oddities.foretold import foretold
 from harness.data.oddities.held import held_readings
-from harness.data.oddities.levels import coarse_step
+from harness.data.oddities.levels import coarse_step, saturated
 from harness.data.oddities.numbers import ODD
 from harness.data.oddities.spikes import Spikes, spikes_of, unfelt
 from harness.data.recipe.sanity import check_run
@@ -30,7 +31,7 @@ TWO = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"), Channel("theta
 
 
 def record(u: FloatArray, *y: FloatArray, spec: PlantSpec = ONE) -> Trajectory:
-    return Trajectory(DT * np.arange(len(u)), u.reshape(-1, 1), np.column_stack(y), spec)
+    return Trajectory(DT * np.arange(len(u), dtype=np.float64), u.reshape(-1, 1), np.column_stack(y), spec)
 
 
 def smooth(n: int, rng: np.random.Generator, width: int = 40) -> FloatArray:
@@ -59,6 +60,9 @@ def test_rows_out_of_order_keep_the_sample_time_that_was_declared(wanted: float)
     time = np.array([0.0, 0.2, 0.1])
     assert clock_of_rows(time, TimeRules(sample_time=wanted), None, []) == (wanted, None)
     assert clock_of_rows(time, TimeRules(), 0.5, []) == (0.5, None)
+    for stamps in (time, np.array([0.0, 0.1, 0.1, 0.2])):
+        assert clock_of_rows(stamps, TimeRules(), None, []) == (1.0, None)
+        assert clock_of_rows(stamps, TimeRules(), 0.5, []) == (0.5, None)
     assert clock_of_rows(time[:1], TimeRules(sample_time=wanted), None, []) == (wanted, None)
 
 
@@ -84,7 +88,7 @@ def test_days_of_this_century_at_a_usual_step(step: float, scale: float) -> None
 
 
 def resampled(step: float) -> str:
-    time = 0.01 * np.arange(400)
+    time = 0.01 * np.arange(400, dtype=np.float64)
     values = np.column_stack([np.sin(time), np.cos(time)])
     rules = TimeRules(resample=ResampleSection(sample_time=step))
     _, notes = pieces_of(time, values, names=("u", "y"), inputs=(True, False), rules=rules)
@@ -380,3 +384,92 @@ def test_rows_of_one_word_are_one_matter_where_nearly_all_go_on_as_usual(count: 
     rows, undecided = unfelt(y[:, None], logged[:, None], 0, Spikes(np.array(calm), u))
     assert rows.tolist() == (calm if told else [])
     assert undecided.size == (0 if told else count - odd)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("level", [0.0, 50.0, -50.0, 1e4])
+@pytest.mark.parametrize("size", [0.4, 9e3])
+def test_spikes_are_found_in_any_unit_and_about_any_level(scale: float, level: float, size: float) -> None:
+    truth = np.sin(0.05 * np.arange(600.0)) + 1e-3 * np.random.default_rng(6).standard_normal(600)
+    y = truth.copy()
+    y[[200, 340]] += size
+    found = spikes_of(scale * (y + level), np.zeros((600, 0)))
+    assert found.rows.tolist() == [200, 340]
+    assert np.abs(found.mended / scale - level - truth).max() < 0.02
+
+
+@pytest.mark.parametrize(("rows", "held"), [(99, False), (100, True), (300, True)])
+def test_held_readings_are_looked_for_from_a_hundred_rows_on(rows: int, held: bool) -> None:
+    y = np.repeat(np.random.default_rng(12).standard_normal(101), 3)[:rows]
+    assert (held_readings(y, np.zeros((rows, 0))) is not None) == held
+
+
+@pytest.mark.parametrize(("values", "held"), [(19, False), (20, True)])
+def test_held_readings_take_twenty_values(values: int, held: bool) -> None:
+    levels = np.random.default_rng(13).uniform(0.0, 1.0, values)
+    y = np.repeat(levels[np.r_[np.arange(values), np.random.default_rng(14).integers(0, values, 200)]], 3)
+    assert np.unique(y).size == values
+    assert (held_readings(y, np.zeros((len(y), 0))) is not None) == held
+
+
+@pytest.mark.parametrize(
+    ("kind", "rows", "looked"), [("real", 100, True), ("real", 99, False), ("integer", 400, False)]
+)
+def test_real_inputs_of_a_hundred_rows_are_looked_at(kind: str, rows: int, looked: bool) -> None:
+    rng = np.random.default_rng(15)
+    u = np.round(100 * smooth(rows, rng))
+    u[50] += 9000.0
+    spec = PlantSpec((Channel("u", "1", kind=kind),), (Channel("theta", "rad"),), DT)  # type: ignore[arg-type]
+    look = _Look(0, record(u, np.cumsum(rng.standard_normal(rows)), spec=spec))
+    look.look()
+    assert ("u" in [odd.channel for odd in look.oddities]) == looked
+
+
+@pytest.mark.parametrize(("value", "out"), [(9e99, False), (1.2e100, True), (-1.2e100, True), (1e300, True)])
+@pytest.mark.parametrize("rows", [1, 4, 5])
+def test_numbers_beyond_all_are_no_readings(value: float, out: bool, rows: int) -> None:
+    """The first four rows are named; an input is read as its neighbours, an output is missing there."""
+    places = 10 + 2 * np.arange(rows)
+    u, y = np.arange(60.0), 2.0 * np.arange(60.0)
+    u[places] = y[places] = value
+    look = _Look(3, record(u, y))
+    look._beyond_all()
+    assert look.missing[:, 0].nonzero()[0].tolist() == (places.tolist() if out else [])
+    if not out:
+        assert look.oddities == []
+        return
+    named = ", ".join(map(str, places[:4])) + (", ..." if rows > 4 else "")
+    for odd, name, remark in zip(
+        look.oddities, ("u", "theta"), ("read as their neighbours", "counted as missing"), strict=True
+    ):
+        assert (odd.run, odd.channel, odd.rows, odd.used) == (3, name, tuple(places.tolist()), True)
+        assert odd.words == f"{name} reads {value:.3g} in row {named}, which no sensor does: {remark}"
+    mended = look.mended()
+    assert mended.u[:, 0] == pytest.approx(np.arange(60.0))
+    assert mended.y[:, 0] == pytest.approx(2.0 * np.arange(60.0))
+
+
+def test_a_signal_that_settles_at_its_largest_value_meets_no_rail() -> None:
+    y = np.sin(0.1 * np.arange(1000.0)) + 0.001 * np.random.default_rng(2).standard_normal(1000)
+    for first in (100, 300):
+        y[first - 20 : first] = 2.0 - 0.001 * np.arange(20, 0, -1)
+        y[first : first + 10] = 2.0
+    assert saturated(ONE.outputs[0], y) == {}
+
+
+@pytest.mark.parametrize(("turns", "plain"), [(0.9, True), (1.04, True), (1.07, False), (3.0, False)])
+def test_an_angle_that_stays_within_a_turn_may_count_one(turns: float, plain: bool) -> None:
+    """Where nine tenths and more of the readings span up to 1.05 periods the jumps of a turn are taken out."""
+    y = np.where(np.arange(400) % 20 < 10, 0.0, turns * 2 * np.pi)
+    found = _unwrapped(y, 2 * np.pi)
+    assert (np.ptp(found) < 0.6 * 2 * np.pi) == plain
+    assert plain or found is y
+
+
+def test_a_rail_marks_the_rows_that_rest_there() -> None:
+    y = np.minimum(np.sin(0.05 * np.arange(1500.0)) + 1e-4 * np.random.default_rng(2).standard_normal(1500), 0.8)
+    look = _Look(0, record(np.random.default_rng(3).standard_normal(1500), y))
+    look.look()
+    (rail,) = [odd for odd in look.oddities if odd.kind == "rail"]
+    assert list(rail.rows) == np.flatnonzero(y == 0.8).tolist()
+    assert f"0.8 rad for {len(rail.rows)} samples" in rail.words
