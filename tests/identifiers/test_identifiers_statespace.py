@@ -117,6 +117,36 @@ def test_a_search_from_the_truth_only_gains_and_ends_where_one_from_elsewhere_do
     )
 
 
+def test_a_search_without_hope_of_what_is_asked_ends_early_and_one_with_hope_where_any_does():
+    data = oscillator(1)
+    pieces = [Piece(data.u, data.y)]
+    near = np.array([[-OSCILLATOR[1], 0.8], [-OSCILLATOR[2], 0.1]])
+    parts = (near, np.array([[1.0], [0.3]]), np.array([[1.0, 0.2]]), np.zeros((1, 1)), np.zeros(1), np.zeros((1, 0)))
+    first = settled_starts(StateSpace(*parts), pieces, Freedom())
+    whole = search(first, pieces, Freedom(), gain=1e-6)
+    asked = search(first, pieces, Freedom(), gain=1e-6, beat=whole.loss + 1.0)
+    assert (whole.arrived, asked.loss) == (True, whole.loss)
+    given_up = search(first, pieces, Freedom(), gain=1e-6, beat=whole.loss - 1e4)
+    assert not given_up.arrived
+    assert whole.loss < given_up.loss < first.loss
+
+
+def test_orders_that_cannot_win_are_not_searched_again_and_the_one_that_wins_is(monkeypatch):
+    again: list[int] = []
+
+    def told(model: StateSpace, pieces: Any, direct: bool) -> None:
+        again.append(model.order)
+
+    monkeypatch.setattr("identifiers.linear.statespace.ladder.filtered_model", told)
+    data = oscillator(2, noise=0.2, colour=0.9)
+    pieces = [Piece(data.u / data.u.std(), data.y / data.y.std())]
+    rungs = ladder(pieces, Freedom(), list(range(1, 9)))
+    assert min(rungs, key=lambda n: rungs[n].judged) == 2
+    assert 2 in again
+    assert len(rungs) >= 6
+    assert max(again) < max(rungs)
+
+
 def test_a_reduction_to_all_states_keeps_the_response():
     model = drawn(3, order=4, lags=0)
     same = reduced(model, [4])[4]

@@ -116,8 +116,9 @@ def state_space_of(
     found: list[_Choice] = []
     for delays in candidates:
         some = list(_pieces(_some(records), delays, head, length))
+        plain = [one for one in found if not one.corrected]  # of the others some may be refused below
         if some and sum(piece.y.size for piece in some) >= least:
-            found += _tried(some, delays, free, orders, corrects=corrects, loop=loop)
+            found += _tried(some, delays, free, orders, corrects=corrects, loop=loop, rival=_least(plain))
     if not loop:  # what a loop holds may grow by itself; what was seen without one did not
         furthest = 1.0 + 1.0 / max(map(len, records))
         found = [one for one in found if not one.corrected or one.plant.radius <= furthest]
@@ -130,7 +131,10 @@ def state_space_of(
         )
     found = sorted(found, key=lambda one: one.rung.judged)
     if sum(map(len, records)) > CHECKED:  # more samples tell more: the best are judged again, on all
-        again = [replace(one, rung=finished(one.rung, every(one), free, gain=FINE)) for one in found[:SHORT]]
+        again: list[_Choice] = []
+        for one in found[:SHORT]:
+            rung = finished(one.rung, every(one), free, gain=FINE, rival=_least(again))
+            again.append(replace(one, rung=rung))
         found = sorted(again, key=lambda one: one.rung.judged)
     chosen = found[0]
     pieces = every(chosen)
@@ -173,15 +177,28 @@ class _Choice:
         return _uncorrected(self.rung.end.model)[0] if self.corrected else self.rung.end.model
 
 
+def _least(found: Sequence[_Choice]) -> float:
+    """Return what Schwarz's rule says of the best of some models."""
+    return min((one.rung.judged for one in found), default=np.inf)
+
+
 def _tried(
-    pieces: list[Piece], delays: Delays, free: Freedom, orders: Sequence[int], *, corrects: bool, loop: bool
+    pieces: list[Piece],
+    delays: Delays,
+    free: Freedom,
+    orders: Sequence[int],
+    *,
+    corrects: bool,
+    loop: bool,
+    rival: float,
 ) -> list[_Choice]:
     """Return the models of all orders behind some dead times; those in innovation form where noise is coloured."""
-    rungs = ladder(pieces, free, orders)
+    rungs = ladder(pieces, free, orders, rival=rival)
     found = [_Choice(delays, False, n, rung) for n, rung in rungs.items()]
     if not corrects or (rungs and not loop and _white(rungs)):
         return found
-    rungs = ladder(list(map(_with_outputs, pieces)), free, orders, noise=0, seen=pieces)
+    rival = min(rival, _least(found))
+    rungs = ladder(list(map(_with_outputs, pieces)), free, orders, noise=0, seen=pieces, rival=rival)
     return [*found, *(_Choice(delays, True, n, rung) for n, rung in rungs.items())]
 
 

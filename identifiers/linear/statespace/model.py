@@ -127,9 +127,10 @@ def responses_to(a: FloatArray, rows: FloatArray, samples: int) -> FloatArray:
     """Return ``rows A^k`` for k = 0 .. samples - 1, by doubling: (samples, r, n)."""
     found = np.empty((samples, *rows.shape))
     found[0], have, power = rows, 1, a
+    height, flat = len(rows), found.reshape(-1, rows.shape[1])  # one product of matrices, not one for each sample
     while have < samples:
         more = min(have, samples - have)
-        found[have : have + more] = found[:more] @ power
+        np.matmul(flat[: more * height], power, out=flat[have * height : (have + more) * height])
         have += more
         if have < samples:
             power = power @ power
@@ -198,7 +199,7 @@ def gradients_of(
     starts = np.empty((samples, ny, n))
     for i in range(ny):
         own = _whitened(response[:, i], np.broadcast_to(model.noise[i], (n, lags)))
-        inner = np.einsum("fi,fj->fij", rfft(own, piece.length, axis=0), both).reshape(len(both), -1)
+        inner = (rfft(own, piece.length, axis=0)[:, :, None] * both[:, None]).reshape(len(both), -1)
         moved = inner.real @ drive + 1j * (inner.imag @ drive)
         found[1:, i, :q] = -irfft(moved, piece.length, axis=0)[: samples - 1]
         states = _whitened(errors.states, np.broadcast_to(model.noise[i], (n, lags)))

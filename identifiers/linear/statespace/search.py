@@ -19,6 +19,8 @@ MEMORIES = 5.0
 """Time constants of the noise that a piece holds at least: a slower one would follow the record's chances."""
 DAMPING = (1e-13, 1e-4, 1e8)
 """Least, first and largest damping, of columns of length 1."""
+HOPE, BEGUN = 4.0, 3
+"""Times what a step foretells that a search may still gain, and steps before that is believed."""
 LOST = 1e-9
 """Responses to the start that depend on others up to this share are none of their own."""
 
@@ -88,7 +90,9 @@ def settled_starts(model: StateSpace, pieces: Sequence[Piece], free: Freedom) ->
     return End(model, starts, errors, loss_of(errors), False)
 
 
-def search(first: End, pieces: Sequence[Piece], free: Freedom, *, rounds: int = 60, gain: float = 1e-3) -> End:
+def search(
+    first: End, pieces: Sequence[Piece], free: Freedom, *, rounds: int = 60, gain: float = 1e-3, beat: float = np.inf
+) -> End:
     """Return the largest likelihood that is reached from a start.
 
     Parameters
@@ -100,13 +104,17 @@ def search(first: End, pieces: Sequence[Piece], free: Freedom, *, rounds: int = 
     rounds : int
     gain : float
         Of the log-likelihood in one step, below which the search has arrived.
+    beat : float
+        Loss that is of use: a search that its own slopes give no hope of it ends where it is.
     """
     longest = max(len(piece.u) for piece in pieces)
     furthest = min(1.0 + 1.0 / longest, free.radius)
     forgotten = max(1.0 - MEMORIES / longest, 0.5)
     now, damping = first, DAMPING[1]
-    for _ in range(rounds):
+    for number in range(rounds):
         system = _System.of(now.model, now.errors, pieces, coordinates(now.model), free)
+        if number >= BEGUN and now.loss - HOPE * system.foretold > beat:
+            return now
         gained = 0.0
         while damping < DAMPING[2]:
             step, moves = system.solved(damping)
@@ -184,6 +192,14 @@ class _System:
         length = np.linalg.norm(triangle[:, :-1], axis=0)
         length = np.where(length > 0, length, 1.0)
         return cls(np.column_stack([triangle[:, :-1] / length, triangle[:, -1]]), length, back, directions)
+
+    @property
+    def foretold(self) -> float:
+        """What a whole step lowers the loss by where innovations are linear in the model."""
+        left, values, _ = np.linalg.svd(self.triangle[:, :-1], full_matrices=False)
+        seen = left[:, values > LOST * values.max(initial=0.0)].T @ self.triangle[:, -1]
+        whole = float(self.triangle[:, -1] @ self.triangle[:, -1])
+        return -whole / 2 * float(np.log(max(1.0 - float(seen @ seen) / max(whole, EXACT), EXACT)))
 
     def solved(self, damping: float) -> tuple[FloatArray, FloatArray]:
         """Return the step of the model and those of the starts (R, n)."""
