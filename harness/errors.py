@@ -9,8 +9,8 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from unicodedata import category
 
@@ -114,8 +114,7 @@ class InputError(HarnessError):
         )
 
 
-@contextmanager
-def as_written(file: str | Path, wanted: str) -> Iterator[None]:
+def as_written(file: str | Path, wanted: str) -> AbstractContextManager[None]:
     """Refuse, in one line, a file whose content is not what sysid wrote, where reading it meets something else.
 
     Parameters
@@ -138,16 +137,45 @@ def as_written(file: str | Path, wanted: str) -> Iterator[None]:
     ...     print(error.what, error.expected)
     damaged content report.json of sysid close-loop, as it was written
     """
-    try:
-        yield
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise InputError(
+    return _instead(
+        lambda error: InputError(
             "damaged content",
             expected=f"{wanted}, as it was written",
             got=f"{type(error).__name__}: {' '.join(str(error).split())[:160]}",
             remedy="restore the file, or have it written anew",
             file=file,
-        ) from error
+        )
+    )
+
+
+def as_described(what: str, *, remedy: str = "write the model anew") -> AbstractContextManager[None]:
+    """Refuse, in one line, a description that ``to_dict`` did not write, as :func:`as_written` a file.
+
+    Examples
+    --------
+    >>> with as_described("a model"):
+    ...     {}["spec"]
+    Traceback (most recent call last):
+    harness.errors.InputError: description of a model: expected what to_dict() writes, got KeyError: 'spec'; remedy:
+    write the model anew
+    """
+    return _instead(
+        lambda error: InputError(
+            f"description of {what}",
+            expected="what to_dict() writes",
+            got=f"{type(error).__name__}: {error}",
+            remedy=remedy,
+        )
+    )
+
+
+@contextmanager
+def _instead(refusal: Callable[[Exception], InputError]) -> Iterator[None]:
+    """Raise a refusal in place of what reading content of another shape raises."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise refusal(error) from error
 
 
 def no_file(path: str | Path) -> str:
@@ -183,34 +211,6 @@ def unread(path: str | Path, error: Exception) -> str:
     if isinstance(error, UnicodeDecodeError):
         return "bytes that are no text in UTF-8"
     return error.strerror or type(error).__name__ if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-
-
-@contextmanager
-def as_described(what: str, *, remedy: str = "write the model anew") -> Iterator[None]:
-    """Refuse, in one line, a description that ``to_dict`` did not write, where reading it meets something else.
-
-    Raises
-    ------
-    InputError
-        In place of what reading content of another shape raises.
-
-    Examples
-    --------
-    >>> with as_described("a model"):
-    ...     {}["spec"]
-    Traceback (most recent call last):
-    harness.errors.InputError: description of a model: expected what to_dict() writes, got KeyError: 'spec'; remedy:
-    write the model anew
-    """
-    try:
-        yield
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(
-            f"description of {what}",
-            expected="what to_dict() writes",
-            got=f"{type(error).__name__}: {error}",
-            remedy=remedy,
-        ) from error
 
 
 def refuse_no_file(name: str, expected: str) -> None:

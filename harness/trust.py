@@ -213,8 +213,8 @@ def _is_code(path: Path) -> bool:
             return False
         with zipfile.ZipFile(path) as archive:
             return any(name in DESCRIPTIONS for name in archive.namelist())
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # unreadable: it loads no library
-        return False  # whoever reads the file says what is wrong with it
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # the last: zipfile, of a rare compression
+        return False  # unreadable, so it loads no library; whoever reads the file says what is wrong with it
 
 
 def names_fmu(name: str | Path) -> bool:

@@ -31,6 +31,7 @@ from harness.diagnosis.steps import (
     candidates_of,
     form_of,
     nominal_fit,
+    run_freely,
     sizes_off,
     teller,
     what_free_runs_say,
@@ -110,13 +111,16 @@ def diagnose(
         if not (wrong or given):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         share = np.array(thinned.noise)
-        outcome = with_rounding(
-            remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
-        )
         # grade what is left
         outcome, runs, leftover, moved = what_free_runs_say(
             kind, form, outcome, dataset, policy, say, simple, share=share
         )
+        rounded = with_rounding(
+            remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
+        )
+        if rounded is not outcome:  # named last: a rounded prediction errs by its own rounding, which denies nothing
+            outcome, again = rounded, run_freely(kind, form, rounded, dataset, simple, share)
+            runs = runs if again.worse(policy) else again
         outcome = widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)
         apart = form.apart(outcome.model)
@@ -153,9 +157,15 @@ def diagnose(
         other = second_opinion(diagnosis, kind, simple, lambda kind, data: ask(data, kind=kind, folder=folder))
         if other is not None:
             return replace(other, seconds=time.monotonic() - began)
-    if apart is not None and diagnosis.disagree:
-        diagnosis.warnings.append(apart.words(outcome.model.values))
-    if diagnosis.verdict == "unexplained" or (diagnosis.stand_in and not misfit):
-        with one_thread():  # a column may be wrong though the model follows the records after a fashion
-            diagnosis.warnings += likely_mistakes(form, outcome.model, policy, thinned.factor)
+    _add_doubts(diagnosis, thinned.factor)
     return diagnosis
+
+
+def _add_doubts(diagnosis: Diagnosis, factor: int) -> None:
+    """Add warnings of what the two uses want apart, and of columns that may be wrong though the model follows them."""
+    model = diagnosis.final
+    if diagnosis.apart is not None and diagnosis.disagree:
+        diagnosis.warnings.append(diagnosis.apart.words(model.values))
+    if diagnosis.verdict == "unexplained" or (diagnosis.stand_in and not diagnosis.misfit):
+        with one_thread():
+            diagnosis.warnings += likely_mistakes(diagnosis.form, model, diagnosis.policy, factor)

@@ -259,6 +259,17 @@ class Effort:
         "cost",
     )
     first_steps: int = _number(5, "iterations from each of several starts before the best goes on", "cost", "tests")
+    roughly: float = _number(
+        1e-3,
+        "relative decrease of the cost at which a fit that is only ranked, or a start, has come far enough",
+        "cost",
+    )
+    exchanges: int = _number(
+        16,
+        "times in a sample that dry friction around an FMU is told, at most",
+        "its error falls with their power of 1.5: 40, 5.1 and 2.2 mrad of a pendulum at 1, 4 and 8",
+        "tests",
+    )
     onward: int = _number(
         3,
         "times that a start takes as many steps again while each gains enough to come to what is hoped for",

@@ -37,6 +37,7 @@ __all__ = [
     "candidates_of",
     "form_of",
     "nominal_fit",
+    "run_freely",
     "sizes_off",
     "teller",
     "what_free_runs_say",
@@ -136,26 +137,28 @@ def what_free_runs_say(
     Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back,
     unless free runs would have them with other parameters.
     """
-    horizon = kind.horizon(form.nominal, outcome.nominal.values, dataset)
-
-    def run_freely(outcome: Outcome) -> FreeRuns:
-        noise = reading_noise(outcome.model) / share
-        output = kind.runs(form, dataset, noise, horizon)
-        nearest = simple.nominal.values if simple is not None and form.latent and simple.nominal is not None else None
-        return free_runs(output, horizon, outcome.nominal, outcome.model, nearest)
-
-    runs = run_freely(outcome)
+    runs = run_freely(kind, form, outcome, dataset, simple, share)
     say("what is left", 0.8)
     leftover = left_over(form, outcome.model, policy)
-    moving = [one for one in outcome.accepted if one.placed.effect.sampled != "quantise"]
-    if not moving or not runs.worse(policy):  # a rounded prediction errs by its own rounding: that denies no rounding
+    if not runs.worse(policy):
         return outcome, runs, leftover, []
     if leftover.best is None and simple is not None and simple.nearer(outcome.model, policy):
         return outcome, runs, leftover, [STANDS]
     if any(one.given for one in outcome.accepted):  # what is given is not taken back
         return outcome, runs, leftover, []
     outcome = outcome.taken_back()
-    return outcome, run_freely(outcome), left_over(form, outcome.model, policy), []
+    runs = run_freely(kind, form, outcome, dataset, simple, share)
+    return outcome, runs, left_over(form, outcome.model, policy), []
+
+
+def run_freely(
+    kind: Kind, form: WholeForm, outcome: Outcome, dataset: Dataset, simple: SimpleFits | None, share: FloatArray
+) -> FreeRuns:
+    """Return free runs of an outcome, before and after, along all readings; arguments as above."""
+    horizon = kind.horizon(form.nominal, outcome.nominal.values, dataset)
+    output = kind.runs(form, dataset, reading_noise(outcome.model) / share, horizon)
+    nearest = simple.nominal.values if simple is not None and form.latent and simple.nominal is not None else None
+    return free_runs(output, horizon, outcome.nominal, outcome.model, nearest)
 
 
 def widened(form: WholeForm, outcome: Outcome) -> Outcome:

@@ -83,7 +83,7 @@ def read_terminals(path: str | Path) -> dict[str, Terminal]:
                 return {}
             size = archive.getinfo(ENTRY).file_size
             text = archive.read(ENTRY) if size <= LARGEST else b""
-    except (OSError, zipfile.BadZipFile, NotImplementedError) as error:
+    except (OSError, zipfile.BadZipFile, NotImplementedError) as error:  # the last: zipfile, of a rare compression
         raise _refused(path, "an entry that can be unpacked", str(error)) from error
     if not text:
         raise _refused(path, f"at most {LARGEST >> 20} MiB, and something in it", f"{size} bytes")

@@ -10,13 +10,14 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.judgement import refuse_undetermined
-from harness.models.damped import Damping, damped_descent
+from harness.models.damped import Damping
 from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.hysteresis_fit import Pair, Point, descended, started
 from identifiers.blocks.hysteresis_pass import Layout, Run, played
+from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import centred
 
@@ -89,22 +90,9 @@ class PrandtlIshlinskiiModel:
             runs = self.free_run(state(whitened), np.broadcast_to(u, (len(whitened), *u.shape)))
             return np.hstack([((runs - y) / level).reshape(len(whitened), -1), whitened])
 
-        def linearised(whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
-            steps = 1e-4 * np.eye(len(whitened))
-            wrong = residuals(np.vstack([whitened[None], whitened + steps]))
-            columns = (wrong[1:] - wrong[0]).T / 1e-4
-            return columns.T @ columns, columns.T @ wrong[0]
-
-        def moved(whitened: FloatArray, system: tuple[FloatArray, FloatArray], damp: float) -> FloatArray:
-            gram, right = system
-            return whitened - np.asarray(np.linalg.solve(gram + damp * np.diag(np.diag(gram)), right))
-
-        def cost(whitened: FloatArray) -> float:
-            value = float(np.sum(residuals(whitened[None]) ** 2))
-            return value if np.isfinite(value) else np.inf
-
         start = np.zeros(self.state_root.shape[1])
-        return state(damped_descent(start, cost, linearised, moved, Damping(rounds=10, enough=1e-4)))
+        rule = Damping(rounds=10, enough=1e-4)
+        return state(likeliest_start(residuals, [start], np.full(start.shape, 1e-4), rule))
 
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the output (..., ny)."""

@@ -11,13 +11,14 @@ from scipy.signal import lfilter, ss2tf
 
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
-from harness.models.damped import Damping, damped_descent
+from harness.models.damped import Damping
 from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.curve import Knots
 from identifiers.blocks.wiener_hammerstein_fit import Blocks, descended, shared_out
+from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.linear.prediction_error import PredictionError
 
@@ -75,23 +76,9 @@ class WienerHammersteinModel:
             runs = self.free_run(states, np.broadcast_to(u, (len(states), *u.shape)))[..., 0]
             return np.hstack([(runs - y[:, 0]) / level, (states - self.state_mean) / size])
 
-        def linearised(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            steps = 1e-5 * np.diag(size)
-            wrong = residuals(np.vstack([x[None], x + steps]))
-            columns = (wrong[1:] - wrong[0]).T / np.diag(steps)
-            return columns.T @ columns, columns.T @ wrong[0]
-
-        def moved(x: FloatArray, system: tuple[FloatArray, FloatArray], damp: float) -> FloatArray:
-            gram, right = system
-            return x - np.asarray(np.linalg.solve(gram + damp * np.diag(np.diag(gram)), right))
-
-        def cost(x: FloatArray) -> float:
-            return float(np.sum(residuals(x[None]) ** 2))
-
         rest = self._rest(float(u[0, 0]))
         starts = (self.state_mean, rest, 2.0 * self.state_mean - rest)
-        ends = [damped_descent(start, cost, linearised, moved, Damping(rounds=20)) for start in starts]
-        return min(ends, key=cost)
+        return likeliest_start(residuals, starts, 1e-5 * size, Damping(rounds=20))
 
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the output (..., 1)."""

@@ -18,6 +18,7 @@ __all__ = [
     "best_gain",
     "fitted_start",
     "innovation_form",
+    "likeliest_start",
     "riccati_gains",
     "run_in_steps",
     "stationary_gain",
@@ -164,6 +165,38 @@ def fitted_start(
         if count == len(data):
             break
     return best
+
+
+def likeliest_start(
+    residuals: Callable[[FloatArray], FloatArray], starts: Sequence[FloatArray], steps: FloatArray, rule: Damping
+) -> FloatArray:
+    """Return the initial state (nx,) whose residuals are least, from the best of several starts.
+
+    Parameters
+    ----------
+    residuals : callable
+        Of some states (M, nx) what is wrong with each, (M, N): errors over their deviation, and how far the states are
+        from what is believed of them. Not finite where a run diverges.
+    starts : sequence of array (nx,)
+    steps : array (nx,)
+        Differences by which derivatives are taken.
+    rule : Damping
+    """
+
+    def cost(x: FloatArray) -> float:
+        value = float(np.sum(residuals(x[None]) ** 2))
+        return value if np.isfinite(value) else np.inf
+
+    def linearised(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        wrong = residuals(np.vstack([x[None], x + np.diag(steps)]))
+        columns = (wrong[1:] - wrong[0]).T / steps
+        return columns.T @ columns, columns.T @ wrong[0]
+
+    def moved(x: FloatArray, system: tuple[FloatArray, FloatArray], damp: float) -> FloatArray:
+        gram, right = system
+        return x - np.asarray(np.linalg.solve(gram + damp * np.diag(np.diag(gram)), right))
+
+    return min((damped_descent(start, cost, linearised, moved, rule) for start in starts), key=cost)
 
 
 def run_in_steps(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any, cast
+import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.kinds import Equations
-from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.thinning import thinned_by
-from harness.diagnosis.runs.compare import FreeRuns
-from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.table import Accepted
-from harness.diagnosis.steps import what_free_runs_say
 from harness.diagnosis.store import data_fingerprint
 from harness.effects import builtin
-from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
@@ -72,22 +66,30 @@ def test_a_grid_is_found_where_there_is_one_and_nowhere_else(step: float, seed: 
     assert resolution([np.round(read / step) * step, read]) == 0.0
 
 
-@pytest.mark.parametrize(("name", "stands"), [("sensor_quantisation", True), ("sensor_gain", False)])
-def test_free_runs_deny_no_rounding(name: str, stands: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rounded prediction errs by its own rounding: only what changes the motion or the reading is taken back."""
-    calm = SimpleNamespace(finite=True, validation=(np.ones((1000, 1)),))
-    worse = SimpleNamespace(finite=True, validation=(1.3 * np.ones((1000, 1)),))
-    runs = FreeRuns(cast(Any, None), cast(Any, None), cast(Any, calm), cast(Any, worse), 0.0, np.ones(1))
-    monkeypatch.setattr("harness.diagnosis.steps.free_runs", lambda *args: runs)
-    monkeypatch.setattr("harness.diagnosis.steps.left_over", lambda *args: SimpleNamespace(best="left"))
-    monkeypatch.setattr("harness.diagnosis.steps.reading_noise", lambda fit: np.ones(1))
-    fit = SimpleNamespace(values={})
-    accepted = (Accepted(Placed(builtin()[name], "theta"), (), 9.0, 9.0),)
-    outcome = Outcome(cast(Any, None), cast(Any, fit), cast(Any, SimpleNamespace(values={})), accepted, ())
-    kind: Any = SimpleNamespace(horizon=lambda *args: None, runs=lambda *args: None)
-    form: Any = SimpleNamespace(nominal=None, latent=True)
-    found, *_ = what_free_runs_say(
-        kind, form, outcome, cast(Any, None), POLICY, lambda what, part=None: None, share=np.ones(1)
-    )
-    assert bool(found.accepted) is stands
-    assert bool(found.withdrawn) is not stands
+def held(seed: int) -> Trajectory:
+    """Return 6 s of a pendulum that a controller swings by an encoder of 14 bits, which alone is between them."""
+    rng, n, dt, parts, step = np.random.default_rng(seed), 1500, 0.004, 40, 2 * np.pi / 2**14
+    t = np.linspace(0.0, (n - 1) * dt, n)
+    aim = rng.uniform(0.5, 1.0) * np.sin(2 * np.pi * rng.uniform(0.4, 0.8) * t) * np.minimum(t, 1.0)
+    kp, kd = rng.uniform(8, 20), rng.uniform(0.3, 0.7)
+    q = w = rate = last = 0.0
+    u, y = np.zeros((n, 1)), np.zeros((n, 1))
+    for k in range(n):
+        y[k] = read = round(q / step) * step
+        rate += 0.3 * ((read - last) / dt - rate)
+        last = read
+        u[k] = torque = float(np.clip(kp * (aim[k] - read) - kd * rate + 1.35 * np.sin(read), -3.0, 3.0))
+        for _ in range(parts):
+            w += dt / parts * (torque - 0.02 * w - 1.5 * math.sin(q)) / 0.05
+            q += dt / parts * w
+    return Trajectory(t, u, y, PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), dt))
+
+
+@pytest.mark.parametrize("seed", [0, 4, 8])
+def test_free_runs_deny_no_rounding(seed: int) -> None:
+    """A rounded prediction errs by its own rounding as well: these runs err more with it than without."""
+    data = Dataset("held", (Run(held(seed)), Run(held(seed + 1), "validation")), intersample="zoh")
+    laws = [builtin()[name] for name in ("sensor_quantisation", "coulomb_friction")]
+    found = diagnose(data, load_model("pendulum"), dictionary=laws)
+    assert [str(one.placed) for one in found.outcome.accepted] == ["sensor_quantisation@theta"]
+    assert (found.verdict, found.grade) == ("effects_found", "explained")

@@ -15,7 +15,7 @@ from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.blackbox.system import FmuSystem
 from harness.calibration.search import drawn
-from harness.diagnosis.policy import DATA_POLICY
+from harness.diagnosis.policy import DATA_POLICY, EFFORT
 from harness.diagnosis.records.horizon import Horizon, short_window
 from harness.errors import HarnessError, InputError
 from harness.parts.files import describe_fmu
@@ -31,14 +31,11 @@ if TYPE_CHECKING:
 
 __all__ = ["FmuWindows", "choose_horizon", "measured_states", "nominal_fmu", "rough_values", "sizes_of"]
 
-STARTS, SPREAD = 4, 2.0
-"""Starts of the rough fit, and how far (deviation of the logarithm) those beside the declared one lie off."""
-PULSE, EXCHANGES, ORDER = 4, 16, 1.5
-"""Samples in which a force over one sample has moved the readings, most exchanges in a sample, and the power of them
-with which the error of dry friction falls (measured on a pendulum: 40, 5.1 and 2.2 mrad at 1, 4 and 8 exchanges)."""
-ROUGH, LOOKS, NEAR = 40, 5, 1e-3
-"""Iterations of the rough fit, and of each start before the nearest alone goes on; decrease of its cost, relative, at
-which it ends: it is a start."""
+STARTS, ROUGH = 4, 40
+"""Starts of the rough fit, and its iterations."""
+PULSE, ORDER = 4, 1.5
+"""Samples in which a force over one sample has moved the readings, and the power of the exchanges in a sample with
+which the error of dry friction falls."""
 DECREASE = 1e-5
 """Relative decrease of the cost at which the states of windows are fitted: finite differences see no more."""
 
@@ -100,7 +97,7 @@ def _exchanges(system: FmuSystem, record: Trajectory, noise: FloatArray, x0: Flo
         pulse[0, column] = size
         moved = np.abs(simulator.run(system.vector(), x0, run.u, float(run.t[0]), pulse)[1] - still) / noise
         most = max(most, float(np.nan_to_num(moved).max(initial=0.0)))
-    parts = min(int(np.ceil(most ** (1 / ORDER))), EXCHANGES)
+    parts = min(int(np.ceil(most ** (1 / ORDER))), EFFORT.exchanges)
     while parts > 1:
         try:
             Runner(system, record.spec.sample_time / parts).start(system.values(), {})
@@ -125,14 +122,14 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
     rng = stream("nominal FMU", system.digest)
     free = np.array([not parameter.fixed for parameter in system.parameters], dtype=bool)
     tried: list[Solution] = []
-    for start, states in drawn(windows, system.parameters, STARTS, begun, hidden, rng, spread=SPREAD):
+    for start, states in drawn(windows, system.parameters, STARTS, begun, hidden, rng, spread=EFFORT.spread):
         x0 = minimise_states(windows, start, states, 8)
-        tried.append(minimise(windows, start, x0, free, LOOKS, decrease=NEAR))
+        tried.append(minimise(windows, start, x0, free, EFFORT.first_steps, decrease=EFFORT.roughly))
     best = min(tried, key=lambda solution: solution.evaluation.cost)
     if not np.isfinite(best.evaluation.cost):
         return None
     if not best.converged:
-        best = minimise(windows, best.p, best.x0, free, ROUGH - LOOKS, decrease=NEAR)
+        best = minimise(windows, best.p, best.x0, free, ROUGH - EFFORT.first_steps, decrease=EFFORT.roughly)
     return system.values(dict(zip(system.parameter_names, map(float, best.p), strict=True)))
 
 

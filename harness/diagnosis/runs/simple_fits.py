@@ -32,10 +32,8 @@ from harness.signals import FloatArray
 __all__ = ["SimpleFit", "SimpleFits"]
 
 _FAILURES = (HarnessError, ArithmeticError, np.linalg.LinAlgError)
-_ROUGHLY = 1e-3
-"""Relative decrease of the cost at which a fit that is only to be ranked has come far enough."""
-_HALVINGS = ((10, 6, _ROUGHLY), (40, EFFORT.points, _ROUGHLY / 10), (200, EFFORT.points, _ROUGHLY / 1e4))
-"""Iterations of scattered starts, how many go on, and the decrease at which one has come far enough, stage by stage."""
+_HALVINGS = ((10, 6, 1.0), (40, EFFORT.points, 10.0), (200, EFFORT.points, 1e4))
+"""Iterations of scattered starts, how many go on, and how much finer than roughly they are fitted, stage by stage."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,13 +229,13 @@ class SimpleFits:
         for number in range(EFFORT.scattered):
             factor = np.exp(EFFORT.spread * draw.normal(size=plain.shape)) if number else 1.0
             trials.append(_Trial((), np.where(free, np.clip(plain * factor, low, high), plain), np.zeros(0), np.inf))
-        for most, kept, decrease in _HALVINGS:
+        for most, kept, finer in _HALVINGS:
             after = []
             for trial in trials:
                 try:
                     if trial.x0.size == 0:
                         trial.x0 = self._states(self._windows((), trial.p), (), trial.p)
-                    after.append(self._stepped(trial, most, decrease))
+                    after.append(self._stepped(trial, most, EFFORT.roughly / finer))
                 except _FAILURES:
                     continue
             trials = sorted((trial for trial in after if trial is not None), key=lambda trial: trial.cost)
@@ -286,7 +284,7 @@ class SimpleFits:
         except _FAILURES:
             return None
 
-    def _stepped(self, trial: _Trial, most: int, decrease: float = _ROUGHLY) -> _Trial | None:
+    def _stepped(self, trial: _Trial, most: int, decrease: float = EFFORT.roughly) -> _Trial | None:
         """Return where so many steps lead; None where the simulation diverges."""
         system = self._form.system(trial.effects)
         assert isinstance(system, System)

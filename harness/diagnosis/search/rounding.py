@@ -27,7 +27,7 @@ def with_rounding(
     *,
     noise_of: Callable[[Fit], FloatArray],
 ) -> Outcome:
-    """Return what was found with the rounding of outputs, where it makes a part of the noise.
+    """Return what was found with the rounding of outputs that makes a part of the noise; not where it was taken back.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def with_rounding(
         Gives the standard deviation of the noise of the readings in the data (ny,) that a fit has found.
     """
     names = [channel.name for channel in dataset.spec.outputs]
-    for placed in candidates:
+    for placed in () if outcome.withdrawn else candidates:
         if placed.effect.sampled != "quantise" or placed.at not in names:
             continue
         column = names.index(placed.at)

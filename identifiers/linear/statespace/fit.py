@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -108,10 +109,7 @@ def state_space_of(
     width = spec.ny * (orders[-1] * (spec.nu + 2 * spec.ny) + spec.ny * (spec.nu + 1 + MOST))
     length = int(np.clip(NUMBERS // max(width, 1), 4 * head + 64, LONGEST))
 
-    def every(one: _Choice) -> list[Piece]:
-        whole = list(_pieces(records, one.delays, head, length))
-        return list(map(_with_outputs, whole)) if one.corrected else whole
-
+    every = functools.partial(_all_of, records, head, length)
     corrects = innovations and not any(one.missing is not None for one in records)
     found: list[_Choice] = []
     for delays in candidates:
@@ -119,9 +117,8 @@ def state_space_of(
         plain = [one for one in found if not one.corrected]  # of the others some may be refused below
         if some and sum(piece.y.size for piece in some) >= least:
             found += _tried(some, delays, free, orders, corrects=corrects, loop=loop, rival=_least(plain))
-    if not loop:  # what a loop holds may grow by itself; what was seen without one did not
-        furthest = 1.0 + 1.0 / max(map(len, records))
-        found = [one for one in found if not one.corrected or one.plant.radius <= furthest]
+    if not loop:
+        found = _that_stay(found, max(map(len, records)))
     if not found:
         raise FitError(
             f"{what}: records too short for a state-space model",
@@ -131,11 +128,7 @@ def state_space_of(
         )
     found = sorted(found, key=lambda one: one.rung.judged)
     if sum(map(len, records)) > CHECKED:  # more samples tell more: the best are judged again, on all
-        again: list[_Choice] = []
-        for one in found[:SHORT]:
-            rung = finished(one.rung, every(one), free, gain=FINE, rival=_least(again))
-            again.append(replace(one, rung=rung))
-        found = sorted(again, key=lambda one: one.rung.judged)
+        found = _judged_again(found[:SHORT], every, free)
     chosen = found[0]
     pieces = every(chosen)
     end = finished(chosen.rung, pieces, free).end
@@ -180,6 +173,25 @@ class _Choice:
 def _least(found: Sequence[_Choice]) -> float:
     """Return what Schwarz's rule says of the best of some models."""
     return min((one.rung.judged for one in found), default=np.inf)
+
+
+def _that_stay(found: Sequence[_Choice], samples: int) -> list[_Choice]:
+    """Return the models that do not grow by themselves: what a loop holds may, what was seen without one did not."""
+    return [one for one in found if not one.corrected or one.plant.radius <= 1.0 + 1.0 / samples]
+
+
+def _all_of(records: Sequence[Trajectory], head: int, length: int, one: _Choice) -> list[Piece]:
+    """Return the pieces of records as a model looks at them."""
+    whole = list(_pieces(records, one.delays, head, length))
+    return list(map(_with_outputs, whole)) if one.corrected else whole
+
+
+def _judged_again(found: Sequence[_Choice], every: Callable[[_Choice], list[Piece]], free: Freedom) -> list[_Choice]:
+    """Return models as all samples judge them, the best first."""
+    again: list[_Choice] = []
+    for one in found:
+        again.append(replace(one, rung=finished(one.rung, every(one), free, gain=FINE, rival=_least(again))))
+    return sorted(again, key=lambda one: one.rung.judged)
 
 
 def _tried(
