@@ -25,13 +25,14 @@ DRY = "dry friction"
 
 
 def fits_fmu(effect: Effect) -> bool:
-    """Return True if an effect can be put around an FMU: no acceleration needed, nothing hidden behind an output.
+    """Return True if an effect can be put around an FMU: it asks for nothing inside, hides nothing behind an output.
 
     Forces change between communication steps, in which bristles slip many times their length.
     """
     outside = {"input", "coordinate", "output"} & set(effect.kinds)
     hidden = "output" in effect.kinds and effect.states
-    return bool(outside) and not {"a", "temperature"} & set(effect.extras) and not hidden and not effect.grows
+    inside = {"a", "damping", "pull", "temperature"} & set(effect.extras)
+    return bool(outside) and not inside and not hidden and not effect.grows
 
 
 def surround(

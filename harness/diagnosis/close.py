@@ -205,7 +205,7 @@ def close_loop(
             final = whole.with_parameters(diagnosis.final.values)
             with one_thread():
                 again = inputs_checked(final, dataset)
-            if again.runs != dataset.runs:
+            if (again.runs, again.intersample) != (dataset.runs, dataset.intersample):
                 dataset = again
                 diagnosis = diagnose(dataset, system, **how)
         if progress is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.effects.effect import Placed, port_units, unit_of
-from harness.effects.places import carried_load, measured_temperature, port_of
+from harness.effects.places import carried_load, measured_temperature, port_of, unforced
 from harness.errors import InputError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def compose(
     known = {parameter.name: parameter for parameter in system.parameters}
     result = nominal.with_parameters({parameter.name: known[parameter.name] for parameter in nominal.parameters})
     for effect in _placing_order(result, wanted):
-        result = _place(result, effect, _sizes(effect, sizes))
+        result = _place(result, effect, _sizes(effect, sizes), nominal)
     kept = {parameter.name: known[parameter.name] for parameter in result.parameters if parameter.name in known}
     return replace(result.with_parameters(kept), effects=tuple(wanted), nominal=nominal)
 
@@ -164,15 +164,16 @@ class _Symbols:
     states: list[Any]
 
 
-def _place(system: System, placed: Placed, sizes: Mapping[str, float]) -> System:
+def _place(system: System, placed: Placed, sizes: Mapping[str, float], nominal: System) -> System:
     """Return the system with one more effect."""
     port = port_of(system, placed)
     made = _symbols(system, placed, port, sizes)
     if placed.effect.sampled:
         return _place_sampled(system, placed, port, made)
+    if port.kind == "coordinate":
+        return _place_force(system, placed, port, made, nominal)
     return {
         "input": _place_input,
-        "coordinate": _place_force,
         "output": _place_output,
         "base": _place_base,
         "process": _place_process,
@@ -230,7 +231,7 @@ def _place_input(system: System, placed: Placed, port: Port, made: _Symbols) -> 
     return system.rebuild(inputs={port.name: value}, states=hidden, parameters=made.declared)
 
 
-def _place_force(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
+def _place_force(system: System, placed: Placed, port: Port, made: _Symbols, nominal: System) -> System:
     """Add a force to a coordinate; what it takes in proportion to the acceleration joins the mass matrix."""
     import casadi as ca
 
@@ -238,6 +239,7 @@ def _place_force(system: System, placed: Placed, port: Port, made: _Symbols) -> 
     q, v = _motion(system, port.name)
     signal, a = system.input_forces[row], ca.SX.sym("a")
     load = carried_load(system, port.name)
+    damping, pull = unforced(nominal, port.name)
     value, derivatives = placed.effect.evaluate(
         signal,
         made.states,
@@ -247,6 +249,8 @@ def _place_force(system: System, placed: Placed, port: Port, made: _Symbols) -> 
         t=system.t,
         a=a,
         load=0.0 if load is None else load,
+        damping=damping,
+        pull=pull,
         temperature=measured_temperature(system),
     )
     value, mass = ca.SX(value), None

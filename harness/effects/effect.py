@@ -27,7 +27,7 @@ EXPERIMENTS = ("slow motion", "chirp", "turned base", "large swing", "full swing
 longest lag; the base turned by a known angle; swings beyond 60 deg, and beyond 90; triangles of small amplitude; decays
 from high speed; no excitation at all; a known mass added."""
 _FIXED_ARGUMENTS = 5
-_EXTRA_ARGUMENTS = ("t", "a", "load", "temperature")
+_EXTRA_ARGUMENTS = ("t", "a", "load", "damping", "pull", "temperature")
 NEEDS = ("drive", "gravity", "alone")
 """What a law may ask of the plant about its port: an input's force on that coordinate; gravity; no other coordinate."""
 
@@ -223,8 +223,8 @@ class Effect:
         q, v : number, array or symbol
             The coordinate and its rate (0 where there is none).
         **extras
-            ``t``, ``a`` (acceleration), ``load``, ``temperature`` [K]: those that the block names as arguments must be
-            given.
+            ``t``, ``a`` (acceleration), ``load``, ``damping``, ``pull``, ``temperature`` [K]: those that the block
+            names as arguments must be given.
         """
         result = self.function(
             signal,
@@ -340,7 +340,9 @@ def effect(
     callable
         A decorator for ``function(signal, s, p, q, v)``; more arguments are passed if they are named ``t`` (time),
         ``a`` (acceleration of the coordinate; a force may depend on it linearly, hidden states may not), ``load``
-        (force that the joint carries) or ``temperature`` (an input in kelvin or degC, in kelvin). It returns the new
+        (force that the joint carries), ``damping`` and ``pull`` (nominal forces on the coordinate that no input makes:
+        what the speeds add, and what is there at rest) or ``temperature`` (an input in kelvin or degC, in kelvin). It
+        returns the new
         input or output; on a coordinate the force to *add*; on a process state the rate to add (with the rate to add to
         the next state, if ``downstream``); on the base the pair of gravity components. With hidden states it returns
         that and the list of their derivatives. A block that fits both a coordinate and an input returns the force to

@@ -13,7 +13,7 @@ from harness.errors import InputError
 if TYPE_CHECKING:
     from harness.physics.compiled.system import Port, System
 
-__all__ = ["carried_load", "fits", "measured_temperature", "obstacle", "place_all", "port_of"]
+__all__ = ["carried_load", "fits", "measured_temperature", "obstacle", "place_all", "port_of", "unforced"]
 
 _TEMPERATURES = {"K": 0.0, "degC": 273.15}
 """Units of an input that is a temperature, with what makes kelvins of it."""
@@ -156,3 +156,22 @@ def carried_load(system: System, name: str) -> Any:
     if _driven(system, name):
         return system.input_forces[row]
     return None if carried is None or carried.is_zero() else carried
+
+
+def unforced(system: System, name: str) -> tuple[Any, Any]:
+    """Return the nominal forces on a coordinate that no input makes: what the speeds add, and what pulls at rest.
+
+    Parameters
+    ----------
+    system : harness.physics.System
+        The nominal system: what else brakes the joint is no part of its drive.
+    name : str
+        The coordinate.
+    """
+    import casadi as ca
+
+    force = system.generalized_forces[system.coordinate(name).force]
+    still = [system.x[coordinate.v] for coordinate in system.coordinates]
+    free = ca.substitute(force, system.u, ca.SX.zeros(*system.u.shape)) if system.nu else force
+    pull = ca.substitute(free, ca.vertcat(*still), ca.SX.zeros(len(still)))
+    return free - pull, pull

@@ -18,7 +18,7 @@ from harness.signals import Channel, FloatArray, PlantSpec
 __all__ = ["WrappedPlant"]
 
 _LARGEST_SUBSTEPS = 1000
-_INSIDE = frozenset({"a", "load", "temperature"})
+_INSIDE = frozenset({"a", "load", "damping", "pull", "temperature"})
 """Arguments of a law that nobody knows from outside a plant."""
 _RATE_SUFFIXES = ("_rate", "_dot", "d")  # what the rate of a coordinate is called
 _RATE_PREFIXES = ("d", "v_")

@@ -110,12 +110,13 @@ def write_fmu(
     version: Literal[2, 3] | int = 2,
     x0: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write one FMU that repeats a simulator's roll-outs at its sample time.
+    """Write one FMU that repeats a simulator's roll-outs at its sample time, its input held over each step.
 
     Parameters
     ----------
     simulator : Simulator
-        Of the system, at the sample time and with the substeps wanted.
+        Of the system, at the sample time and with the substeps wanted. Where its input moves on a line from one sample
+        to the next (``foh``), that of the FMU is held all the same, as FMI has it: small steps come near.
     parameters : mapping
         Values by name, in SI units; they become tunable parameters.
     target : path
@@ -133,15 +134,17 @@ def write_fmu(
     Raises
     ------
     InputError
-        If there is no C compiler, a name is unknown, or the simulator interpolates its input (an FMU's is held).
+        If there is no C compiler, a name is unknown, or the simulator needs the rows around each sample (``smooth``).
     """
-    if simulator.intersample != "zoh":
+    if simulator.intersample == "smooth":
         raise InputError(
             "export to an FMU",
-            expected="a model with held input (intersample 'zoh')",
+            expected="a model whose input is held or moves on a line from sample to sample (intersample 'zoh', 'foh')",
             got=repr(simulator.intersample),
             remedy="fit the model with intersample 'zoh': FMI co-simulation holds its inputs over a step",
         )
+    if simulator.intersample == "foh":
+        simulator = simulator.system.simulator(simulator.dt, substeps=simulator.substeps)
     return packed(model_source(simulator, x0 or ()), description(simulator, parameters, x0), Path(target), version)
 
 

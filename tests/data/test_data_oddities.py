@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from harness import api
 from harness.data.oddities import examined
 from harness.diagnosis import close_loop
+from harness.diagnosis.records.inputs_check import inputs_checked
 from harness.physics.compiled.kalman_pass import KalmanPass, Noise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.physics.fitting.likelihood_fit import fit_likelihood
@@ -188,6 +189,28 @@ def written(path: Path, u: FloatArray, y: FloatArray) -> Path:
     rows = zip(np.arange(len(y)) * DT, u, y, strict=True)
     path.write_text("time [s],u [N m],theta [rad]\n" + "".join(f"{t:.9g},{a:.9g},{b:.9g}\n" for t, a, b in rows))
     return path
+
+
+@given(seed=st.integers(0, 200), noise=st.sampled_from([1e-5, 1e-3]), lines=st.booleans())
+@settings(max_examples=12, deadline=None)
+def test_an_input_that_moves_between_its_readings_is_read_so_and_a_held_one_is_not(
+    seed: int, noise: float, lines: bool
+) -> None:
+    """A servo whose controller works faster than its log: half a row of lead, which passed for mechanics."""
+    system, u = pendulum().system(), multisine(seed)[:, None]
+    simulator = system.simulator(DT, intersample="foh" if lines else "zoh")
+    y = simulator.rollout(system.vector(TRUE), [0.0, 0.0], u) + noise * np.random.default_rng(seed).standard_normal(
+        (N, 1)
+    )
+    dataset = Dataset("x", (Run(Trajectory(np.arange(N) * DT, u, y, SPEC)),))
+    read = inputs_checked(system, dataset)
+    if noise < 1e-4:  # half a row is 5 ms of a motion of 3 Hz: noise may hide it
+        assert read.intersample == ("foh" if lines else "zoh")
+    assert lines or read.intersample == "zoh"
+    between = [odd.words for odd in read.oddities or () if odd.kind == "between"]
+    assert len(between) == (read.intersample == "foh")
+    assert all('declare intersample = "foh"' in words for words in between)
+    assert np.array_equal(read.runs[0].trajectory.u, u)
 
 
 @pytest.mark.parametrize("late", [1, 2])

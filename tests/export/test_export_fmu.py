@@ -183,12 +183,19 @@ def test_equal_models_give_equal_files(tmp_path):
     assert one == write_fmu(simulator, simulator.system.values(), tmp_path / "b.fmu").read_bytes()
 
 
-@pytest.mark.parametrize("intersample", ["foh", "smooth"])
-def test_an_input_that_is_not_held_is_refused_in_words(intersample, tmp_path):
-    simulator = SYSTEMS["pendulum"].simulator(0.01, intersample=intersample)
+def test_a_smooth_input_is_refused_in_words(tmp_path):
+    simulator = SYSTEMS["pendulum"].simulator(0.01, intersample="smooth")
     with pytest.raises(InputError, match="zoh"):
         write_fmu(simulator, {}, tmp_path / "m.fmu")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_input_that_moves_on_lines_is_held_in_an_fmu(tmp_path):
+    """The equations are the same; how an input comes is the master's affair."""
+    held, lines = (SYSTEMS["pendulum"].simulator(0.01, intersample=how) for how in ("zoh", "foh"))
+    paths = [write_fmu(one, one.system.values(), tmp_path / f"{one.intersample}.fmu") for one in (held, lines)]
+    u = np.sin(np.arange(200) * 0.1)[:, None]
+    assert np.array_equal(ours(paths[0], u, 0.01), ours(paths[1], u, 0.01))
 
 
 def test_unknown_names_and_a_missing_compiler_are_refused(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@
 ``stuck``       a stretch without a change
 ``rail``        readings that rest at their largest or smallest value
 ``shift``       an input that was written a row late (found with the equations of motion)
+``between``     an input that moves between its readings where it passed for held (found so too)
 ``mismatch``    runs of one use that follow two models
 ``step``, ``slow``, ``fast``, ``trend``
                 no faults: the step of an encoder, sampling beside the pace of the motion, a drift

@@ -34,9 +34,10 @@ def inputs_checked(system: System, dataset: Dataset) -> Dataset:
     The nominal model is fitted by maximum likelihood, with forces that nobody measured, to a record as it is and with
     its input read earlier and later. Nothing mechanical lets a plant answer before it is asked: if the record is far
     likelier with the input read exactly one row (two rows) earlier than as it is, half a row earlier, and half a row
-    earlier still, it was written so late. Not asked where the input only follows from the outputs. An input that acts
-    a row later may be a dead time, and is only said. Rows of an input that the outputs alone did not decide
-    (:func:`harness.data.oddities.spikes.unfelt`) are asked alike.
+    earlier still, it was written so late. If half a row earlier is far likelier than both whole ones, an input that
+    passes for held moves between its readings, and a line from one to the next is read. Not asked where the input only
+    follows from the outputs. An input that acts a row later may be a dead time, and is only said. Rows of an input
+    that the outputs alone did not decide (:func:`harness.data.oddities.spikes.unfelt`) are asked alike.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def inputs_checked(system: System, dataset: Dataset) -> Dataset:
     Returns
     -------
     Dataset
-        Runs lose as many rows at their end as an input is late.
+        Runs lose as many rows at their end as an input is late; ``intersample`` is ``foh`` where inputs were not held.
     """
     dataset = examined(dataset)
     if not system.nx or not system.inputs or not dataset.estimation:
@@ -123,12 +124,21 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
             break
     late = max(known, key=lambda rows: known[rows])
     beside = [known[rows] for rows in (0.0, late - 0.5, late + 0.5) if rows in known and rows != late]
-    if late not in (1.0, 2.0) or known[late] < max(beside) + ODD.shift:
+    if late not in (0.5, 1.0, 2.0) or known[late] < max(beside) + ODD.shift:
         return dataset
     whole, names = int(late), " and ".join(record.spec.inputs[k].name for k in moving)
     many = "one row" if whole == 1 else f"{whole} rows"
     verb = "is" if len(moving) == 1 else "are"
     number = next(k for k, run in enumerate(dataset.runs) if run.trajectory is record)
+    if not whole:
+        if sign < 0 or dataset.intersample != "zoh":
+            return dataset
+        words = (
+            f"{names} {'moves' if len(moving) == 1 else 'move'} between readings: the plant follows a line from one to "
+            f"the next (log-likelihood {known[late]:.0f} higher than held, as it is here), as it does where a "
+            'controller works faster than the log; declare intersample = "foh"'
+        )
+        return _with(replace(dataset, intersample="foh"), [Oddity("between", number, names, (), words, used=True)])
     if sign < 0:
         words = (
             f"{names} {verb} recorded {many} early, or the plant has a dead time of {many}: the equations of motion "

@@ -15,6 +15,8 @@ __all__ = [
     "asymmetric_friction",
     "coulomb_friction",
     "degressive_friction",
+    "gear_friction",
+    "gear_stribeck_friction",
     "hysteresis",
     "load_dependent_friction",
     "parallel_hysteresis",
@@ -225,6 +227,65 @@ def quadratic_drag(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -> Any:
     """Dry friction in proportion to the force that the joint carries."""
     return -p.mu * absolute(load) * tanh(v / p.w)
+
+
+def _gears() -> list[EffectParameter]:
+    """Return the parameters of dry friction that grows with the torque in a gear.
+
+    Driven through a motor's resistance the damping is mostly the motor's, and so on the drive's side of the teeth. How
+    much of the load's pull counts is a matter of the gear: as much as the drive's, or hardly any (models M3 and M5 of
+    Duclusaud et al. 2024, arXiv:2410.08650, section III).
+    """
+    return [
+        _level("Fc", "0.03 F", main=False, meaning="level without a torque in the gear"),
+        par("mu", "1", scale="0.05", sign="+", neutral=0.0, main=True, linear=True,
+            meaning="friction over the torque in the gear"),
+        par("r", "1", scale="1", minimum=0.0, maximum=4.0, nuisance=True,
+            meaning="weight of what the load pulls with, over what the drive does"),
+        _width(),
+    ]  # fmt: skip
+
+
+@effect(
+    "coordinate",
+    _gears(),
+    formula="F = -(Fc + mu |f + d - r g|) sgn(v), sgn(v) = tanh(v/w); f the force of the input, d the nominal damping, "
+    "g the nominal force at rest",
+    family=("coulomb_friction", "load_dependent_friction", "gear_loss", "position_dependent_friction"),
+    nests=("coulomb_friction",),
+    limits={"coulomb_friction": "under a torque of constant size"},
+    needs=("drive",),
+    experiment="the same motion with and without a payload: a level of its own stays, the rest grows",
+    whole="dry friction",
+    told_by=("slow motion", "added mass"),
+)
+def gear_friction(f: Any, s: Any, p: Any, q: Any, v: Any, damping: Any, pull: Any) -> Any:
+    """Dry friction of a gear: a level, and a part in proportion to the torque that its teeth pass on."""
+    return -(p.Fc + p.mu * absolute(f + damping - p.r * pull)) * tanh(v / p.w)
+
+
+@effect(
+    "coordinate",
+    [
+        *_gears(),
+        par("b", "1", scale="0.5", minimum=0.0, maximum=1.0, meaning="share of the friction that is left at speed"),
+        par("vs", "v", scale="0.3 v", floor="0.015 v", sign="+", minimum=1e-6, grid=(1.0, 0.3, 3.0),
+            meaning="Stribeck speed"),
+    ],
+    formula="F = -(Fc + mu |f + d - r g|) [b + (1 - b) exp(-(v/vs)^2)] sgn(v), otherwise as gear_friction",
+    family=("gear_friction", "stribeck_friction"),
+    nests=("gear_friction", "coulomb_friction"),
+    limits={"gear_friction": "at speeds far above the Stribeck speed vs"},
+    grows="Stribeck speed",
+    needs=("drive",),
+    experiment="slow triangles with and without a payload: the force must fall as the speed rises",
+    whole="dry friction",
+    told_by=("slow motion", "added mass"),
+)  # fmt: skip
+def gear_stribeck_friction(f: Any, s: Any, p: Any, q: Any, v: Any, damping: Any, pull: Any) -> Any:
+    """Dry friction of a gear that is higher near standstill."""
+    level = p.b + (1.0 - p.b) * exp(-((v / p.vs) ** 2))
+    return -(p.Fc + p.mu * absolute(f + damping - p.r * pull)) * level * tanh(v / p.w)
 
 
 @effect(
