@@ -194,6 +194,7 @@ def close_loop(
         system = _system(model, parameters, dataset)
         box = is_fmu(system)
         if by_equations(system):
+            dataset = replace(dataset, warnings=(*system.remarks, *dataset.warnings))
             with one_thread():
                 dataset = inputs_checked(system, dataset)
         kind = _black_box() if box else Equations()

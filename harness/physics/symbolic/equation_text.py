@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import sympy as sp
@@ -42,7 +43,11 @@ def equations(model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -
     if isinstance(model, Mechanism):
         rows = _mechanical(model)
     else:
-        rows = [(sp.Symbol(f"v_{state}"), sp.sympify(rhs)) for state, rhs in zip(model.x, model.rhs, strict=True)]
+        coupled = {speed: row for speed, row in model.motions.values() if isinstance(row, Mapping)}
+        rows = [
+            (_changing(coupled.get(str(state), {str(state): 1})), sp.sympify(rhs))
+            for state, rhs in zip(model.x, model.rhs, strict=True)
+        ]
     symbols = _names(model)
     lines = [f"{symbols.write(left, form)} = {symbols.write(right, form)}" for left, right in rows]
     for name, given in model.outputs.items():
@@ -50,6 +55,11 @@ def equations(model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -
         if str(expression) != name:
             lines.append(f"{symbols.write(sp.Symbol(name), form)} = {symbols.write(expression, form)}")
     return lines
+
+
+def _changing(row: Mapping[str, Any]) -> Any:
+    """Return the left side of an equation: rates of states by what multiplies them."""
+    return sum((sp.sympify(entry) * sp.Symbol(f"v_{state}") for state, entry in row.items()), sp.Integer(0))
 
 
 def written(expression: Any, model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -> str:

@@ -40,7 +40,9 @@ class Ode:
         (rad/s or m/s) and the parameter or expression by which its rate is multiplied to give a torque or force. There
         the effects of a joint can act, dry friction or backlash, as on a coordinate of a :class:`Mechanism`. The
         coordinate may be a state itself, whose rate then is the speed, or one that no equation needs. Everything else,
-        a current, a temperature, a level, stays a state beside it.
+        a current, a temperature, a level, stays a state beside it. Coordinates that accelerate each other, a cart and
+        what hangs on it, have a mass matrix: ``inertia`` is then a mapping from speeds to the entries of the
+        coordinate's row, and ``rhs`` of its speed is the generalized force, the right side of ``M(q) a = force``.
 
     Attributes
     ----------
@@ -66,6 +68,17 @@ class Ode:
     >>> o.rhs = [(v - R * i - K * w) / L, K * i / J]
     >>> [f"{port.kind}:{port.name}" for port in o.system().ports]
     ['input:v', 'coordinate:shaft', 'output:i', 'output:w']
+
+    A crane: what acts on the trolley moves its load as well.
+
+    >>> units = {"v": "m/s", "w": "rad/s"}
+    >>> o = Ode("crane", x="s a v w", u="F", p="m C J", units=units)
+    >>> (s, a, v, w), (F,), (m, C, J) = o.x, o.u, o.p
+    >>> o.move("s", "v", {"v": m, "w": C * sp.cos(a)})
+    >>> o.move("a", "w", {"v": C * sp.cos(a), "w": J})
+    >>> o.rhs = [v, w, F + C * sp.sin(a) * w**2, -9.81 * C * sp.sin(a)]
+    >>> o.system().mass_matrix.shape
+    (2, 2)
     """
 
     def __init__(
@@ -100,10 +113,24 @@ class Ode:
                 remedy="correct the names",
             )
         self._parameters = {key: as_parameter(key, value) for key, value in (parameters or {}).items()}
-        self.motions = {coordinate: self._motion(coordinate, *given) for coordinate, given in (motions or {}).items()}
+        self.motions: dict[str, tuple[str, Any]] = {}
+        for coordinate, given in (motions or {}).items():
+            self.move(coordinate, *given)
 
-    def _motion(self, coordinate: str, speed: str, inertia: Any) -> tuple[str, Any]:
-        """Return what a coordinate's speed is and what inertia it has, or refuse the declaration."""
+    def move(self, coordinate: str, speed: str, inertia: Any) -> None:
+        """Declare a coordinate, as ``motions`` does.
+
+        Parameters
+        ----------
+        coordinate, speed : str
+        inertia : str, expression or mapping
+            A parameter by name, an expression, or the coordinate's row of the mass matrix by speed.
+
+        Raises
+        ------
+        InputError
+            If the speed is no state with a unit of one, or the inertia is unknown.
+        """
         names, known = [str(state) for state in self.x], {str(parameter): parameter for parameter in self.p}
         unit = self.units.get(speed, "1")
         if speed not in names or coordinate == speed or not unit.endswith("/s"):
@@ -122,7 +149,40 @@ class Ode:
             )
         if coordinate not in names:
             _check_names(self.name, [*names, *map(str, self.u), *known, coordinate])
-        return speed, known[inertia] if isinstance(inertia, str) else inertia
+        self.motions[coordinate] = speed, known[inertia] if isinstance(inertia, str) else inertia
+
+    def mass_matrix(self) -> list[list[Any]]:
+        """Return the mass matrix, a row for each coordinate.
+
+        Raises
+        ------
+        InputError
+            If it is not symmetric: then its rows are not the balances of forces at these coordinates.
+        """
+        speeds = [speed for speed, _ in self.motions.values()]
+        rows = [_row(speed, inertia) for speed, inertia in self.motions.values()]
+        for row, name in zip(rows, self.motions, strict=True):
+            if unknown := sorted(set(row) - set(speeds)):
+                raise InputError(
+                    f"the mass matrix of {self.name!r}, row {name}",
+                    expected=f"rates of the speeds {', '.join(speeds)}",
+                    got=f"a rate of {', '.join(unknown)}",
+                    remedy="declare it as the speed of a coordinate too",
+                )
+        matrix = [[sp.sympify(row.get(speed, 0)) for speed in speeds] for row in rows]
+        names = list(self.motions)
+        for i in range(len(names)):
+            for j in range(i):
+                if sp.simplify(matrix[i][j] - matrix[j][i]) != 0:
+                    raise InputError(
+                        f"the mass matrix of {self.name!r}",
+                        expected="a symmetric one: each row the balance of what acts along its coordinate",
+                        got=f"{matrix[i][j]} for {speeds[j]} in the row of {names[i]}, {matrix[j][i]} for {speeds[i]} "
+                        f"in that of {names[j]}",
+                        remedy="write the rows as Lagrange's equations of these coordinates, none divided or added "
+                        "to another",
+                    )
+        return matrix
 
     def parameter_list(self) -> tuple[Parameter, ...]:
         """Return the parameters, in the order of ``p``."""
@@ -156,13 +216,16 @@ class Ode:
             channels.append(Channel(name, unit))
             rows.append(convert(expression))
         slopes = {str(state): convert(row) for state, row in zip(self.x, self.rhs, strict=True)}
-        masses = [convert(inertia) for _, inertia in self.motions.values()]
+        masses = [[convert(entry) for entry in row] for row in self.mass_matrix()]
         n = len(masses)
         coordinates = [
             Coordinate(name, self._unit(name), "N m" if self._unit(name) == "rad" else "N", row, n + row, row)
             for row, name in enumerate(self.motions)
         ]
-        forces = [mass * slopes[speed] for mass, (speed, _) in zip(masses, self.motions.values(), strict=True)]
+        forces = [
+            slopes[speed] if isinstance(inertia, Mapping) else masses[row][row] * slopes[speed]
+            for row, (speed, inertia) in enumerate(self.motions.values())
+        ]
         return System(
             name=self.name,
             inputs=tuple(Channel(str(symbol), self._unit(str(symbol))) for symbol in self.u),
@@ -174,7 +237,7 @@ class Ode:
             p=p,
             t=t,
             gravity=ca.SX.sym("gravity", 2),
-            mass_matrix=ca.diag(ca.vertcat(*masses)) if masses else ca.SX(0, 0),
+            mass_matrix=ca.vertcat(*(ca.horzcat(*row) for row in masses)) if masses else ca.SX(0, 0),
             generalized_forces=ca.vertcat(*forces) if forces else ca.SX(0, 1),
             rates=ca.vertcat(*(slopes[name] for name in order[2 * n :])) if order[2 * n :] else ca.SX(0, 1),
             h=ca.vertcat(*rows),
@@ -183,7 +246,24 @@ class Ode:
             mechanism=self,
             process=self.process,
             starts=self.starts,
+            remarks=self._apart(),
         )
+
+    def _apart(self) -> tuple[str, ...]:
+        """Return what to say where one input moves several joints that have an inertia each, and no mass matrix."""
+        slopes = {str(state): sp.sympify(row) for state, row in zip(self.x, self.rhs, strict=True)}
+        alone = {name: speed for name, (speed, inertia) in self.motions.items() if not isinstance(inertia, Mapping)}
+        said = []
+        for symbol in self.u:
+            moved = [name for name, speed in alone.items() if symbol in slopes[speed].free_symbols]
+            if len(moved) > 1:
+                said.append(
+                    f"{symbol} accelerates {' and '.join(moved)}, which have an inertia each: what is found at one of "
+                    "them then acts on its own rate alone. If they accelerate each other, as a cart and what hangs on "
+                    "it, give their equations of motion with a mass matrix, a row for each "
+                    f"({moved[0]}: M*{alone[moved[0]]}' + C*{alone[moved[1]]}' = ...)"
+                )
+        return tuple(said)
 
     def _order(self) -> list[str]:
         """Return the names of the states: coordinates, their speeds, and all others as they were written."""
@@ -216,3 +296,8 @@ class Ode:
 
     def __repr__(self) -> str:
         return f"Ode({self.name!r}, x={' '.join(map(str, self.x))!r}, u={' '.join(map(str, self.u))!r})"
+
+
+def _row(speed: str, inertia: Any) -> Mapping[str, Any]:
+    """Return a coordinate's row of the mass matrix by speed."""
+    return inertia if isinstance(inertia, Mapping) else {speed: inertia}

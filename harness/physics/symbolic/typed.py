@@ -26,7 +26,9 @@ _UNIT = r"(?:\s*\[(?P<unit>[^\]]*)\])?"
 _RATE = re.compile(rf"(?P<name>{_NAME})\s*'\s*=(?P<rest>.+)")
 _OUTPUT = re.compile(rf"output\s+(?P<name>{_NAME})\s*(?:=(?P<rest>[^\[]+))?{_UNIT}")
 _LIST = re.compile(r"(?P<kind>input|state|level)\s+(?P<rest>.+)")
-_MOTION = re.compile(rf"motion\s+(?P<name>{_NAME})\s*:\s*(?P<speed>{_NAME})\s*,\s*(?P<inertia>{_NAME})")
+_MOTION = re.compile(rf"motion\s+(?P<name>{_NAME})\s*:\s*(?P<speed>{_NAME})\s*(?:,\s*(?P<inertia>{_NAME}))?")
+_BALANCE = re.compile(rf"(?P<name>{_NAME})\s*:\s*(?P<left>[^=]*'[^=]*)=(?P<right>[^=]+)")
+_PRIME = "_prime_"  # what a rate is called while an expression is read
 _VALUE = re.compile(
     rf"(?P<name>{_NAME})\s*=\s*(?P<value>[-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[^>]*?)(?:>=\s*(?P<low>\S+))?"
 )
@@ -40,7 +42,7 @@ _CALLS: dict[str, Callable[..., Any]] = {
     for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "sqrt", "sign")
 } | {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "atan2": sp.atan2}
 _KINDS = "input NAME [UNIT] | state NAME [UNIT] | level NAME [UNIT] | motion NAME: SPEED, INERTIA | NAME' = ... | \
-NAME = NUMBER UNIT | output NAME = ... [UNIT]"
+NAME: ... SPEED' ... = ... | NAME = NUMBER UNIT | output NAME = ... [UNIT]"
 
 
 @dataclass
@@ -52,7 +54,8 @@ class _Read:
     units: dict[str, str] = field(default_factory=dict)
     rates: dict[str, tuple[int, str]] = field(default_factory=dict)
     parameters: dict[str, Any] = field(default_factory=dict)
-    motions: dict[str, tuple[str, str]] = field(default_factory=dict)
+    motions: dict[str, tuple[str, str | None]] = field(default_factory=dict)
+    balances: dict[str, tuple[int, str, str]] = field(default_factory=dict)
     outputs: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
@@ -88,8 +91,10 @@ def read_equations(text: str, name: str = "typed") -> Ode:
         A line each, in any order, ``#`` begins a comment: ``x' = EXPRESSION`` for every state, ``input u [N]``,
         ``state x [m]`` (its unit), ``level h [m]`` (a state that is one), ``motion shaft: w, J`` (w is the speed of a
         joint with inertia J), ``k = 2.5 N/m`` (a parameter, where a fit starts, and its unit; ``>= 0`` bounds it),
-        ``output y`` or ``output y = EXPRESSION [UNIT]`` (by default the states). Expressions are made of these names,
-        of ``t``, numbers, ``+ - * / ^ ( )`` and usual functions. Nothing in them is evaluated as Python.
+        ``output y`` or ``output y = EXPRESSION [UNIT]`` (by default the states). Joints that accelerate each other have
+        a row of the mass matrix each in place of an inertia: ``motion x: v`` and ``x: M*v' + C*cos(a)*w' = F``, the
+        balance of what acts along x. Expressions are made of these names, of ``t``, numbers, ``+ - * / ^ ( )`` and
+        usual functions. Nothing in them is evaluated as Python.
     name : str
         Of the model.
 
@@ -117,6 +122,24 @@ def read_equations(text: str, name: str = "typed") -> Ode:
     ... ''', "motor")
     >>> print(motor.system())
     motor: v [V] -> i [A], w [rad/s]
+
+    A crane, as its equations of motion are written:
+
+    >>> crane = read_equations('''
+    ... input F [N]
+    ... state s [m], a [rad], v [m/s], w [rad/s]
+    ... motion s: v
+    ... motion a: w
+    ... M = 2.5 kg
+    ... C = 0.3 kg m
+    ... J = 0.18 kg m^2
+    ... s' = v
+    ... a' = w
+    ... s: M*v' + C*cos(a)*w' = F + C*sin(a)*w^2
+    ... a: C*cos(a)*v' + J*w' = -9.81*C*sin(a)
+    ... ''', "crane")
+    >>> print(crane.system())
+    crane: F [N] -> s [m], a [rad], v [m/s], w [rad/s]
     """
     if len(text) > LONGEST:
         raise InputError("equations", expected=f"at most {LONGEST} characters", got=str(len(text)),
@@ -124,28 +147,74 @@ def read_equations(text: str, name: str = "typed") -> Ode:
     read = _Read()
     for number, line in _lines(text):
         _take(read, number, line)
-    if not read.rates:
+    balanced = {name: read.motions[name][0] for name in read.balances if name in read.motions}
+    states = [*read.rates, *balanced.values()]
+    if not states:
         raise InputError(
             "equations of a model", expected="a line x' = ... for every state", got="none", remedy="write one"
         )
     for declared in (*read.levels, *(speed for speed, _ in read.motions.values())):
-        _known(declared, read.rates, "state")
+        _known(declared, states, "state")
+    _refuse_half_a_joint(read)
     clean = re.sub(r"\W", "_", name)
     ode = Ode(
         clean if clean and not clean[0].isdigit() else f"_{clean}",
-        x=" ".join(read.rates),
+        x=" ".join(states),
         u=" ".join(read.inputs),
         p=" ".join(read.parameters),
         units=read.units,
         parameters=read.parameters,
         process=" ".join(read.levels),
-        motions=read.motions,
     )
     known = {str(symbol): symbol for symbol in (*ode.x, *ode.u, *ode.p, ode.t)}
-    ode.rhs = [_expression(rest, known, number) for number, rest in read.rates.values()]
+    slopes = [_expression(rest, known, number) for number, rest in read.rates.values()]
+    for joint, (speed, inertia) in read.motions.items():
+        if inertia is not None:
+            ode.move(joint, speed, inertia)
+        else:
+            row, force = _balance(*read.balances[joint], [other for other, _ in read.motions.values()], known)
+            ode.move(joint, speed, row)
+            slopes.append(force)
+    ode.rhs = slopes
     for output, (number, rest) in read.outputs.items():
         ode.outputs[output] = (_expression(rest, known, number), read.units.get(output, "1"))
     return ode
+
+
+def _refuse_half_a_joint(read: _Read) -> None:
+    """Refuse a joint without an inertia or a row, with both, and a row without a joint."""
+    for joint, (number, left, _) in read.balances.items():
+        if joint not in read.motions:
+            raise _refused(number, f"{joint}: {left}", f"motion {joint}: SPEED, in a line of its own")
+        if read.motions[joint][1] is not None or read.motions[joint][0] in read.rates:
+            speed = read.motions[joint][0]
+            raise _refused(
+                number, f"{joint}: {left}", f"motion {joint}: {speed} alone, and no {speed}' = ... beside it"
+            )
+    for joint, (speed, inertia) in read.motions.items():
+        if inertia is None and joint not in read.balances:
+            raise InputError(
+                f"motion {joint} has no inertia",
+                expected=f"motion {joint}: {speed}, INERTIA, or a row {joint}: ... {speed}' ... = ...",
+                got="neither",
+                remedy=f"name the parameter that {speed}' is multiplied by to give a torque or a force",
+            )
+
+
+def _balance(
+    number: int, left: str, right: str, speeds: list[str], known: dict[str, Any]
+) -> tuple[dict[str, Any], Any]:
+    """Return a row of the mass matrix by speed, and the generalized force on its right side."""
+    rates = {speed + _PRIME: sp.Symbol(speed + _PRIME, real=True) for speed in speeds}
+    sides = [re.sub(rf"({_NAME})\s*'", rf"\1{_PRIME}", side) for side in (left, right)]
+    over = sp.expand(_expression(sides[0], known | rates, number) - _expression(sides[1], known | rates, number))
+    row = {speed: sp.diff(over, rates[speed + _PRIME]) for speed in speeds}
+    if any(entry.free_symbols & set(rates.values()) for entry in row.values()):
+        raise _refused(number, f"{left.strip()} = {right.strip()}", "rates of the speeds to the first power only")
+    return (
+        {speed: sp.simplify(entry) for speed, entry in row.items() if entry != 0},
+        -over.xreplace(dict.fromkeys(rates.values(), sp.Integer(0))),
+    )
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
@@ -170,7 +239,11 @@ def _take(read: _Read, number: int, line: str) -> None:
             if found["kind"] != "state":
                 (read.inputs if found["kind"] == "input" else read.levels).append(one["name"])
     elif (found := _MOTION.fullmatch(line)) is not None:
+        _fresh(found["name"], read.motions, number)
         read.motions[found["name"]] = (found["speed"], found["inertia"])
+    elif (found := _BALANCE.fullmatch(line)) is not None:
+        _fresh(found["name"], read.balances, number)
+        read.balances[found["name"]] = (number, found["left"], found["right"])
     elif (found := _OUTPUT.fullmatch(line)) is not None:
         _fresh(found["name"], read.outputs, number)
         read.outputs[found["name"]] = (number, found["rest"] or found["name"])
@@ -202,7 +275,7 @@ def _fresh(name: str, known: dict[str, Any], number: int) -> None:
                          remedy="remove one line", place=f"line {number}")  # fmt: skip
 
 
-def _known(name: str, states: dict[str, Any], what: str) -> None:
+def _known(name: str, states: list[str], what: str) -> None:
     if name not in states:
         raise InputError(
             f"a {what} without an equation", expected=f"one of {', '.join(states)}", got=repr(name),
