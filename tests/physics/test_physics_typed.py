@@ -200,3 +200,18 @@ def test_one_input_at_two_joints_with_an_inertia_each_is_asked_about() -> None:
     assert "s: M*v' + C*w' = ..." in remark
     assert read_equations(CART_POLE).system().remarks == ()
     assert read_equations(PENDULUM).system().remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "unit", "low", "fixed"),
+    [
+        ("k = 2.5 N/m", "N/m", -np.inf, False),
+        ("k = 2.5 N/m >= 0", "N/m", 0.0, False),
+        ("k = 2.5 N/m fixed", "N/m", -np.inf, True),
+        ("k = 2.5 [N/m] >= 0 fixed", "N/m", 0.0, True),
+        ("k = 2.5 fixed", "1", -np.inf, True),
+    ],
+)
+def test_a_parameter_may_be_bounded_and_known(line: str, unit: str, low: float, fixed: bool) -> None:
+    (parameter,) = read_equations(f"input u\n{line}\nx' = u - k*x").system().parameters
+    assert (parameter.unit, parameter.value, parameter.minimum, parameter.fixed) == (unit, 2.5, low, fixed)

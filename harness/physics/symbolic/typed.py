@@ -6,13 +6,14 @@ import ast
 import operator
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import sympy as sp
 
 from harness.errors import InputError
+from harness.physics.definition.parameters import as_parameter
 from harness.physics.symbolic.ode import Ode
 from harness.units import is_unit
 
@@ -30,7 +31,8 @@ _MOTION = re.compile(rf"motion\s+(?P<name>{_NAME})\s*:\s*(?P<speed>{_NAME})\s*(?
 _BALANCE = re.compile(rf"(?P<name>{_NAME})\s*:\s*(?P<left>[^=]*'[^=]*)=(?P<right>[^=]+)")
 _PRIME = "_prime_"  # what a rate is called while an expression is read
 _VALUE = re.compile(
-    rf"(?P<name>{_NAME})\s*=\s*(?P<value>[-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[^>]*?)(?:>=\s*(?P<low>\S+))?"
+    rf"(?P<name>{_NAME})\s*=\s*(?P<value>[-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[^>]*?)\s*"
+    r"(?:>=\s*(?P<low>\S+?))?\s*(?P<fixed>\bfixed)?"
 )
 _ITEM = re.compile(rf"(?P<name>{_NAME}){_UNIT}")
 _BINARY: dict[type, Callable[[Any, Any], Any]] = {
@@ -42,7 +44,7 @@ _CALLS: dict[str, Callable[..., Any]] = {
     for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "sqrt", "sign")
 } | {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "atan2": sp.atan2}
 _KINDS = "input NAME [UNIT] | state NAME [UNIT] | level NAME [UNIT] | motion NAME: SPEED, INERTIA | NAME' = ... | \
-NAME: ... SPEED' ... = ... | NAME = NUMBER UNIT | output NAME = ... [UNIT]"
+NAME: ... SPEED' ... = ... | NAME = NUMBER UNIT [>= NUMBER] [fixed] | output NAME = ... [UNIT]"
 
 
 @dataclass
@@ -90,7 +92,8 @@ def read_equations(text: str, name: str = "typed") -> Ode:
     text : str
         A line each, in any order, ``#`` begins a comment: ``x' = EXPRESSION`` for every state, ``input u [N]``,
         ``state x [m]`` (its unit), ``level h [m]`` (a state that is one), ``motion shaft: w, J`` (w is the speed of a
-        joint with inertia J), ``k = 2.5 N/m`` (a parameter, where a fit starts, and its unit; ``>= 0`` bounds it),
+        joint with inertia J), ``k = 2.5 N/m`` (a parameter, where a fit starts, and its unit; ``>= 0`` bounds it,
+        ``fixed`` at the end says that it is known),
         ``output y`` or ``output y = EXPRESSION [UNIT]`` (by default the states). Joints that accelerate each other have
         a row of the mass matrix each in place of an inertia: ``motion x: v`` and ``x: M*v' + C*cos(a)*w' = F``, the
         balance of what acts along x. Expressions are made of these names, of ``t``, numbers, ``+ - * / ^ ( )`` and
@@ -253,7 +256,8 @@ def _take(read: _Read, number: int, line: str) -> None:
         _fresh(found["name"], read.parameters, number)
         unit, low = _unit(found["unit"].strip().strip("[]"), number), found["low"]
         numbers = [_number(given, number) for given in (found["value"], *([low] if low else []))]
-        read.parameters[found["name"]] = (unit, *numbers)
+        parameter = as_parameter(found["name"], (unit, *numbers))
+        read.parameters[found["name"]] = replace(parameter, fixed=found["fixed"] is not None)
     else:
         raise _refused(number, line, _KINDS)
 
