@@ -86,3 +86,12 @@ def test_it_is_tried_where_something_drives_and_nowhere_from_outside():
 
     with pytest.raises(InputError, match="does not fit 'theta' from outside this plant"):
         WrappedPlant(OdePlant(model="pendulum"), [(GEAR, "theta", {"mu": 0.1})])
+
+
+@given(v=st.floats(-5, 5), b=st.floats(0.1, 2), c=st.floats(-2, 2))
+def test_a_damper_brakes_more_one_way_and_never_drives(v, b, c):
+    law = builtin()["asymmetric_damping"]
+    force = -b * v + law.function(0.0, None, SimpleNamespace(c=c), 0.0, v)
+    assert force == pytest.approx(-(b + c) * v if v > 0 else -(b - c) * v)
+    q, damping = np.linspace(-1, 1, 5), np.array([b + c, b - c])
+    assert bool(law.violations_along({"c": c}, q, damping)) == (b < abs(c) - 0.05 * abs(c))

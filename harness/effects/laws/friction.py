@@ -12,6 +12,7 @@ from harness.effects.effect import EffectParameter, effect, par
 from harness.effects.functions import absolute, cos, exp, no_sooner, power, tanh
 
 __all__ = [
+    "asymmetric_damping",
     "asymmetric_friction",
     "coulomb_friction",
     "degressive_friction",
@@ -198,6 +199,25 @@ def yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def degressive_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Degressive viscous friction, which grows with the speed up to a level: shear-thinning grease, wet seals."""
     return -p.Fc * v / (p.vs + absolute(v))
+
+
+@effect(
+    "coordinate",
+    [par("c", "F/v", scale="0.05 F/v", neutral=0.0, main=True, linear=True,
+         meaning="half of what the damping forwards is above that backwards")],
+    formula="F = -c |v|: forwards the damping is c larger, backwards c smaller",
+    family=("viscous_friction", "asymmetric_friction", "quadratic_drag", "quadratic_spring"),
+    requires_along={
+        "with all that brakes the joint, the damping is nowhere negative over the motion": lambda p, q, damping: bool(
+            damping.min() >= -0.05 * abs(p["c"])
+        )
+    },
+    experiment="the same speed forwards and backwards, at several speeds: the forces differ in proportion to it",
+    told_by=("fast swing",),
+)  # fmt: skip
+def asymmetric_damping(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Damping with another coefficient in each direction (rebound and compression of a suspension's damper)."""
+    return -p.c * absolute(v)
 
 
 @effect(
