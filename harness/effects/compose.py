@@ -114,7 +114,7 @@ def recommended_substeps(
     hidden = system.nx - system.hidden_count
     for placed in system.effects:
         gap = system.values(parameters).get(placed.name("gap"))
-        if gap is not None:  # the contact must be looked at closed
+        if gap is not None and "e" in placed.effect.states:  # the contact must be looked at closed
             closed = np.zeros(system.nx)
             names = [channel.name for channel in system.states]
             closed[names.index(placed.name("e"), hidden)] = 2.0 * gap
