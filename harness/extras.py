@@ -53,7 +53,8 @@ def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     package : str
         Its ``__name__``.
     homes : mapping
-        The module below it that has each name; empty where the name is such a module itself.
+        The module below it that has each name (beside it, if it begins with a dot); empty where the name is such a
+        module itself.
 
     Examples
     --------
@@ -69,7 +70,7 @@ def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = importlib.import_module(f"{package}.{homes[name] or name}")
+        module = importlib.import_module(f".{homes[name] or name}", package)
         value = getattr(module, name) if homes[name] else module
         setattr(sys.modules[package], name, value)
         return value

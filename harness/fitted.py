@@ -489,7 +489,7 @@ def load_model(name: str | Path, **options: Any) -> Any:
     """
     path = Path(name)
     if path.suffix == ".json" or path.is_dir():
-        from harness.comparison.models import read_model
+        from harness.parts.stored import read_model
 
         return FittedModel(read_model(path))
     from harness.physics import load_model as definition

@@ -18,7 +18,7 @@ from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["names_fmu", "registered_only", "runs_python", "trusted", "trusting"]
+__all__ = ["names_fmu", "registered_only", "trusted", "trusting"]
 
 _TRUSTED: ContextVar[frozenset[Path]] = ContextVar("trusted", default=frozenset())
 NATIVE = (".fmu", ".ssp", ".so", ".dll", ".dylib", ".pyd")

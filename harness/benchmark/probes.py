@@ -13,7 +13,7 @@ import msgspec
 from harness import registry
 from harness.benchmark.parts import Task
 from harness.benchmark.row import one_line
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import write_text
 from harness.errors import HarnessError
 from harness.jobs.stored import reading
 from harness.supervision.workers import worker_pool
@@ -55,8 +55,7 @@ def probe_plants(tasks: Sequence[Task], file: Path) -> None:
             except Exception as error:  # whatever an FMU does to its process is a finding
                 entry["reason"] = one_line(error) if isinstance(error, HarnessError) else type(error).__name__
             known[name] = entry
-    with whole_file(file) as scratch:
-        scratch.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+    write_text(file, json.dumps(known, indent=1) + "\n")
 
 
 def _probeable(plant: str) -> bool:

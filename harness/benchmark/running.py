@@ -21,7 +21,7 @@ from harness.benchmark.row import Row, read_row
 from harness.benchmark.store import Store
 from harness.benchmark.suite import cells_of, load_suite, tasks_of
 from harness.benchmark.work import CellBatch
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import write_text
 from harness.errors import InputError
 from harness.jobs import make_engine, run_jobs, shard_file
 from harness.jobs.alone import alone_in
@@ -247,8 +247,7 @@ def _result(store: Store, rows: Sequence[Row]) -> BenchResult:
 def _write_report(result: BenchResult, store: Store) -> None:
     """Draw the overlays that are new, and write the HTML page that links to them."""
     overlays = draw_overlays(result.rows, store.overlays)
-    with whole_file(store.report) as scratch:
-        scratch.write_text(render_html(result, overlays), encoding="utf-8")
+    write_text(store.report, render_html(result, overlays))
 
 
 def _seed_list(seeds: tuple[int, int] | Sequence[int] | None) -> list[int] | None:

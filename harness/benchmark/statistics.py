@@ -17,16 +17,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = [
-    "MARGIN",
-    "MINIMUM_SEEDS",
-    "Ranking",
-    "Standing",
-    "enough_pairs",
-    "ranking",
-    "replicates",
-    "standings",
-]
+__all__ = ["MARGIN", "Ranking", "Standing", "enough_pairs", "ranking", "replicates", "standings"]
 
 LEVEL = 0.05
 """Two-sided level of all comparisons."""

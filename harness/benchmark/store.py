@@ -23,7 +23,7 @@ from harness import __version__
 from harness.benchmark.columns import FORMAT, arrow_table, columns_of_files, rows_of, write_rows
 from harness.benchmark.parts import Cell, Suite, Task
 from harness.benchmark.row import Row, read_row
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import write_text
 from harness.errors import InputError
 from harness.jobs.manifest import read_manifest
 from harness.jobs.stored import read_columns, reading
@@ -146,7 +146,7 @@ class Store:
         }
         if order:
             content["order"] = list(order)
-        _write_text(self.manifest, json.dumps(content, indent=1))
+        write_text(self.manifest, json.dumps(content, indent=1) + "\n")
         return found
 
     def shares(self) -> list[Store]:
@@ -181,7 +181,7 @@ class Store:
         rows = {job: row for share in shares for job, row in share.rows().items()}
         planned = len(first["order"])
         whole = {key: first[key] for key in ("format", "suite", "description", "versions")}
-        _write_text(self.manifest, json.dumps({**whole, "planned": planned, "cells": cells}, indent=1))
+        write_text(self.manifest, json.dumps({**whole, "planned": planned, "cells": cells}, indent=1) + "\n")
         self.write([rows[cell[0]] for cell in cells if cell[0] in rows])
 
     def read_manifest(self) -> dict[str, Any]:
@@ -276,9 +276,3 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             found[name] = "not installed"
     return found
-
-
-def _write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    with whole_file(path) as scratch:
-        scratch.write_text(text + "\n", encoding="utf-8")

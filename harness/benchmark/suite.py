@@ -20,7 +20,7 @@ from harness.parts.files import fingerprint as plant_fingerprint
 from harness.parts.files import is_plant_file, stream_key
 from harness.trust import registered_only
 
-__all__ = ["cells_of", "find_suite", "load_suite", "tasks_of"]
+__all__ = ["cells_of", "load_suite", "tasks_of"]
 
 
 def find_suite(suite: str | Path) -> Path:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import whole_file, write_text
 from harness.errors import InputError
 from harness.export.describe import xml_text
 from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitions
@@ -41,8 +41,7 @@ def write_ssv(values: Values, units: Mapping[str, str], path: str | Path) -> Pat
         If the file cannot be written.
     """
     path = Path(path)
-    with whole_file(path) as scratch:
-        scratch.write_text(_values(values, units), encoding="utf-8")
+    write_text(path, _values(values, units))
     return path
 
 

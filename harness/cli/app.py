@@ -20,9 +20,10 @@ from harness.cli.loop import close_loop, isolability, learn_residual
 from harness.cli.models import check_data, compare, export, identify, order, spectrum
 from harness.cli.opening import open_page
 from harness.cli.options import AsJson, Force, ModelName
+from harness.cli.results import print_fmu, print_parts, print_system
 from harness.cli.runs import bench, query, simulate, table
 from harness.cli.structures import analyse, equations, modes
-from harness.cli.terminal import fail, print_fmu, print_json, print_parts, print_rows, print_system, print_written, say
+from harness.cli.terminal import fail, print_json, print_rows, print_written, say
 from harness.cli.vetting import check
 from harness.errors import HarnessError, InputError
 from harness.parts.files import is_system

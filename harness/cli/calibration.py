@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from harness import api
-from harness.cli.terminal import noted, print_json, print_paths, print_rows, say, share_bar, text_pairs
+from harness.cli.terminal import noted, print_json, print_paths, print_rows, say, share_bar
+from harness.cli.words import text_pairs
 from harness.errors import InputError
 
 if TYPE_CHECKING:

@@ -27,17 +27,9 @@ from harness.cli.options import (
     judged,
     of_table,
 )
-from harness.cli.terminal import (
-    completed,
-    jobs_bar,
-    noted,
-    option_pairs,
-    print_json,
-    print_planned,
-    say,
-    share_bar,
-    wide_console,
-)
+from harness.cli.results import print_planned
+from harness.cli.terminal import jobs_bar, noted, print_json, say, share_bar, wide_console
+from harness.cli.words import completed, option_pairs
 from harness.errors import InputError, printable
 
 if TYPE_CHECKING:

@@ -26,18 +26,9 @@ from harness.cli.options import (
     judged,
     of_table,
 )
-from harness.cli.terminal import (
-    completed,
-    noted,
-    option_pairs,
-    print_identified,
-    print_json,
-    print_paths,
-    print_rows,
-    print_written,
-    say,
-    whole_range,
-)
+from harness.cli.results import print_identified
+from harness.cli.terminal import noted, print_json, print_paths, print_rows, print_written, say
+from harness.cli.words import completed, option_pairs, whole_range
 from harness.errors import InputError
 from harness.frequency import is_response
 

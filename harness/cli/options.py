@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from harness.cli.terminal import completed, fail, text_pairs
+from harness.cli.terminal import fail
+from harness.cli.words import completed, text_pairs
 from harness.trust import trusting
 
 if TYPE_CHECKING:

@@ -10,23 +10,9 @@ import typer
 
 from harness import api
 from harness.cli.options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Trust, Workers
-from harness.cli.terminal import (
-    completed,
-    hidden_effect,
-    jobs_bar,
-    noted,
-    option_pairs,
-    print_answer,
-    print_bench,
-    print_json,
-    print_paths,
-    print_public,
-    print_rows,
-    progress_bar,
-    say,
-    seed_range,
-    text_pairs,
-)
+from harness.cli.results import print_answer, print_bench, print_public
+from harness.cli.terminal import jobs_bar, noted, print_json, print_paths, print_rows, progress_bar, say
+from harness.cli.words import completed, hidden_effect, option_pairs, seed_range, text_pairs
 from harness.errors import InputError, PlantError, printable
 
 __all__ = ["bench", "query", "simulate", "table"]

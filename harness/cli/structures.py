@@ -21,17 +21,8 @@ from harness.cli.options import (
     Undriven,
     of_table,
 )
-from harness.cli.terminal import (
-    completed,
-    noted,
-    option_pairs,
-    print_json,
-    print_paths,
-    print_rows,
-    progress_bar,
-    say,
-    whole_range,
-)
+from harness.cli.terminal import noted, print_json, print_paths, print_rows, progress_bar, say
+from harness.cli.words import completed, option_pairs, whole_range
 
 if TYPE_CHECKING:
     from harness.data.recipe.chosen import Signals

@@ -9,7 +9,8 @@ import typer
 
 from harness import api
 from harness.cli.options import AsJson, Force, Junit, OptionPairs, judged
-from harness.cli.terminal import noted, option_pairs, print_json, print_paths, print_rows, say, share_bar, text_pairs
+from harness.cli.terminal import noted, print_json, print_paths, print_rows, say, share_bar
+from harness.cli.words import option_pairs, text_pairs
 from harness.errors import InputError
 from harness.trust import names_fmu
 

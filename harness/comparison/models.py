@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from harness import registry
 from harness.comparison.residuals import LAGS, Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
 from harness.comparison.uncertain import bode_lines, is_linear, pole_figure, pole_rows, step_figure
 from harness.display import STYLE, page, table
-from harness.errors import HarnessError, InputError, no_file, unread
+from harness.errors import HarnessError, InputError
 from harness.models.determined import bands_of, bands_words
-from harness.models.sound import refuse_unsound
 from harness.plots import inlined
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, Use, residual
-from harness.trust import registered_only
 
 MOST_POLES, MOST_SAMPLES = 40, 3000
 """Poles in the table of a page, and samples in its picture over time."""
@@ -35,7 +30,7 @@ LEGEND = (
     "determine."
 )
 
-__all__ = ["Compared", "Comparison", "compare", "free_run_errors", "read_model"]
+__all__ = ["Compared", "Comparison", "compare", "free_run_errors"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,55 +167,6 @@ class Comparison:
             f"<title>{names}</title><style>{STYLE}</style><h1>{names} on {escape(self.dataset.name)}</h1>"
             f"<div>{self._table()}</div>{self._poles()}<p>{LEGEND}</p>{''.join(figures)}</html>"
         )
-
-
-def read_model(path: str | Path) -> Model:
-    """Return a model that ``sysid identify -o`` or ``close-loop`` stored.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or is no model, or names code that is not trusted (:func:`harness.trust.trusting`).
-    """
-    path = Path(path)
-    whole = path.is_dir()
-    path = path / "model.json" if whole else path
-    wanted = "model.json of sysid identify -o, or a folder of sysid close-loop"
-    if not whole and not path.exists():
-        raise InputError("no such file", expected=wanted, got=no_file(path), remedy="check the path", file=path)
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-        kind = content["kind"]
-    except (OSError, ValueError, KeyError, TypeError, ArithmeticError) as error:
-        raise InputError(
-            "not a model",
-            expected=wanted,
-            got=unread(path, error),
-            remedy="give the file that sysid identify -o wrote",
-            file=path,
-        ) from error
-    registered_only(content, file=path)
-    known = [entry.id for entry in registry.entries("model_readers")]
-    if kind not in known:
-        raise InputError(
-            "a model that cannot be compared",
-            expected=f"one of {', '.join(known)}",
-            got=repr(kind),
-            remedy="fit another",
-            file=path,
-        )
-    try:
-        model: Model = registry.load("model_readers", kind).from_dict(content)
-        refuse_unsound(model)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
-        raise InputError(
-            "not a model",
-            expected=f"the whole description of a {kind} model",
-            got=f"{type(error).__name__}: {' '.join(str(error).split())[:200]}",
-            remedy="give the file as sysid identify -o wrote it",
-            file=path,
-        ) from error
-    return model
 
 
 def compare(models: Mapping[str, Model], dataset: Dataset) -> Comparison:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from harness.comparison.local_polynomial import local_polynomial
 from harness.errors import InputError
+from harness.frequency.segments import segment_spectra
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
 __all__ = ["Spectrum", "spectrum"]
@@ -165,8 +166,7 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
             etfe_frequency,
             "local polynomials",
         )
-    window = np.hanning(n + 1)[:-1]
-    suu, syu, syy, count = _averaged(records, n, window)
+    suu, syu, syy, count, _ = segment_spectra(records, n)
     averages = OVERLAP * count if count > 1 else float(count)
     if averages < max(LEAST, spec.nu + 1):
         raise InputError(
@@ -175,6 +175,7 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
             got=f"{averages:.1f} from {total} samples",
             remedy="record longer, or give a shorter segment (--segment)",
         )
+    suu, syu, syy = suu / count, syu / count, syy / count
     power = np.real(np.trace(suu, axis1=1, axis2=2))[:, None, None] / spec.nu
     inverse = np.linalg.inv(suu + 1e-12 * power * np.eye(spec.nu))
     response: ComplexArray = syu @ inverse
@@ -185,30 +186,6 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
     deviation: FloatArray = np.sqrt(noise[:, :, None] * own[:, None, :] / 2.0)
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(n, spec.sample_time), dtype=np.float64)
     return Spectrum(spec, frequency, response, deviation, coherence, averages, etfe, etfe_frequency)
-
-
-def _averaged(
-    records: Sequence[Trajectory], n: int, window: FloatArray
-) -> tuple[ComplexArray, ComplexArray, FloatArray, int]:
-    """Return the averages of U U*, Y U* and |Y|^2 over all segments, and their number."""
-    spec, bins = records[0].spec, n // 2 + 1
-    suu: ComplexArray = np.zeros((bins, spec.nu, spec.nu), dtype=np.complex128)
-    syu: ComplexArray = np.zeros((bins, spec.ny, spec.nu), dtype=np.complex128)
-    syy = np.zeros((bins, spec.ny))
-    count = 0
-    for record in records:
-        u0, y0 = record.u - record.u.mean(axis=0), record.y - record.y.mean(axis=0)
-        for start in range(0, len(record) - n + 1, max(n // 2, 1)):
-            u = np.fft.rfft(window[:, None] * u0[start : start + n], axis=0)
-            y = np.fft.rfft(window[:, None] * y0[start : start + n], axis=0)
-            suu += u[:, :, None] * np.conj(u[:, None, :])
-            syu += y[:, :, None] * np.conj(u[:, None, :])
-            syy += np.abs(y) ** 2
-            count += 1
-    scale = max(count, 1)
-    suu /= scale
-    syu /= scale
-    return suu, syu, syy / scale, count
 
 
 def _etfe(record: Trajectory) -> tuple[ComplexArray, FloatArray]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import importlib.util
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +17,7 @@ from harness.conformance.plants import check_plant
 from harness.conformance.results import CheckResult
 from harness.conformance.scenarios import check_scenario
 from harness.conformance.workloads import KINDS, PLANT
-from harness.errors import HarnessError, InputError, no_file, refuse_no_file
+from harness.errors import HarnessError, InputError, refuse_no_file
 from harness.protocols import Identifier, OnlineIdentifier, Plant, Scenario
 from harness.trust import names_fmu
 
@@ -174,44 +172,17 @@ def _kind_of(factory: Callable[[], Any], name: str) -> str:
 def _from_file(name: str) -> Callable[[], Any]:
     """Return a factory of the part that ``FILE.py:NAME`` names."""
     path_text, _, attribute = name.rpartition(":") if ".py:" in name else (name, "", "")
-    path = Path(path_text)
-    if not path.is_file():
-        raise InputError("no such file", expected="FILE.py:NAME", got=no_file(path), remedy="check the path", file=path)
-    if not attribute:
+    if not attribute and Path(path_text).is_file():
         raise InputError(
             "no such part",
             expected="FILE.py:NAME",
             got=f"{name} without a name in it",
             remedy="write the name after a colon",
-            file=path,
+            file=path_text,
         )
-    module_name = f"sysid_harness_checked_{path.stem}"
-    spec = importlib.util.spec_from_file_location(module_name, path)
-    if spec is None or spec.loader is None:
-        raise InputError("not Python", expected="a .py file", got=path.name, remedy="rename it", file=path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # so that its classes pickle
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise InputError(
-            "the file does not run",
-            expected="Python that can be imported",
-            got=f"{type(error).__name__}: {error}",
-            remedy="run it with python and repair it",
-            file=path,
-        ) from error
-    if not hasattr(module, attribute):
-        public = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
-        near = difflib.get_close_matches(attribute, public, n=2)
-        raise InputError(
-            f"the file has no {attribute!r}",
-            expected=f"one of {', '.join(public[:12]) or '(nothing public)'}",
-            got=repr(attribute),
-            remedy=f"did you mean {' or '.join(near)}?" if near else "correct the name",
-            file=path,
-        )
-    return _factory(getattr(module, attribute), name)
+    from harness.physics.models.catalogue import from_file
+
+    return _factory(from_file(Path(path_text), attribute)[0], name)
 
 
 def _factory(found: Any, name: str) -> Callable[[], Any]:

@@ -70,10 +70,12 @@ def plant_checks() -> list[Check]:
 
 
 @contextmanager
-def _made(factory: Factory) -> Iterator[Any]:
-    """Return a fresh plant and close it."""
+def _made(factory: Factory, ability: str = "") -> Iterator[Any]:
+    """Return a fresh plant and close it; what asks for an ability says nothing of a plant without it."""
     plant = factory()
     try:
+        if ability and ability not in plant.abilities:
+            raise NotApplicable(f"the ability {ability!r} is not declared")
         yield plant
     finally:
         close = getattr(plant, "close", None)
@@ -290,9 +292,7 @@ def _elsewhere(channel: Channel, now: float) -> float:
 
 
 def _snapshot(factory: Factory) -> None:
-    with _made(factory) as plant:
-        if "snapshots" not in plant.abilities:
-            raise NotApplicable("snapshots are not declared")
+    with _made(factory, "snapshots") as plant:
         tolerance = float(getattr(plant, "snapshot_tolerance", 0.0))
         inputs = inputs_for(plant.spec)
         reference = _run(plant, inputs)
@@ -320,9 +320,7 @@ def _snapshot(factory: Factory) -> None:
 
 
 def _batch(factory: Factory) -> None:
-    with _made(factory) as plant:
-        if "batch" not in plant.abilities:
-            raise NotApplicable("batches are not declared")
+    with _made(factory, "batch") as plant:
         inputs = inputs_for(plant.spec)
         reference = _run(plant, inputs)
         plant.reset(rng=seeded())
@@ -336,9 +334,7 @@ def _batch(factory: Factory) -> None:
 
 
 def _batch_truth(factory: Factory) -> None:
-    with _made(factory) as plant:
-        if "batch-truth" not in plant.abilities:
-            raise NotApplicable("batches with the truth are not declared")
+    with _made(factory, "batch-truth") as plant:
         inputs = inputs_for(plant.spec)[:-1]
         plant.reset(rng=seeded())
         pairs = [(np.array(plant.step(u)), np.array(plant.truth())) for u in inputs]
@@ -352,9 +348,7 @@ def _batch_truth(factory: Factory) -> None:
 
 
 def _feedthrough(factory: Factory) -> None:
-    with _made(factory) as plant:
-        if "feedthrough" not in plant.abilities:
-            raise NotApplicable("feedthrough is not declared")
+    with _made(factory, "feedthrough") as plant:
         inputs = inputs_for(plant.spec)
         reference = _run(plant, inputs)
         plant.reset(rng=seeded())
@@ -367,9 +361,7 @@ def _feedthrough(factory: Factory) -> None:
 
 
 def _truth(factory: Factory) -> None:
-    with _made(factory) as plant:
-        if "truth" not in plant.abilities:
-            raise NotApplicable("the truth is not declared")
+    with _made(factory, "truth") as plant:
         inputs = inputs_for(plant.spec)
         reference = _run(plant, inputs)
         plant.reset(rng=seeded())

@@ -11,8 +11,9 @@ from harness.extras import on_demand
 
 if TYPE_CHECKING:
     from harness.data.recipe.description import parse_description, read_description
-    from harness.data.recipe.load import DATA_FOLDER, load_dataset
+    from harness.data.recipe.load import load_dataset
     from harness.data.recipe.loaded import LoadedDataset, Nominal
+    from harness.data.recipe.reading import DATA_FOLDER
     from harness.data.recipe.si import si_unit
     from harness.data.sections import NominalParameter, SourceSection
     from harness.data.tables.columns import columns_of
@@ -40,7 +41,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "DATA_FOLDER": "recipe.load",
+    "DATA_FOLDER": "recipe.reading",
     "LoadedDataset": "recipe.loaded",
     "Nominal": "recipe.loaded",
     "NominalParameter": "sections",

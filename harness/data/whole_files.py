@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["refused_by_system", "whole_file"]
+__all__ = ["refused_by_system", "whole_file", "write_json", "write_text"]
 
 REMEDIES = {
     errno.ENOSPC: "make room on that disk, or write elsewhere",
@@ -73,3 +75,14 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             scratch.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text whole or not at all; see :func:`whole_file`."""
+    with whole_file(path) as scratch:
+        scratch.write_text(text, encoding="utf-8")
+
+
+def write_json(path: str | Path, content: Any) -> None:
+    """Write JSON whole or not at all, which holds no NaN; see :func:`whole_file`."""
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")

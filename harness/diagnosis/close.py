@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Report", "close_loop", "close_loop_file"]
 
-JSON, HTML, MODEL, NOMINAL = "report.json", "report.html", "model.json", "nominal.fmu"
+JSON, HTML, MODEL, NOMINAL, EQUATIONS = "report.json", "report.html", "model.json", "nominal.fmu", "nominal.eqs"
 
 
 class Definition(Protocol):
@@ -221,7 +221,7 @@ def close_loop(
             if box:
                 repaired = _repaired_fmu(diagnosis, folder)
             else:
-                repaired = _repaired(diagnosis, name or system.name, options or {})
+                repaired = _repaired(diagnosis, _kept(name or system.name, folder), options or {})
             write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
             write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
         if progress is not None:
@@ -300,6 +300,17 @@ def _options(loaded: LoadedDataset) -> dict[str, Any]:
     spec = loaded.dataset.spec
     ports = [[channel.name for channel in side] for side in (spec.inputs, spec.outputs)]
     return model_options(loaded.nominal.model, loaded.nominal.options, *ports)
+
+
+def _kept(name: str, folder: Path) -> str:
+    """Return the name of a model; equations of a file are copied beside the report, which can then go anywhere."""
+    from harness.diagnosis.store import write_atomic
+
+    if Path(name).suffix != ".eqs":
+        return name
+    if Path(name).resolve() != (folder / EQUATIONS).resolve():
+        write_atomic(folder / EQUATIONS, Path(name).read_text(encoding="utf-8-sig"))
+    return EQUATIONS
 
 
 def _repaired(diagnosis: Diagnosis, name: str, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,15 +12,13 @@ from harness.errors import InputError
 from harness.export.c_model import description, model_source
 from harness.export.linear import Linear, linear_description, linear_source
 from harness.export.packed import packed
-from harness.models.sound import refuse_unsound
+from harness.parts.stored import MODEL, read_model
 from harness.trust import names_fmu, registered_only
 
 if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Simulator
 
 __all__ = ["export", "write_fmu", "write_linear_fmu"]
-
-MODEL = "model.json"
 
 
 def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"] = "both") -> list[Path]:
@@ -144,7 +142,8 @@ def write_fmu(
             remedy="fit the model with intersample 'zoh': FMI co-simulation holds its inputs over a step",
         )
     if simulator.intersample == "foh":
-        simulator = simulator.system.simulator(simulator.dt, substeps=simulator.substeps)
+        system: Any = simulator.system
+        simulator = system.simulator(simulator.dt, substeps=simulator.substeps)
     return packed(model_source(simulator, x0 or ()), description(simulator, parameters, x0), Path(target), version)
 
 
@@ -157,15 +156,10 @@ def write_linear_fmu(
     ----------
     model : LinearModel
         Its matrices are constants of the FMU.
-    target : path
-    version : {2, 3}
     x0 : mapping, optional
         Start values of the states ``x1``, ``x2``, ...; in the FMU they are called ``state.x1``, ...
-
-    Returns
-    -------
-    Path
-        The file.
+    target, version
+        As of :func:`write_fmu`.
 
     Raises
     ------
@@ -201,39 +195,7 @@ def _load(source: str | Path) -> Callable[..., Path]:
 
 def _stored(path: Path) -> Callable[..., Path]:
     """Return what writes the model of a file."""
-    from harness import registry
-
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-        kind = content["kind"]
-    except (ValueError, KeyError, TypeError, UnicodeDecodeError, OverflowError) as error:
-        raise InputError(
-            "not a model",
-            expected="JSON with a 'kind', as sysid identify writes it",
-            got=f"{type(error).__name__}: {error}",
-            remedy="give the file that sysid identify -o or sysid close-loop wrote",
-            file=path,
-        ) from error
-    registered_only(content, file=path)
-    if kind not in ("grey-box", "linear"):
-        raise InputError(
-            "model cannot be exported to an FMU",
-            expected="kind 'grey-box' (a physical model) or 'linear'",
-            got=repr(kind),
-            remedy="fit one with --identifier output-error, lumped-momentum or arx, or close the loop",
-            file=path,
-        )
-    try:
-        model = registry.load("model_readers", kind).from_dict(content)
-        refuse_unsound(model)
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise InputError(
-            "not a model",
-            expected=f"the description of a {kind} model, as sysid identify writes it",
-            got=f"{type(error).__name__}: {error}",
-            remedy="write it anew with sysid identify -o",
-            file=path,
-        ) from error
-    if kind == "linear":
-        return functools.partial(write_linear_fmu, model)
-    return functools.partial(write_fmu, model.simulator, dict(model.parameters))
+    model: Any = read_model(path, kinds=("grey-box", "linear"), use="exported to an FMU")
+    if hasattr(model, "simulator"):
+        return functools.partial(write_fmu, model.simulator, dict(model.parameters))
+    return functools.partial(write_linear_fmu, model)

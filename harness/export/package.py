@@ -26,7 +26,7 @@ from harness.parts.files import describe_fmu
 if TYPE_CHECKING:
     from harness.blackbox.system import FmuSystem
 
-__all__ = ["effects_description", "effects_source", "write_package"]
+__all__ = ["write_package"]
 
 NOMINAL, EFFECTS = "nominal", "effects"
 

@@ -18,7 +18,7 @@ from harness.fleet.changes import changes, odd_machines
 from harness.fleet.row import Found, Row
 from harness.fleet.trends import Series, new_effects, series_of, trends
 
-__all__ = ["fleet_page", "size_limits", "size_plot", "written"]
+__all__ = ["fleet_page", "size_limits", "written"]
 
 TEMPLATE = Path(__file__).with_name("fleet.html.j2")
 PANELS = 40

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import write_text
 from harness.errors import InputError
 from harness.fleet.changes import Change, Odd, changes, odd_machines
 from harness.fleet.page import fleet_page, written
@@ -230,8 +230,7 @@ def _shown(store: FleetStore, rows: Sequence[Row]) -> FleetResult:
         rows, planned=len(content["jobs"]), model=content["settings"]["model"] or "models of the records",
         reports=store.reports.name,
     )  # fmt: skip
-    with whole_file(store.page) as scratch:
-        scratch.write_text(page, encoding="utf-8")
+    write_text(store.page, page)
     return FleetResult(store.folder, tuple(rows), len(content["jobs"]))
 
 

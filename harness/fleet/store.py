@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from harness import __version__
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import whole_file, write_text
 from harness.errors import InputError
 from harness.fleet.row import Row, encoded, read
 from harness.jobs.manifest import read_manifest
@@ -97,7 +97,7 @@ class FleetStore:
                 )
         self.shards.mkdir(parents=True, exist_ok=True)
         content = {"format": FORMAT, "version": __version__, "settings": settings, "jobs": list(jobs)}
-        _replace(manifest, json.dumps(content, indent=1) + "\n")
+        write_text(manifest, json.dumps(content, indent=1) + "\n")
         wanted = set(jobs)
         return {job: row for job, row in self.rows().items() if job in wanted}
 
@@ -134,7 +134,7 @@ class FleetStore:
         from pyarrow import parquet
 
         rows = self.in_order()
-        _replace(self.folder / ROWS, "".join(encoded(row).decode() + "\n" for row in rows))
+        write_text(self.folder / ROWS, "".join(encoded(row).decode() + "\n" for row in rows))
         for name, table in tables(rows).items():
             with whole_file(self.folder / f"{name}.parquet") as scratch:
                 parquet.write_table(table, scratch, compression="zstd")
@@ -208,9 +208,3 @@ def tables(rows: Sequence[Row]) -> dict[str, Any]:
         name: pa.Table.from_pylist(content[name], schema=pa.schema(fields, metadata={"format": FORMAT}))
         for name, fields in schemas.items()
     }
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    with whole_file(path) as scratch:
-        scratch.write_text(text, encoding="utf-8")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import atexit
 import functools
+import hashlib
 import os
+import platform
 import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["build_once", "cache_folder"]
+__all__ = ["build_once", "cache_folder", "library_of"]
 
 
 def cache_folder() -> Path:
@@ -70,6 +72,25 @@ def build_once(key: str, name: str, make: Callable[[Path], None]) -> Path:
     finally:
         scratch.unlink(missing_ok=True)
     return final
+
+
+def library_of(source: Path, *options: str, program: tuple[str, ...] | None = None) -> Path:
+    """Return the shared library of one C source, compiled at the first call and whenever source or compiler change.
+
+    Parameters
+    ----------
+    source : Path
+    *options, program
+        As of :func:`harness.fmi.build.compile_library`, which raises what keeps it from being built.
+    """
+    from harness.fmi import build
+
+    key = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS, options, program)).encode()
+    return build_once(
+        hashlib.sha256(key).hexdigest()[:24],
+        f"{source.stem}{build.library_suffix()}",
+        lambda target: build.compile_library([source], target, *options, program=program),
+    )
 
 
 @functools.cache

@@ -10,13 +10,21 @@ import numpy as np
 
 from harness.display import page, table
 from harness.errors import InputError
+from harness.signals import Dataset
 
-__all__ = ["Analysis", "Findings", "Takes"]
+__all__ = ["Analysis", "Findings", "Takes", "as_dataset"]
 
 Takes = Literal["process", "maker", "definition", "data", "records"]
 """What an analysis looks at: a process (a plant, or a fitted model in its file), a maker of plants
 ``make(**options)``, the equations of a model (:class:`harness.physics.System`), or a data set; ``"records"``: a data
 set, a fitted model in its file or a physical model by its name, whose records are planned."""
+
+
+def as_dataset(subject: Any, what: str) -> Dataset:
+    """Return the data set that an analysis was given; refuse anything else."""
+    if not isinstance(subject, Dataset):
+        raise InputError(what, expected="a data set", got=type(subject).__name__, remedy="give records")
+    return subject
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,12 +14,13 @@ from harness.protocols import Plant
 from harness.trust import names_fmu, trusted, trusting
 
 __all__ = [
-    "PLANT_FILES",
     "describe_fmu",
+    "describe_system",
     "fingerprint",
     "is_plant_file",
     "is_system",
     "make_coupled",
+    "make_hiding",
     "make_part",
     "make_plant",
     "stream_key",
@@ -122,6 +123,42 @@ def describe_fmu(path: str | Path) -> dict[str, Any]:
     """
     content: dict[str, Any] = registry.load("plants", "fmu").describe(path)
     return content
+
+
+def describe_system(path: str | Path) -> dict[str, Any]:
+    """Return what is in a system of FMUs: components, connections, values, experiment (``sysid list FILE.ssp``).
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or needs what is not understood.
+    """
+    from harness.cosim.structure import describe_structure
+
+    return describe_structure(path, describe_fmu)
+
+
+def make_hiding(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, str, Mapping[str, float]]]) -> Plant:
+    """Return a plant by id or file, with effects hidden inside where it takes them, else around it."""
+    wrong = [one for one in hide if isinstance(one, str) or len(one) != 3]
+    if wrong:
+        raise InputError(
+            "what is hidden",
+            expected='effects as (name, port, {parameter: value}), such as ("coulomb_friction", "theta", {"Fc": 0.05})',
+            got=repr(wrong[0]),
+            remedy="name the three (on the command line it is one text: --hide)",
+            place="hide",
+        )
+    effects = [(name, port, dict(parameters)) for name, port, parameters in hide]
+    if effects and not is_plant_file(plant) and registry.takes_option("plants", plant, "effects"):
+        return cast(Plant, registry.create("plants", plant, effects=effects, **options))
+    made = make_plant(plant, options)
+    if effects:
+        from harness.effects import WrappedPlant
+
+        found = [(registry.load("effects", name), port, parameters) for name, port, parameters in effects]
+        return cast(Plant, WrappedPlant(made, found))
+    return made
 
 
 def _holds_fmus(path: str) -> bool:

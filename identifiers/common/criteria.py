@@ -10,7 +10,13 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["absolute_deviations", "instrumental_variables", "instruments_of", "total_least_squares"]
+__all__ = [
+    "absolute_deviations",
+    "instrumental_variables",
+    "instruments_of",
+    "largest_components",
+    "total_least_squares",
+]
 
 
 def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: str, lags: int = 3) -> FloatArray:
@@ -81,11 +87,8 @@ def total_least_squares(records: Sequence[Trajectory], offset: bool, what: str) 
 
     Parameters
     ----------
-    records : sequence of Trajectory
-    offset : bool
-        Fit a constant too.
-    what : str
-        For messages.
+    records, offset, what
+        As of :func:`instrumental_variables`.
     """
     before = np.concatenate([record.y[:-1] for record in records])
     after = np.concatenate([record.y[1:] for record in records])
@@ -150,29 +153,66 @@ def absolute_deviations(x: FloatArray, y: FloatArray, what: str, *, largest: boo
     [1.0, 25.5]
     """
     from scipy import sparse
-    from scipy.optimize import linprog
 
-    n, p = x.shape
     size = _lengths(x)
     scaled = sparse.csr_matrix(x / size)
-    theta = np.empty((p, y.shape[1]))
-    slack = sparse.csr_matrix(np.ones((n, 1))) if largest else sparse.identity(n, format="csr")
-    cost = np.concatenate([np.zeros(p), np.ones(slack.shape[1])])
-    above: Any = sparse.vstack([sparse.hstack([scaled, -slack]), sparse.hstack([-scaled, -slack])]).tocsr()
-    bounds: list[tuple[float | None, float | None]] = [(None, None)] * p + [(0.0, None)] * slack.shape[1]
-    for column in range(y.shape[1]):
-        unit = float(np.abs(y[:, column]).max()) or 1.0
-        target = y[:, column] / unit
-        found = linprog(cost, A_ub=above, b_ub=np.concatenate([target, -target]), bounds=bounds, method="highs")
-        if found.status != 0 or found.x is None:
-            raise FitError(
-                f"{what}: the linear program has no solution",
-                expected="a bounded optimum",
-                got=str(found.message),
-                remedy="use least squares",
-            )
-        theta[:, column] = found.x[:p] * unit / size
+    slack = sparse.csr_matrix(np.ones((len(x), 1))) if largest else sparse.identity(len(x), format="csr")
+    unit = np.abs(y).max(axis=0)
+    unit = np.where(unit > 0, unit, 1.0)
+    found = [_least_slack(scaled, slack, column, what) for column in (y / unit).T]
+    return np.column_stack(found) * unit / size[:, None]
+
+
+def largest_components(x: FloatArray, y: FloatArray, what: str) -> FloatArray:
+    """Return theta (p, m) that minimises ``sum_n max_i |y[n, i] - (x[n] theta)_i|``, by a linear program.
+
+    The l-infinity criterion of the exercise on objectives in Tedrake, *Underactuated Robotics*, ch. 18: the largest
+    component of each sample's error, summed over samples.
+
+    Parameters
+    ----------
+    x, y, what
+        As of :func:`absolute_deviations`.
+
+    Examples
+    --------
+    >>> x, y = np.ones((3, 1)), np.array([[0.0, 0.0], [0.0, 4.0], [0.0, 4.0]])
+    >>> largest_components(x, y, "x").round(6).tolist()
+    [[0.0, 4.0]]
+    """
+    from scipy import sparse
+
+    (n, p), m = x.shape, y.shape[1]
+    size = _lengths(x)
+    unit = float(np.abs(y).max()) or 1.0
+    columns = sparse.kron(sparse.csr_matrix(x / size), sparse.identity(m), format="csr")  # rows: sample, component
+    slack = sparse.kron(sparse.identity(n), np.ones((m, 1)), format="csr")
+    theta: FloatArray = _least_slack(columns, slack, (y / unit).ravel(), what).reshape(p, m) * unit / size[:, None]
     return theta
+
+
+def _least_slack(columns: Any, slack: Any, target: FloatArray, what: str) -> FloatArray:
+    """Return theta with the least sum of s >= 0 for which ``|target - columns theta| <= slack s``."""
+    from scipy import sparse
+    from scipy.optimize import linprog
+
+    p, n = columns.shape[1], slack.shape[1]
+    above: Any = sparse.vstack([sparse.hstack([columns, -slack]), sparse.hstack([-columns, -slack])]).tocsr()
+    found = linprog(
+        np.concatenate([np.zeros(p), np.ones(n)]),
+        A_ub=above,
+        b_ub=np.concatenate([target, -target]),
+        bounds=[(None, None)] * p + [(0.0, None)] * n,
+        method="highs",
+    )
+    if found.status != 0 or found.x is None:
+        raise FitError(
+            f"{what}: the linear program has no solution",
+            expected="a bounded optimum",
+            got=str(found.message),
+            remedy="use least squares",
+        )
+    return np.asarray(found.x[:p], dtype=np.float64)
 
 
 def _lengths(columns: FloatArray) -> FloatArray:

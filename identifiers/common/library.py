@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Library", "equation_text"]
+__all__ = ["InLibrary", "Library", "equation_text"]
 
 
 @dataclass(frozen=True)
@@ -177,6 +177,25 @@ class Library:
             bool(content["constant"]),
             bool(content["products"]),
         )
+
+
+class InLibrary:
+    """A dataclass whose equations are sums of the functions of a library; compiled once, and not pickled."""
+
+    library: Library
+    coefficients: FloatArray
+
+    @functools.cached_property
+    def _equations(self) -> Callable[..., tuple[Any, ...]]:
+        """The equations as a function of floats or arrays, made of numbers and our own names only."""
+        names: dict[str, Any] = {}
+        exec(compile(self.library.source(self.coefficients), "<library of functions>", "exec"), names)
+        found: Callable[..., tuple[Any, ...]] = names["value"]
+        return found
+
+    def __getstate__(self) -> dict[str, Any]:
+        fields: Any = self
+        return {name: value for name, value in self.__dict__.items() if name in fields.__dataclass_fields__}
 
 
 @functools.cache

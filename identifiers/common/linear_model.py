@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,6 +20,21 @@ __all__ = ["LinearModel"]
 
 # Outputs are not told apart by what a free run leaves of them below this fraction of their size.
 _QUIET = 1e-3
+
+
+def freeze(model: Any, shapes: Mapping[str, tuple[int, ...]], what: str) -> None:
+    """Make arrays of a frozen dataclass float64 and read-only, and refuse those of another shape."""
+    for name, shape in shapes.items():
+        array = np.array(getattr(model, name), dtype=float)
+        if array.shape != shape:
+            raise InputError(
+                f"{name} of {what}",
+                expected=f"shape {shape}",
+                got=str(array.shape),
+                remedy="give matrices of one state dimension",
+            )
+        array.flags.writeable = False
+        object.__setattr__(model, name, array)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +81,7 @@ class LinearModel:
             "state_offset": (nx,),
             "output_offset": (ny,),
         }
-        for name, shape in shapes.items():
-            array = np.array(getattr(self, name), dtype=float)
-            if array.shape != shape:
-                raise InputError(
-                    f"{name} of a linear model",
-                    expected=f"shape {shape}",
-                    got=str(array.shape),
-                    remedy="give matrices of one state dimension",
-                )
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+        freeze(self, shapes, "a linear model")
 
     @property
     def matrices(self) -> Matrices:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import hashlib
 import logging
-import platform
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +23,11 @@ def library(name: str) -> Any:
     True
     """
     from harness.fmi import build
-    from harness.fmi.compiled import build_once
+    from harness.fmi.compiled import library_of
 
-    source = Path(__file__).with_name(f"{name}.c")
     try:
         program = build.compiler() or build.small_compiler()
-        key = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS, program)).encode()
-        path = build_once(
-            hashlib.sha256(key).hexdigest()[:24],
-            f"{name}{build.library_suffix()}",
-            lambda target: build.compile_library([source], target, "-O3", program=program),
-        )
-        return ctypes.CDLL(str(path))
+        return ctypes.CDLL(str(library_of(Path(__file__).with_name(f"{name}.c"), "-O3", program=program)))
     except (build.BuildError, OSError) as error:
         log.info("%s runs in numpy: %s", name, error)
         return None

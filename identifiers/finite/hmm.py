@@ -17,7 +17,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.records import usable
 from identifiers.finite.hmm_pass import Record, expected_counts, filtered_beliefs
-from identifiers.finite.mdp import finite_sizes
+from identifiers.finite.mdp import finite_sizes, moved_beliefs
 
 __all__ = ["HiddenMarkov", "HmmModel", "spectral_estimate"]
 
@@ -70,14 +70,7 @@ class HmmModel:
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the belief (..., S) one step later."""
-        x = np.asarray(x, dtype=float)
-        if self.transition.shape[1] == 1:
-            return np.asarray(x @ self.transition[:, 0])
-        action = np.broadcast_to(np.asarray(u)[..., 0], x.shape[:-1]).astype(np.int64)
-        new = np.empty_like(x)
-        for a in range(self.transition.shape[1]):
-            new[action == a] = x[action == a] @ self.transition[:, a]
-        return new
+        return moved_beliefs(x, u, self.transition)
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
         """Return the belief (..., S) after an observation (Bayes); as it was if the observation was impossible."""

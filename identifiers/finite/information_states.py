@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
-from harness.models.analysis import Findings, Takes
-from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory
+from harness.models.analysis import Findings, Takes, as_dataset
+from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.finite.bisimulation import bisimulation_metric, information_gap, quotient
 from identifiers.finite.decision import optimal_values
 
@@ -161,10 +161,6 @@ class InformationStates:
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return the ladder of states with bound and realised loss."""
-        if not isinstance(subject, Dataset):
-            raise InputError(
-                "information-states", expected="a data set", got=type(subject).__name__, remedy="give records"
-            )
         if self.memory < 1 or not 0 <= self.discount < 1 or self.least < 1:
             raise InputError(
                 "options of information-states",
@@ -172,7 +168,7 @@ class InformationStates:
                 got=f"{self.memory}, {self.discount}, {self.least}",
                 remedy="correct them",
             )
-        records = [record.measured() for record in subject.estimation]
+        records = [record.measured() for record in as_dataset(subject, "information-states").estimation]
         windows = windows_of(records, self.memory, least=self.least)
         process, reward = windows.transition, windows.reward
         if len(reward) > _MOST:

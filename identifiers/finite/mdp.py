@@ -17,7 +17,15 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.records import usable
 
-__all__ = ["MdpCounting", "MdpModel", "OnlineCounting", "count_transitions", "finite_sizes", "weissman_bound"]
+__all__ = [
+    "MdpCounting",
+    "MdpModel",
+    "OnlineCounting",
+    "count_transitions",
+    "finite_sizes",
+    "moved_beliefs",
+    "weissman_bound",
+]
 
 
 def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:
@@ -132,16 +140,7 @@ class MdpModel:
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the distribution (..., S) one step later."""
-        x = np.asarray(x, dtype=float)
-        if not self.spec.nu:
-            return np.asarray(x @ self.transition[:, 0])
-        action = np.broadcast_to(np.asarray(u)[..., 0], x.shape[:-1]).astype(np.int64)
-        new = np.empty_like(x)
-        # One product for each action: a matrix for each row would not fit into memory.
-        for a in range(self.transition.shape[1]):
-            chosen = action == a
-            new[chosen] = x[chosen] @ self.transition[:, a]
-        return new
+        return moved_beliefs(x, u, self.transition)
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
         """Return the distribution (..., S) that is certain of the output just seen."""
@@ -264,6 +263,22 @@ def _transitions(record: Trajectory) -> tuple[npt.NDArray[np.int64], npt.NDArray
     s = record.y[:, 0].astype(np.int64)
     a = record.u[:, 0].astype(np.int64) if record.spec.nu else np.zeros(len(record), dtype=np.int64)
     return s[:-1], a[:-1], s[1:]
+
+
+def moved_beliefs(x: FloatArray, u: FloatArray, transition: FloatArray) -> FloatArray:
+    """Return distributions (..., S) of the state one step later, under actions (..., 1); ``transition`` is (S, A, S).
+
+    One product for each action: a matrix for each row would not fit into memory.
+    """
+    x = np.asarray(x, dtype=float)
+    if transition.shape[1] == 1:
+        return np.asarray(x @ transition[:, 0])
+    action = np.broadcast_to(np.asarray(u)[..., 0], x.shape[:-1]).astype(np.int64)
+    new = np.empty_like(x)
+    for a in range(transition.shape[1]):
+        chosen = action == a
+        new[chosen] = x[chosen] @ transition[:, a]
+    return new
 
 
 def finite_sizes(spec: PlantSpec, what: str) -> tuple[int, int]:

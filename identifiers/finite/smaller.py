@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from harness.errors import InputError
-from harness.models.analysis import Findings, Takes
-from harness.signals import Dataset, FloatArray
+from harness.models.analysis import Findings, Takes, as_dataset
+from harness.signals import FloatArray
 from identifiers.finite.beliefs import compress_beliefs
 from identifiers.finite.bisimulation import bisimulation, bisimulation_metric, information_gap, quotient
 from identifiers.finite.hmm import HiddenMarkov
@@ -129,11 +129,7 @@ class BeliefLadder:
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return the divergence of the mixtures by the number of typical beliefs."""
-        if not isinstance(subject, Dataset):
-            raise InputError(
-                "belief compression", expected="a data set", got=type(subject).__name__, remedy="give records"
-            )
-        records = [record.measured() for record in subject.estimation]
+        records = [record.measured() for record in as_dataset(subject, "belief compression").estimation]
         model = HiddenMarkov(states=self.states).fit(records, rng=rng)
         seen = np.concatenate([model.beliefs(record) for record in records])[: self.most]
         rows, bases = [], []

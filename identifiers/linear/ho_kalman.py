@@ -39,7 +39,7 @@ from identifiers.linear.hankel import Hankel, leading_triplets
 from identifiers.linear.markov import markov_parameters, sums_without
 from identifiers.linear.state_space_estimate import state_space_estimate
 
-__all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
+__all__ = ["HoKalman", "markov_parameters", "realize"]
 
 
 # Singular values that fall by so much from one to the next end there.

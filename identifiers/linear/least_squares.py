@@ -32,7 +32,6 @@ from identifiers.linear.arx import (
     solution_notes,
     with_lag_neighbours,
 )
-from identifiers.linear.norms import largest_components
 
 __all__ = ["Arx", "LinearModel", "StateLeastSquares"]
 
@@ -176,7 +175,7 @@ class StateLeastSquares:
         if self.method == "l1":
             return criteria.absolute_deviations(x, y, what)
         size = sizes([y]) if self.scaled else np.ones(y.shape[1])
-        return largest_components(x, y / size, what) * size
+        return criteria.largest_components(x, y / size, what) * size
 
 
 def _biased(dependent: Dependence, method: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -18,22 +18,27 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.loops.judge import loop_told
-from identifiers.common.neighbours import spread_of, stacked, triangles_without
-from identifiers.common.observers import innovation_form, stationary_gain
+from identifiers.common.neighbours import spread_of
 from identifiers.common.records import missing_notes, moving, real_signals, usable
-from identifiers.common.ridge import ridge_by_cross_validation
 from identifiers.common.scaling import Scaling, scaled
 from identifiers.common.stability import clip_eigenvalues
 from identifiers.linear.directions import Directions, lively_directions
+from identifiers.linear.projections import (
+    ANY_LOOP,
+    RANK,
+    ROUNDING,
+    Method,
+    Stacked,
+    completed,
+    oblique,
+    parsim,
+    pbsid,
+    weighted,
+)
 from identifiers.linear.state_space_estimate import state_space_estimate
 
 __all__ = ["Subspace"]
 
-Method = Literal["n4sid", "moesp", "cva", "parsim", "pbsid"]
-# Methods whose regressions hold under feedback too.
-_ANY_LOOP: tuple[Method, ...] = ("parsim", "pbsid")
-
-_BLOCK = 8192
 # Without an order the candidates are those up to here; a larger one is taken only for this gain in validated error.
 _MOST = 12
 _GAIN = 0.99
@@ -48,23 +53,15 @@ _LONGER = 0.95
 # Stretches left out of a record, at most, and windows in one of them, at least, where there are several.
 _TURNS = 4
 _STRETCH = 4
-# Errors below this fraction of the outputs are rounding: no reason for another order.
-_ROUNDING = 1e-7
-# The regression of the future on past and inputs is refused below this ratio of singular values.
-_RANK = 1e-10
 # Samples of the past in which a law of feedback is looked for, as in the test for feedback itself.
 _LAW = 4
-# Columns of the windows beyond which no fit without a stretch is made: sixty triangles of that size.
-_WIDE = 700
-# Share of the mean power that breaks ties between directions of equal canonical correlation.
-_TIE = 1e-6
 
 
 def _candidates(method: Method | Literal["auto"], feedback: bool) -> tuple[Method, ...]:
     """Return the methods that are compared."""
     if method != "auto":
         return (method,)
-    return _ANY_LOOP if feedback else ("cva", *_ANY_LOOP)
+    return ANY_LOOP if feedback else ("cva", *ANY_LOOP)
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,7 @@ class Subspace:
                 longer = self._of_past(trajectories, past)
             except FitError:  # records too short, or inputs too poor, for so much: what there is stands
                 break
-            if longer.error > _LONGER * best.error or best.error < _ROUNDING:
+            if longer.error > _LONGER * best.error or best.error < ROUNDING:
                 break
             best = longer
         return self._finished(best)
@@ -212,7 +209,7 @@ class Subspace:
         }
         if self.order is None:
             notes["order_error"] = {str(size): error for size, error in found.ladder.items()}
-        if data.feedback.found and found.method not in _ANY_LOOP:
+        if data.feedback.found and found.method not in ANY_LOOP:
             notes["warning"] = "past outputs foretell the input (feedback): use method parsim or pbsid"
         values = found.values[:20].tolist()
         notes |= {"singular_values": values, "output_directions": data.records[0].spec.ny}
@@ -234,7 +231,7 @@ class Subspace:
         records, order = found.data.records, len(found.model.a_matrix)
         near = []
         try:
-            for part in _Stacked.without_stretches(records, found.window):
+            for part in Stacked.without_stretches(records, found.window):
                 model, _ = self._of_method(records, part, found.method, [order], "n4sid")[0]
                 near.append(model.matrices)
         except FitError:  # without a stretch the rest does not determine the order: no spread is known
@@ -290,7 +287,7 @@ class Subspace:
         self, records: Sequence[Trajectory], window: int, methods: Sequence[Method], orders: Sequence[int], what: str
     ) -> dict[Method, list[tuple[LinearModel, FloatArray]]]:
         """Return the models of some orders by method, all from one triangle; methods that refuse it are left out."""
-        data = _Stacked.of(records, window, what)
+        data = Stacked.of(records, window, what)
         models: dict[Method, list[tuple[LinearModel, FloatArray]]] = {}
         refused: FitError | None = None
         for method in methods:
@@ -303,25 +300,25 @@ class Subspace:
         return models
 
     def _of_method(
-        self, records: Sequence[Trajectory], data: _Stacked, method: Method, orders: Sequence[int], what: str
+        self, records: Sequence[Trajectory], data: Stacked, method: Method, orders: Sequence[int], what: str
     ) -> list[tuple[LinearModel, FloatArray]]:
         """Return the models of some orders by one method."""
         if method == "parsim":
-            predicted = _parsim(data, self.direct, what)
+            predicted = parsim(data, self.direct)
         elif method == "pbsid":
-            predicted = _pbsid(data, self.direct, what)
+            predicted = pbsid(data, self.direct)
         else:
-            predicted = _oblique(data, what)
-        left, values, right = _weighted(data, predicted, method)
+            predicted = oblique(data)
+        left, values, right = weighted(data, predicted, method)
         found = []
         for order in orders:
-            if order > int(np.sum(values > _RANK * values[0])):
+            if order > int(np.sum(values > RANK * values[0])):
                 break
-            found.append((_completed(records, data, left, values, right, order, self.direct), values))
+            found.append((completed(records, data, left, values, right, order, self.direct), values))
         if not found:
             raise FitError(
                 f"{what}: order",
-                expected=f"1 to {int(np.sum(values > _RANK * values[0]))}, the rank of the data",
+                expected=f"1 to {int(np.sum(values > RANK * values[0]))}, the rank of the data",
                 got=str(orders[0]),
                 remedy="lower the order",
             )
@@ -401,7 +398,7 @@ def _order(errors: Mapping[int, float]) -> int:
     """Return the order of least error; a larger one only for a gain that is more than chance or rounding."""
     best = (np.inf, 1)
     for order, error in errors.items():
-        if error < _GAIN * best[0] and best[0] > _ROUNDING:
+        if error < _GAIN * best[0] and best[0] > ROUNDING:
             best = (error, order)
     return best[1]
 
@@ -419,188 +416,6 @@ def _best(errors: Mapping[Method, float]) -> Method:
     names = list(errors)
     best = names[0]
     for name in names[1:]:
-        if errors[name] < _GAIN * errors[best] and errors[best] > _ROUNDING:
+        if errors[name] < _GAIN * errors[best] and errors[best] > ROUNDING:
             best = name
     return best
-
-
-@dataclass(frozen=True, eq=False)
-class _Stacked:
-    """Triangle of rows ``[u, y of the samples k - p .. k + f - 1]``, centred, and the means of its columns.
-
-    Sample s of the window (0 .. p + f - 1) has its inputs and outputs in columns ``u(s)`` and ``y(s)``.
-    """
-
-    triangle: FloatArray
-    window: int
-    nu: int
-    ny: int
-    means: FloatArray
-    rows: int
-
-    @classmethod
-    def of(cls, records: Sequence[Trajectory], window: int, what: str) -> _Stacked:
-        """Return the triangle of records."""
-        nu, ny = records[0].spec.nu, records[0].spec.ny
-        width = 2 * window * (nu + ny)
-        rows = sum(max(0, len(record) - 2 * window + 1) for record in records)
-        if rows < width:
-            raise FitError(
-                f"{what}: fewer windows than columns",
-                expected=f"at least {width} windows of {2 * window} samples",
-                got=str(rows),
-                remedy="record longer, or use a smaller past",
-            )
-        triangle = np.zeros((0, width + 1))
-        for block in _windows(records, window):
-            triangle = stacked(triangle, block)
-        return cls._of(triangle, window, nu, ny, rows)
-
-    @classmethod
-    def _of(cls, triangle: FloatArray, window: int, nu: int, ny: int, rows: int) -> _Stacked:
-        # the constant's column is the first: its row holds the means of the others, and the rest is centred
-        return cls(triangle[1:, 1:], window, nu, ny, triangle[0, 1:] / triangle[0, 0], rows)
-
-    @classmethod
-    def without_stretches(cls, records: Sequence[Trajectory], window: int) -> list[_Stacked]:
-        """Return the triangles of all windows but those of one stretch of the records each."""
-        nu, ny = records[0].spec.nu, records[0].spec.ny
-        width = 2 * window * (nu + ny) + 1
-        rows = sum(max(0, len(record) - 2 * window + 1) for record in records)
-        if width > _WIDE:
-            return []
-        found = triangles_without(_windows(records, window), rows, width)
-        return [cls._of(triangle, window, nu, ny, kept) for triangle, kept in found]
-
-    def u(self, first: int, last: int) -> FloatArray:
-        """Return the inputs of samples first .. last - 1."""
-        return self._columns(first, last, 0, self.nu)
-
-    def y(self, first: int, last: int) -> FloatArray:
-        """Return the outputs of samples first .. last - 1."""
-        return self._columns(first, last, self.nu, self.nu + self.ny)
-
-    def past(self, shift: int = 0) -> FloatArray:
-        """Return inputs and outputs of the p samples before sample p + shift."""
-        both = self.nu + self.ny
-        return self.triangle[:, shift * both : (self.window + shift) * both]
-
-    def _columns(self, first: int, last: int, low: int, high: int) -> FloatArray:
-        both = self.nu + self.ny
-        index = (np.arange(first, last)[:, None] * both + np.arange(low, high)).ravel()
-        return self.triangle[:, index]
-
-
-def _windows(records: Sequence[Trajectory], window: int) -> Iterator[FloatArray]:
-    """Yield blocks of ``[1, u[s], y[s], u[s+1], ...]`` over two windows, none across a seam."""
-    length = 2 * window
-    for record in records:
-        both = np.hstack([record.u, record.y])
-        count = len(record) - length + 1
-        for start in range(0, count, _BLOCK):
-            stop = min(start + _BLOCK, count)
-            view = np.lib.stride_tricks.sliding_window_view(both[start : stop + length - 1], length, axis=0)
-            rows = view.transpose(0, 2, 1).reshape(stop - start, -1)
-            yield np.hstack([np.ones((stop - start, 1)), rows])
-
-
-def _solve(columns: FloatArray, targets: FloatArray) -> FloatArray:
-    """Return least squares of least norm; columns are of similar size already."""
-    return np.asarray(np.linalg.lstsq(columns, targets, rcond=_RANK)[0], dtype=np.float64)
-
-
-def _oblique(data: _Stacked, what: str) -> FloatArray:
-    """Return the part of the future outputs that the past explains, given the future inputs (Van Overschee 1996)."""
-    past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
-    theta = _solve(np.hstack([past, inputs]), outputs)
-    return theta[: past.shape[1]]
-
-
-def _pbsid(data: _Stacked, direct: bool, what: str) -> FloatArray:
-    """Return the part of the future outputs that the past explains, by the predictor from the past alone (PBSID).
-
-    A high-order ARX model, solved with a ridge, gives the Markov parameters of the predictor; what it says of output i
-    ahead from the past is the same weights, moved by i samples (Chiuso 2007, Automatica 43, sec. 3). Nothing of the
-    future is regressed on, so a smooth input does no harm.
-    """
-    past, window, both = data.past(), data.window, data.nu + data.ny
-    columns = np.hstack([past, data.u(window, window + 1)]) if direct else past
-    weights = ridge_by_cross_validation(columns, data.y(window, window + 1), data.rows)[: past.shape[1]]
-    found = []
-    for i in range(window):
-        row = np.zeros_like(weights)
-        row[i * both :] = weights[: weights.shape[0] - i * both]
-        found.append(row)
-    return np.hstack(found)
-
-
-def _parsim(data: _Stacked, direct: bool, what: str) -> FloatArray:
-    """Return the same row by row, with only inputs and innovations of the past: PARSIM-E (Qin & Ljung 2003)."""
-    past, window = data.past(), data.window
-    found, innovations = [], np.zeros((data.triangle.shape[0], 0))
-    for i in range(window):
-        last = window + i + (1 if direct else 0)
-        inputs = data.u(window, last)
-        columns = np.hstack([past, inputs, innovations])
-        target = data.y(window + i, window + i + 1)
-        theta = _solve(columns, target)
-        innovations = np.hstack([innovations, target - columns @ theta])
-        found.append(theta[: past.shape[1]])
-    return np.hstack(found)
-
-
-def _weighted(data: _Stacked, predicted: FloatArray, method: Method) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (W^-1 U, singular values, V') of the weighted predictions: Gamma = W^-1 U S, states from V."""
-    past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
-    if method == "n4sid":
-        right = np.asarray(np.linalg.qr(past, mode="r"))
-    else:  # what of the past the future inputs do not explain
-        right = np.asarray(np.linalg.qr(past - inputs @ _solve(inputs, past), mode="r"))
-    weight = np.eye(outputs.shape[1])
-    if method in ("cva", *_ANY_LOOP):
-        residual = outputs - inputs @ _solve(inputs, outputs)
-        values, vectors = np.linalg.eigh(residual.T @ residual)
-        # Without noise all canonical correlations are 1: a little of the mean power lets the stronger directions lead.
-        values = np.maximum(values, 0.0) + _TIE * max(float(values.mean()), 1e-300)
-        weight = (vectors * values**0.25) @ vectors.T
-        back, forth = weight @ weight, np.linalg.inv(weight @ weight)
-    else:
-        back = forth = weight
-    left, values, _ = np.linalg.svd(forth @ (right @ predicted).T, full_matrices=False)
-    # rows of predicted' are outputs: the map from past to the leading directions of the weighted future
-    return back @ left, values, (left.T @ forth) @ predicted.T
-
-
-def _completed(
-    records: Sequence[Trajectory],
-    data: _Stacked,
-    left: FloatArray,
-    values: FloatArray,
-    right: FloatArray,
-    order: int,
-    direct: bool,
-) -> LinearModel:
-    """Return A, B, C, D, K from the states that the leading directions give."""
-    root = np.sqrt(values[:order])
-    to_state = right[:order] / root[:, None]  # x = to_state @ past, in balanced size
-    p, nu, ny = data.window, data.nu, data.ny
-    state, following = data.past() @ to_state.T, data.past(1) @ to_state.T
-    inputs, outputs = data.u(p, p + 1), data.y(p, p + 1)
-    seen = np.hstack([state, inputs]) if direct else state
-    theta = _solve(seen, outputs)
-    c, d = theta[:order].T, theta[order:].T if direct else np.zeros((ny, nu))
-    innovation = outputs - seen @ theta
-    if np.linalg.norm(innovation) <= _ROUNDING * np.linalg.norm(outputs):
-        innovation = np.zeros_like(innovation)  # exact data tell no filter
-    moved = _solve(np.hstack([state, inputs, innovation]), following)
-    a, b, k = moved[:order].T, moved[order : order + nu].T, moved[order + nu :].T
-    if spectral_radius(a - k @ c) >= 1.0:
-        k = np.zeros_like(k)  # predictions that grow tell nothing of the noise
-    # The state of data that are not centred is the same sum of their past; its means give the constants.
-    both, means = nu + ny, data.means
-    now, then = to_state @ means[: p * both], to_state @ means[both : (p + 1) * both]
-    u_mean, y_mean = means[p * both : p * both + nu], means[p * both + nu : (p + 1) * both]
-    state_offset = then - a @ now - b @ u_mean
-    output_offset = y_mean - c @ now - d @ u_mean
-    model = innovation_form(records[0].spec, a, b, c, d, k, state_offset, output_offset)
-    return model if np.any(k) else replace(model, filter_gain=stationary_gain(a, c))

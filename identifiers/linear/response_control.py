@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from harness.errors import FitError, InputError
-from harness.models.analysis import Findings, Takes
+from harness.models.analysis import Findings, Takes, as_dataset
 from harness.models.lqr import kalman_gain, lqr_gain, stabilisable
-from harness.signals import Dataset, FloatArray, Trajectory
+from harness.signals import FloatArray, Trajectory
 from identifiers.common.records import real_signals, usable
 from identifiers.linear.ho_kalman import HoKalman
 from identifiers.linear.markov import markov_parameters
@@ -227,10 +227,6 @@ class ResponseControl:
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return what each controller costs on the validation records' nature's y, with its certificate."""
-        if not isinstance(subject, Dataset):
-            raise InputError(
-                "response-control", expected="a data set", got=type(subject).__name__, remedy="give records"
-            )
         if self.taps < 1 or not self.effort > 0 or not 0 < self.confidence < 1:
             raise InputError(
                 "options of response-control",
@@ -238,9 +234,10 @@ class ResponseControl:
                 got=f"{self.taps}, {self.effort}, {self.confidence}",
                 remedy="correct them",
             )
-        records = [record.measured() for record in subject.estimation]
+        data = as_dataset(subject, "response-control")
+        records = [record.measured() for record in data.estimation]
         response = estimated_response(records, self.length, confidence=self.confidence)
-        held = [record.measured() for record in subject.validation] or records
+        held = [record.measured() for record in data.validation] or records
         y, u = (np.concatenate([getattr(record, name) for record in records]) for name in ("y", "u"))
         q, r = np.diag(1.0 / np.maximum(y.var(axis=0), 1e-300)), np.diag(self.effort / u.var(axis=0))
         nominal = response_controller(response, q, r, self.taps)

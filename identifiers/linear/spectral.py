@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError
+from harness.frequency.segments import segment_spectra
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.records import moving, real_signals, usable
 
@@ -97,26 +98,11 @@ def welch(trajectories: Sequence[Trajectory], *, segment: int = 256) -> Frequenc
             got=f"{segment}, {spec.nu} inputs",
             remedy="correct it",
         )
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(segment) / segment)
-    step = segment // 2
-    count = segment // 2 + 1
-    s_uu = np.zeros((count, spec.nu, spec.nu), dtype=complex)
-    s_yu = np.zeros((count, spec.ny, spec.nu), dtype=complex)
-    s_yy = np.zeros((count, spec.ny))
-    total = 0
-    for record in records:
-        starts = range(0, len(record) - segment + 1, step)
-        u = np.stack([record.u[k : k + segment] for k in starts]) - record.u.mean(axis=0)
-        y = np.stack([record.y[k : k + segment] for k in starts]) - record.y.mean(axis=0)
-        fu, fy = (np.fft.rfft(part * window[:, None], axis=1) for part in (u, y))
-        s_uu += np.einsum("sfi,sfj->fij", fu, fu.conj())
-        s_yu += np.einsum("sfi,sfj->fij", fy, fu.conj())
-        s_yy += np.sum(np.abs(fy) ** 2, axis=0)
-        total += len(starts)
-    averages = max(1.0, total / _OVERLAP)
-    frequency = np.arange(count) / (segment * spec.sample_time)
-    density = 2.0 * spec.sample_time / (float(window @ window) * total)
-    return _response(frequency, s_uu, s_yu, s_yy, averages, density, what)
+    found = segment_spectra(records, segment)
+    averages = max(1.0, found.segments / _OVERLAP)
+    frequency = np.arange(segment // 2 + 1) / (segment * spec.sample_time)
+    density = 2.0 * spec.sample_time / (found.power * found.segments)
+    return _response(frequency, found.uu, found.yu, found.yy, averages, density, what)
 
 
 def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> FrequencyResponse:

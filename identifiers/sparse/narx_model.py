@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ import numpy as np
 from harness.signals import FloatArray, PlantSpec
 from harness.specs import spec_from_dict
 from identifiers.common.lag_state import LagModel, Scaling
-from identifiers.common.library import Library, equation_text
+from identifiers.common.library import InLibrary, Library, equation_text
 
 __all__ = ["NarxModel", "argument_names"]
 
@@ -45,7 +43,7 @@ def _from(name: str, level: float) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class NarxModel(LagModel):
+class NarxModel(InLibrary, LagModel):
     """``y[k+1] = Xi f(y[k], ..., y[k-L+1], u[k], ..., u[k-L+1])`` with monomials f of scaled signals.
 
     The state and what it holds of the past are those of :class:`identifiers.common.lag_state.LagModel`. A free run
@@ -94,17 +92,6 @@ class NarxModel(LagModel):
         for channel, row, level in zip(self.spec.outputs, self.natural, self.scaling.y_mean, strict=True):
             found.append(equation_text(_from(f"{channel.name}[k+1]", level), self.names, row))
         return tuple(found)
-
-    @cached_property
-    def _equations(self) -> Callable[..., tuple[Any, ...]]:
-        """The equations as a function of floats or arrays, made of numbers and our own names only."""
-        names: dict[str, Any] = {}
-        exec(compile(self.library.source(self.coefficients), "<narx model>", "exec"), names)
-        found: Callable[..., tuple[Any, ...]] = names["value"]
-        return found
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}
 
     def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (..., ny) of the next output from regressors (..., p)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -11,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import InputError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.common.library import Library, equation_text
+from identifiers.common.library import InLibrary, Library, equation_text
+from identifiers.common.linear_model import freeze
 from identifiers.common.observers import fitted_start
 from identifiers.sparse.derivatives import measured_motion
 
@@ -26,7 +25,7 @@ _FAR = 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class SparseModel:
+class SparseModel(InLibrary):
     """``y' = Xi f(y, u)``, ``y'' = Xi f(y, y', u)`` or ``y[k+1] = Xi f(y[k], u[k])`` with few terms.
 
     Continuous equations are stepped by the classical Runge-Kutta method, the input held. A state that leaves
@@ -62,18 +61,8 @@ class SparseModel:
 
     def __post_init__(self) -> None:
         ny, nx = self.spec.ny, self.order * self.spec.ny
-        for name, shape in (
-            ("coefficients", (ny, len(self.library))),
-            ("scale", (nx,)),
-            ("filter_gain", (nx, ny)),
-        ):
-            array = np.array(getattr(self, name), dtype=float)
-            if array.shape != shape:
-                raise InputError(
-                    f"{name} of a sparse model", expected=f"shape {shape}", got=str(array.shape), remedy="correct it"
-                )
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+        shapes = {"coefficients": (ny, len(self.library)), "scale": (nx,), "filter_gain": (nx, ny)}
+        freeze(self, shapes, "a sparse model")
 
     @property
     def burn_in(self) -> int:
@@ -94,17 +83,6 @@ class SparseModel:
         """Names of the functions in each equation."""
         names = self.library.names
         return tuple(tuple(n for n, c in zip(names, row, strict=True) if c != 0.0) for row in self.coefficients)
-
-    @cached_property
-    def _equations(self) -> Callable[..., tuple[Any, ...]]:
-        """The equations as a function of floats or arrays, made of numbers and our own names only."""
-        names: dict[str, Any] = {}
-        exec(compile(self.library.source(self.coefficients), "<sparse model>", "exec"), names)
-        found: Callable[..., tuple[Any, ...]] = names["value"]
-        return found
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the first output; with rates, the state (nx,) whose free run fits the start of the record best."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from harness.data.trajectories import write_trajectory
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import write_text
 from sysid_lab.plan import Task
 from sysid_lab.records import Records
 
@@ -23,5 +23,4 @@ def write_record(folder: Path, name: str, task: Task, made: Records) -> None:
     for run in made.dataset:
         write_trajectory(run.trajectory.measured(), folder / f"{run.use}.csv")
         lines += ["", "[[runs]]", f'file = "{run.use}.csv"', f'use = "{run.use}"']
-    with whole_file(folder / "dataset.toml") as scratch:
-        scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(folder / "dataset.toml", "\n".join(lines) + "\n")

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from harness import __version__
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import whole_file, write_json
 from harness.errors import InputError, PlantError
 from harness.jobs import Desk, run_jobs, shard_file
 from harness.jobs.alone import alone_in
@@ -295,8 +295,7 @@ def _opened(
                 file=apart,
             )
     shards.mkdir(parents=True, exist_ok=True)
-    with whole_file(manifest) as scratch:
-        scratch.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+    write_json(manifest, settings)
     if force:
         return {}
     known: dict[str, dict[str, str]] = {}

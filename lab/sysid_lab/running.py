@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import write_text
 from harness.errors import InputError
 from harness.jobs import Desk, make_engine, run_jobs
 from harness.jobs.alone import alone_in
@@ -136,8 +136,7 @@ def study(
 
         def save() -> str:
             text = summary(store.rows.values(), seeds=seeds, planned=len(tasks), keys={task.key for task in tasks})
-            with whole_file(folder / SUMMARY) as scratch:
-                scratch.write_text(text, encoding="utf-8")
+            write_text(folder / SUMMARY, text)
             return text
 
         def moved(title: str, jobs: Sequence[str]) -> None:

@@ -16,7 +16,7 @@ from harness.errors import InputError
 from harness.fmi.archive import STARTS, check_entries, has_document_type, plain_name
 from plants.temporary import release, temporary_folder
 
-__all__ = ["MAX_ENTRIES", "MAX_RATIO", "MAX_TOTAL", "FmuFile", "read_fmu"]
+__all__ = ["MAX_ENTRIES", "MAX_TOTAL", "FmuFile", "read_fmu"]
 
 MAX_ENTRIES = 20_000
 MAX_TOTAL = 2 << 30  # bytes, unpacked

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import hashlib
 import logging
 import math
-import platform
 from collections.abc import Callable, Sequence
 from ctypes import c_double, c_int32, c_int64, c_uint, c_uint8, c_void_p
 from pathlib import Path
@@ -94,21 +92,12 @@ class _Loop(ctypes.Structure):
 def native_library() -> Any:
     """Return the compiled loop, or None where there is no C compiler (then the loop runs in Python, slower)."""
     from harness.fmi import build
-    from harness.fmi.compiled import build_once
+    from harness.fmi.compiled import library_of
     from plants.mockups import FOLDER
 
-    source = Path(__file__).with_name("fmu_loop.c")
     carried = FOLDER / "built" / f"fmu_loop{build.library_suffix()}"
     try:
-        if carried.is_file():
-            path = carried
-        else:
-            text = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS)).encode()
-            path = build_once(
-                hashlib.sha256(text).hexdigest()[:24],
-                carried.name,
-                lambda target: build.compile_library([source], target),
-            )
+        path = carried if carried.is_file() else library_of(Path(__file__).with_name("fmu_loop.c"))
         library = ctypes.CDLL(str(path))
     except (build.BuildError, OSError) as error:
         log.info("FMUs are stepped from Python: %s", error)

@@ -11,7 +11,7 @@ from rich.console import Console
 from harness.benchmark import BenchResult, rich_table
 from harness.benchmark.row import Row
 from harness.benchmark.summary import Quartiles, figure
-from harness.cli.terminal import print_bench
+from harness.cli.results import print_bench
 
 PLACES = [("pendulum-fmu (state)", "multisine"), ("cart-pole-pymunk", "cart-pole-lqr")]
 SCALES = {"maximum-likelihood": 1.23456e-4, "lumped-momentum": 0.0123456, "neural-output-error": 1234.56}

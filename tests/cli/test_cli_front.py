@@ -216,10 +216,10 @@ def test_linear_fits_print_coefficients_intervals_rank_and_order(
 def test_a_narrow_terminal_still_shows_every_word(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     from rich.console import Console
 
-    import harness.cli.terminal as terminal
+    from harness.cli import results
 
-    monkeypatch.setattr(terminal, "wide_console", lambda: Console(width=40, markup=False, highlight=False))
-    terminal.print_parts(api.list_parts("effects"))
+    monkeypatch.setattr(results, "wide_console", lambda: Console(width=40, markup=False, highlight=False))
+    results.print_parts(api.list_parts("effects"))
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines())) <= 40
     flat = " ".join(shown.split())

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from harness import registry
 from harness.cli.app import app
-from harness.cli.terminal import option_pairs, seed_range
+from harness.cli.words import option_pairs, seed_range
 from harness.errors import InputError
 from harness.options import meant_options
 from harness.physics.definition.parameters import Parameter, said_far

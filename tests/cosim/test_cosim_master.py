@@ -112,16 +112,22 @@ def test_feedback_through_a_static_gain_acts_within_the_instant() -> None:
     np.testing.assert_allclose(np.array(y)[:, 1], -2 * expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize("order", ["jacobi", "gauss-seidel"])
-def test_orders_differ_by_exactly_the_age_of_the_signal(order: Any) -> None:
-    # two integrators in a ring, no feedthrough: x' = v, v' = -x by ZOH
+def ring_of(order: Any, dt: float = 0.1, iterations: int = 1) -> Coupled:
+    """Return two integrators in a ring, no feedthrough: x' = v, v' = -x, from x = 1."""
     ring = Coupled(
-        {"x": integrator(x0=[1.0]), "v": integrator()},
+        {"x": integrator(x0=[1.0], dt=dt), "v": integrator(dt=dt)},
         [Connection("v.y0", "x.u0"), Connection("x.y0", "v.u0", gain=-1.0)],
         outputs=["x.y0", "v.y0"],
         order=order,
+        iterations=iterations,
     )
     ring.reset(rng=RNG)
+    return ring
+
+
+@pytest.mark.parametrize("order", ["jacobi", "gauss-seidel"])
+def test_orders_differ_by_exactly_the_age_of_the_signal(order: Any) -> None:
+    ring = ring_of(order)
     x, v, h = 1.0, 0.0, 0.1
     for _ in range(50):
         got = ring.step(np.zeros(0))
@@ -133,14 +139,7 @@ def test_orders_differ_by_exactly_the_age_of_the_signal(order: Any) -> None:
 
 def test_the_coupling_error_falls_with_the_order_of_the_method() -> None:
     def error(h: float, order: Any, iterations: int = 1) -> float:
-        ring = Coupled(
-            {"x": integrator(x0=[1.0], dt=h), "v": integrator(dt=h)},
-            [Connection("v.y0", "x.u0"), Connection("x.y0", "v.u0", gain=-1.0)],
-            outputs=["x.y0", "v.y0"],
-            order=order,
-            iterations=iterations,
-        )
-        ring.reset(rng=RNG)
+        ring = ring_of(order, h, iterations)
         for _ in range(round(1 / h)):
             y = ring.step(np.zeros(0))
         return float(abs(y[0] - np.cos(1.0)))
@@ -152,13 +151,7 @@ def test_the_coupling_error_falls_with_the_order_of_the_method() -> None:
 
 @pytest.mark.parametrize(("order", "low", "high"), [("jacobi", 100.0, 200.0), ("gauss-seidel", 0.95, 1.06)])
 def test_gauss_seidel_keeps_the_energy_that_jacobi_pumps_up(order: Any, low: float, high: float) -> None:
-    ring = Coupled(
-        {"x": integrator(x0=[1.0]), "v": integrator()},
-        [Connection("v.y0", "x.u0"), Connection("x.y0", "v.u0", gain=-1.0)],
-        outputs=["x.y0", "v.y0"],
-        order=order,
-    )
-    ring.reset(rng=RNG)
+    ring = ring_of(order)
     for _ in range(1000):
         y = ring.step(np.zeros(0))
     assert low < float(np.hypot(*y)) < high  # explicit Euler grows by (1 + h^2)^(N/2) = 145

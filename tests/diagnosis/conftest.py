@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+
+sys.path.insert(0, str(Path(__file__).parent))  # the linear form is a module beside the tests
 
 Law = Callable[[float, float, float, float], float]
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad", period=2 * np.pi),), 0.01)

@@ -276,7 +276,7 @@ def test_large_figures_have_no_powers_of_ten() -> None:
 def arm_report(verdict: str, **more: Any) -> dict[str, Any]:
     """Return the content of a report of an arm of two joints."""
     joint = {"link_joint": "one", "judged": True, "standstill": 0.0, "torque_rms": 10.0, "unit": "N m",
-             "effects": [], "clock_s": 0.0, "not_tried": [],
+             "effects": [], "clock_s": 0.0,
              "left": {"share": 0.01, "noise": 0.0, "predictable": False, "axis": None}}  # fmt: skip
     joints = [{**joint, "joint": "q1", "before": {"validation": 1.0}, "after": {"validation": 1.0}},
               {**joint, "joint": "q2", "before": {"validation": 3.0}, "after": {"validation": 0.3}}]  # fmt: skip

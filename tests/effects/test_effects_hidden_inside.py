@@ -11,6 +11,7 @@ from harness import api, registry
 from harness.data import load_dataset
 from harness.effects import Placed, builtin, compose
 from harness.effects.wrap import WrappedPlant
+from harness.parts.files import make_hiding
 from harness.physics import load_model
 
 LEVELS = {"pendulum-ode": ("pendulum", "theta", 0.15), "cart-pole-ode": ("cart-pole", "x", 0.5)}
@@ -38,7 +39,7 @@ def test_plants_of_equations_take_what_is_hidden_where_they_say_so(id: str) -> N
 
 def test_a_plant_that_takes_none_gets_them_around_it() -> None:
     pytest.importorskip("pymunk")
-    with api._make_plant("cart-pole-pymunk", {}, [("sensor_offset", "x", {"offset": 0.1})]) as made:
+    with make_hiding("cart-pole-pymunk", {}, [("sensor_offset", "x", {"offset": 0.1})]) as made:
         assert isinstance(made, WrappedPlant)
         assert made.held == ()
 

@@ -202,3 +202,37 @@ def test_systems_without_a_sample_time_or_with_another_are_refused():
         from_state_space(control.tf([1.0], [1.0, 1.0]))
     with pytest.raises(InputError, match=r"names among"):
         from_state_space(system, units={"force": "N"})
+
+
+def test_a_loop_on_typed_equations_is_read_from_anywhere(tmp_path, monkeypatch):
+    """Its model named the file as the command had seen it: another folder, and it was gone."""
+    from harness import api
+
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "fan.eqs").write_text(
+        "input i [A]\nstate w [rad/s]\nJ = 2e-4 kg m^2\nb = 1e-4 N m s/rad\nmotion shaft: w, J\n"
+        "w' = (0.05*i - b*w)/J\noutput w\n"
+    )
+    t = np.arange(400) * 0.01
+    i = 0.5 + 0.3 * np.sign(np.sin(7 * t))
+    w = np.zeros(400)
+    for k in range(399):
+        steady, decay = 0.05 * i[k] / 1e-4, np.exp(-0.01 * 1e-4 / 2e-4)
+        w[k + 1] = steady + (w[k] - steady) * decay
+    noise = 0.05 * np.random.default_rng(0).standard_normal((2, 400))
+    for name, more in zip(("a.csv", "b.csv"), noise, strict=True):
+        rows = np.column_stack([t, i, w + more])
+        np.savetxt(tmp_path / name, rows, delimiter=",", header="time [s],i [A],w [rad/s]", comments="")
+    monkeypatch.chdir(tmp_path / "there")
+    api.close_loop(
+        tmp_path / "a.csv",
+        model="fan.eqs",
+        validation=tmp_path / "b.csv",
+        dictionary="quadratic_drag?",
+        out=tmp_path / "r",
+    )
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there" / "fan.eqs").unlink()
+    (tmp_path / "r").rename(tmp_path / "moved")
+    assert export(tmp_path / "moved", out=tmp_path / "fan.fmu")[0].exists()
+    assert api.load_model(tmp_path / "moved").parameters["J"] == pytest.approx(2e-4, rel=0.05)

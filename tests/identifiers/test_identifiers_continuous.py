@@ -10,12 +10,12 @@ from scipy import signal
 
 from harness import api
 from harness.command import main
-from harness.comparison.models import read_model
 from harness.conformance import check_identifier
 from harness.errors import FitError, InputError
 from harness.frequency import FrequencyResponse, read_response, write_response
 from harness.models.estimate import estimate_of
 from harness.models.spread import gain_and_phase_deviation, gains, quantile, response_covariance
+from harness.parts.stored import read_model
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.continuous.identifier import ContinuousTransferFunction

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harness.errors import FitError, InputError
-from harness.scoring import equation_error, predict, simulation_error
+from harness.errors import FitError
+from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.common.linear_model import LinearModel
 from identifiers.linear.arx import Arx
-from identifiers.linear.balance import balanced
 from identifiers.linear.n4sid import Subspace
 from identifiers.linear.polynomials.holes import misses_of
 from identifiers.linear.polynomials.model import Orders, Part, Polynomials, block_form, errors_and_gradients
@@ -256,34 +254,3 @@ def test_two_inputs_are_told_apart_in_the_frequency_domain_and_twins_are_refused
     twin = Trajectory(data.t, np.repeat(u[:, :1], 2, axis=1), y, spec)
     with pytest.raises(FitError, match="excite no frequency"):
         welch([twin], segment=64)
-
-
-def test_balancing_keeps_the_response_and_cuts_within_twice_the_values_left_out():
-    rng = np.random.default_rng(3)
-    a = np.diag([0.95, 0.7, -0.6, 0.2, 0.1])
-    model = LinearModel(
-        PlantSpec((Channel("u0"), Channel("u1")), (Channel("y0"), Channel("y1")), 1.0),
-        a,
-        rng.normal(size=(5, 2)),
-        rng.normal(size=(2, 5)),
-        rng.normal(size=(2, 2)),
-        0.1 * rng.normal(size=(5, 2)),
-        rng.normal(size=5),
-        rng.normal(size=2),
-    )
-    assert np.abs(np.linalg.eigvals(a - model.filter_gain @ model.c_matrix)).max() < 1  # its predictions stay finite
-    whole, values = balanced(model)
-    assert whole.impulse_response(30) == pytest.approx(model.impulse_response(30), abs=1e-9)
-    u, y = rng.normal(size=(40, 2)), rng.normal(size=(40, 2))
-    data = Trajectory(np.arange(40.0), u, y, model.spec)
-    assert predict(whole, data, 1)[25:] == pytest.approx(predict(model, data, 1)[25:], abs=1e-6)
-    frequency = np.linspace(0, 0.5, 400)
-    for order in (4, 3, 2):
-        small = balanced(model, order=order)[0]
-        gap = np.linalg.svd(
-            small.frequency_response(frequency) - model.frequency_response(frequency), compute_uv=False
-        ).max()
-        assert gap <= 2 * values[order:].sum() * (1 + 1e-6)
-        assert small.a_matrix.shape == (order, order)
-    with pytest.raises(InputError, match="stable"):
-        balanced(LinearModel(SPEC, 1.1 * np.eye(1), *[np.ones((1, 1))] * 4, np.zeros(1), np.zeros(1)))

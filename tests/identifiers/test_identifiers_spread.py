@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness import registry
-from harness.comparison.models import read_model
 from harness.models.estimate import estimate_of
 from harness.models.spread import deviation_of, gains, pole_covariance, response_covariance, step_deviation, steps
+from harness.parts.stored import read_model
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.arx import Arx
 from identifiers.linear.n4sid import Subspace

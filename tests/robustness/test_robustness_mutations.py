@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import random
 from pathlib import Path
-from types import ModuleType
 
+import mutations
 import pytest
 
 from harness.command import main
@@ -15,19 +14,10 @@ SEED = 1
 BY_CALL, BY_COMMAND = 1800, 200
 
 
-def mutations() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("mutations", Path(__file__).with_name("mutations.py"))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers near the largest ones overflow in scores
 def test_broken_inputs_are_refused_or_sound(tmp_path: Path) -> None:
-    counts, faults = mutations().run(BY_CALL, SEED, tmp_path)
+    counts, faults = mutations.run(BY_CALL, SEED, tmp_path)
     assert faults == []
     assert sum(counts.values()) == BY_CALL
     refused = sum(count for name, count in counts.items() if name.endswith("refused"))
@@ -49,7 +39,7 @@ COMMANDS = {
 def test_broken_inputs_on_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    module = mutations()
+    module = mutations
     module.write_inputs(tmp_path)
     monkeypatch.chdir(tmp_path)
     chance = random.Random(SEED)

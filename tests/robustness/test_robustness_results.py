@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import json
 import random
 import shutil
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import mutations
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
@@ -28,15 +27,6 @@ from harness.fleet.store import FleetStore
 
 SEED, COUNT = 3, 50
 OTHER: list[Any] = [None, True, -1, 10**400, "x", [], {}, [None], "\x1b[2J", [[1]], {"a": {}}, 2**63]
-
-
-def mutations() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("mutations", Path(__file__).with_name("mutations.py"))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def cells() -> list[Row]:
@@ -131,7 +121,7 @@ def other_columns(path: Path, chance: random.Random) -> bytes:
 @pytest.mark.filterwarnings("ignore")
 def test_damaged_results_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = write_results(tmp_path / "sound")
-    chance, broken = random.Random(SEED), mutations().mutated
+    chance, broken = random.Random(SEED), mutations.mutated
     refused = 0
     for number in range(COUNT):
         path = Path(list(files)[number % len(files)])

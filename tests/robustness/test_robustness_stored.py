@@ -13,10 +13,10 @@ import pytest
 
 from harness import api
 from harness.command import main
-from harness.comparison.models import read_model
 from harness.comparison.reports import FORMAT, compare_reports
 from harness.errors import InputError
 from harness.models.determined import KEY
+from harness.parts.stored import read_model
 
 OTHER = [None, True, 0, -1, 1e308, "", "x", "nan", [], {}, [[]], [1, 2], {"a": 1}, float("nan"), 10**30, "9^9^9"]
 COUNT = 150

@@ -130,8 +130,8 @@ def repaired(
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
     """
-    from harness.comparison.models import read_model
     from harness.diagnosis import close_loop_file
+    from harness.parts.stored import read_model
 
     data, signals = nominal_data(rule, train, choice)
     if not ((folder / REPORT).is_file() and (folder / MODEL).is_file()):

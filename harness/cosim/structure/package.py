@@ -15,17 +15,7 @@ from urllib.parse import parse_qs, unquote, urlparse
 from harness.errors import InputError
 from harness.fmi.archive import check_entries, has_document_type
 
-__all__ = [
-    "LARGEST_TEXT",
-    "PROXIED",
-    "FolderPackage",
-    "InFmu",
-    "Package",
-    "Readable",
-    "ZipPackage",
-    "on_this_machine",
-    "parsed",
-]
+__all__ = ["PROXIED", "FolderPackage", "InFmu", "Package", "Readable", "ZipPackage", "on_this_machine", "parsed"]
 
 LARGEST_TEXT = 64 << 20  # bytes of an XML file
 DESCRIPTIONS = (".ssd", ".ssv", ".ssm", ".ssb")

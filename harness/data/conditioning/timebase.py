@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -72,6 +72,15 @@ class Piece:
     between: BoolArray | None = None
 
 
+class _Run(NamedTuple):
+    """What stays while the rows of a run are sorted: its signals, what is declared, and what was noticed."""
+
+    names: tuple[str, ...]
+    inputs: tuple[bool, ...]
+    rules: TimeRules
+    notes: list[str]
+
+
 def pieces_of(
     time: FloatArray | None,
     values: FloatArray,
@@ -113,7 +122,7 @@ def pieces_of(
         If the time is not usable and no declared remedy covers it.
     """
     notes: list[str] = []
-    pieces = _pieces_within(time, values, names, inputs, rules, common, where, notes)
+    pieces = _pieces_within(_Run(names, inputs, rules, notes), time, values, common, where)
     if not pieces:
         raise InputError(
             "only fragments between the gaps",
@@ -125,16 +134,10 @@ def pieces_of(
 
 
 def _pieces_within(
-    time: FloatArray | None,
-    values: FloatArray,
-    names: tuple[str, ...],
-    inputs: tuple[bool, ...],
-    rules: TimeRules,
-    common: float | None,
-    where: Callable[[int], str],
-    notes: list[str],
+    run: _Run, time: FloatArray | None, values: FloatArray, common: float | None, where: Callable[[int], str]
 ) -> list[Piece]:
     """Return the pieces of a run, or of a stretch of it; none where gaps leave only fragments."""
+    _, inputs, rules, notes = run
     if time is None:
         if rules.sample_time is None:
             raise InputError(
@@ -156,7 +159,7 @@ def _pieces_within(
         end = without_tail(time, values, notes)
         time, values = time[:end], values[:end]
         if rules.gaps == "split" and (stretches := _stretches(time)):
-            return _restarted(stretches, time, values, names, inputs, rules, common, where, notes)
+            return _restarted(run, stretches, time, values, common, where)
         time, values, rows = complemented(time, values, notes)
         where = _renamed(where, rows)
         time, values, rows = without_duplicates(time, time, values, rules, notes)
@@ -170,9 +173,9 @@ def _pieces_within(
         stamps = time if index is None else time[0] + index * dt
     present: BoolArray = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
     if rules.resample is not None:
-        return _resampled(stamps, values, present, dt, inputs, rules, notes)
+        return _resampled(run, stamps, values, present, dt)
     if not present.all():
-        _refuse_empty(stamps, values, present, names, inputs, rules, where)
+        _refuse_empty(run, stamps, values, present, where)
     jumps = _jumps(stamps, dt, inputs, rules, where)
     cuts = np.flatnonzero(~present[:-1] | ~present[1:] | jumps) + 1
     kept, lost = [], 0
@@ -236,40 +239,31 @@ def _stretches(time: FloatArray) -> list[npt.NDArray[np.int64]]:
 
 
 def _restarted(
+    run: _Run,
     stretches: list[npt.NDArray[np.int64]],
     time: FloatArray,
     values: FloatArray,
-    names: tuple[str, ...],
-    inputs: tuple[bool, ...],
-    rules: TimeRules,
     common: float | None,
     where: Callable[[int], str],
-    notes: list[str],
 ) -> list[Piece]:
     """Return the pieces of a run whose clock begins anew: what stands behind is a record of its own."""
     pieces: list[Piece] = []
     lost = len(time) - sum(rows.size for rows in stretches)
     begins = ", ".join(where(int(rows[0])) for rows in stretches[:6]) + (" ..." if len(stretches) > 6 else "")
-    notes.append(
+    run.notes.append(
         f"gaps: time runs back, so {len(stretches)} stretches, which begin in {begins}, are records of their own"
         + (f"; {lost} of {len(time)} rows dropped (in stretches shorter than {SHORTEST})" if lost else "")
     )
     for rows in stretches:
         near = _renamed(where, rows)
-        found = _pieces_within(time[rows], values[rows], names, inputs, rules, common, near, notes)
+        found = _pieces_within(run, time[rows], values[rows], common, near)
         common = found[0].sample_time if found and common is None else common
         pieces += found
     return pieces
 
 
 def _refuse_empty(
-    time: FloatArray,
-    values: FloatArray,
-    present: BoolArray,
-    names: tuple[str, ...],
-    inputs: tuple[bool, ...],
-    rules: TimeRules,
-    where: Callable[[int], str],
+    run: _Run, time: FloatArray, values: FloatArray, present: BoolArray, where: Callable[[int], str]
 ) -> None:
     """Refuse empty cells that nothing is declared for, by a remedy that helps.
 
@@ -278,6 +272,7 @@ def _refuse_empty(
     InputError
         If a signal holds nothing at all, or rows are empty and neither split nor resampled.
     """
+    names, inputs, rules, _ = run
     there = np.isfinite(values)
     void = [name for name, column in zip(names, there.T, strict=True) if not column.any()]
     if void:
@@ -420,16 +415,9 @@ def _is_clock(time: FloatArray, dt: float) -> bool:
     return index is None or bool((np.diff(index) > 0).all())
 
 
-def _resampled(
-    time: FloatArray,
-    values: FloatArray,
-    present: BoolArray,
-    dt: float,
-    inputs: tuple[bool, ...],
-    rules: TimeRules,
-    notes: list[str],
-) -> list[Piece]:
+def _resampled(run: _Run, time: FloatArray, values: FloatArray, present: BoolArray, dt: float) -> list[Piece]:
     """Return the pieces between long gaps, brought onto a uniform grid."""
+    _, inputs, rules, notes = run
     assert rules.resample is not None
     section = rules.resample
     new = section.sample_time or rules.sample_time or dt

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.cells import measured, numbers_of, say_truths, seconds_of
+from harness.data.tables.cells import numbers_of, say_truths, seconds_of, with_unit
 from harness.data.tables.headers import TIME_UNITS, split_header, words_of
 from harness.data.tables.packing import NUMBER, refuse_large
 from harness.data.tables.selectors import parse_selector, vector
@@ -91,12 +91,8 @@ class ParquetFile:
         def where(row: int) -> str:
             return f"row {row}, column {title!r}"
 
-        if (stamps := clock(texts, self.notes, where)) is not None:
-            self._stated[title] = "s"
-            return stamps
-        if (found := measured(texts, title, where, self.notes)) is not None:
-            self._stated[title] = found[1]
-            return found[0]
+        if (found := with_unit(texts, title, where, self.notes, self._stated)) is not None:
+            return found
         if not any(character.isdigit() for text in texts for character in text):
             raise _no_numbers("string", title)
         return numbers_of(texts, where, self.notes)

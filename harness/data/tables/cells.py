@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from harness.data.tables.headers import TIME_UNITS, split_header
+from harness.data.tables.stamps import clock
 from harness.errors import InputError
 from harness.signals import FloatArray
 from harness.units import convert, fits, is_unit
@@ -22,6 +23,7 @@ __all__ = [
     "say_truths",
     "seconds_of",
     "units_below",
+    "with_unit",
 ]
 
 EMPTY = {
@@ -231,6 +233,29 @@ def measured(
     if notes is not None and said not in notes:
         notes.append(said)
     return numbers, unit
+
+
+def with_unit(
+    cells: Sequence[str],
+    title: str,
+    where: Callable[[int], str],
+    notes: list[str],
+    stated: dict[str, str],
+    *,
+    commas: bool = False,
+) -> FloatArray | None:
+    """Return cells that are dates or times, or all carry a unit, which is put in ``stated``; None if they are plain.
+
+    Parameters are those of :func:`measured`.
+    """
+    if (stamps := clock(cells, notes, where)) is not None:
+        stated[title] = "s"
+        return stamps
+    found = measured(cells, title, where, notes, commas=commas)
+    if found is None:
+        return None
+    stated[title] = found[1]
+    return found[0]
 
 
 def _one_unit(units: Sequence[str]) -> str | None:

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.cells import measured, numbers_of, say_truths, seconds_of
+from harness.data.tables.cells import numbers_of, say_truths, seconds_of, with_unit
 from harness.data.tables.headers import TRUTH, split_header
-from harness.data.tables.stamps import clock
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Trajectory
 
@@ -91,13 +90,8 @@ class MemoryTable:
             say_truths(self.notes, title)
             return np.array(cells, dtype=np.float64)
         texts = ["" if cell is None else str(cell) for cell in cells]
-        if (stamps := clock(texts, self.notes, where)) is not None:
-            self._stated[title] = "s"
-            return stamps
-        if (found := measured(texts, title, where, self.notes)) is not None:
-            self._stated[title] = found[1]
-            return found[0]
-        return numbers_of(texts, where)
+        found = with_unit(texts, title, where, self.notes, self._stated)
+        return numbers_of(texts, where) if found is None else found
 
     def texts(self, title: str, most: int | None = None) -> list[str]:
         """Return the cells of a column as they are written, at most so many."""

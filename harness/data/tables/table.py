@@ -429,9 +429,8 @@ class Table:
 
         Parameters
         ----------
-        column : str or int
-        like : str, optional
-            A unit of what the column measures: the unit may then stand without brackets (``theta_deg``).
+        column, like
+            As for :meth:`find`.
 
         Raises
         ------

@@ -16,14 +16,13 @@ from harness.data.tables.cells import (
     EMPTY,
     is_number,
     is_unit_cell,
-    measured,
     numbers_of,
     refuse_thousands,
     units_below,
+    with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
 from harness.data.tables.stacked import MOST_ROWS, stacked_titles
-from harness.data.tables.stamps import clock
 from harness.data.tables.texts import CODINGS, closed_lines, text_of
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -462,14 +461,12 @@ class TextFile:
         def where(row: int) -> str:
             return f"{self.where(row)}, column {title!r}"
 
-        if (stamps := clock(cells, self.notes, where)) is not None:
-            self._stated[title] = "s"
-            return stamps
-        if (found := measured(cells, title, where, self.notes, commas=self._decimal_commas())) is not None:
-            self._stated[title] = found[1]
-            return found[0]
+        commas = self._decimal_commas()
+        found = with_unit(cells, title, where, self.notes, self._stated, commas=commas)
+        if found is not None:
+            return found
         try:
-            return numbers_of(cells, where, self.notes, commas=self._decimal_commas())
+            return numbers_of(cells, where, self.notes, commas=commas)
         except InputError:
             for number, cell in enumerate(cells):
                 if cell[:1].isalpha():

@@ -11,7 +11,7 @@ from harness.physics.compiled.compilation import Compilation
 from harness.physics.compiled.rollout_source import BLOCK, SAMPLE
 from harness.signals import FloatArray
 
-__all__ = ["JOB", "filter_kernels", "kernel_source", "smoother_kernels", "smoother_source"]
+__all__ = ["JOB", "filter_kernels", "smoother_kernels"]
 
 _LAYOUT = """\
 /* Matrices of states as rows of blocks: NB blocks hold a row. */

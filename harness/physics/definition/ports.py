@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from harness.signals import Channel
 
-__all__ = ["BodyTerm", "Coordinate", "Hidden", "Port", "PortKind", "SampledBlock"]
+__all__ = ["BodyTerm", "Coordinate", "Hidden", "Port", "SampledBlock"]
 
 PortKind = Literal["input", "coordinate", "output", "base", "process", "mass"]
 

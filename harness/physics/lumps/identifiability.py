@@ -11,7 +11,7 @@ from harness.errors import InputError
 from harness.models.estimate import SHARE, RankDecision, null_words
 from harness.signals import FloatArray
 
-__all__ = ["NOISE_RATIO", "Identifiability", "determined", "identifiability"]
+__all__ = ["Identifiability", "determined", "identifiability"]
 
 NOISE_RATIO = 1.5
 """A direction of the parameters counts as determined where the regressor moves by more than this many times what its

@@ -18,7 +18,7 @@ from harness.physics.symbolic.lumping import Split, split
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import FloatArray
 
-__all__ = ["ForceColumns", "LumpedFit", "LumpedModel", "lumped"]
+__all__ = ["LumpedFit", "LumpedModel", "lumped"]
 
 ForceColumns = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 """``columns(q, v, u, t) -> (N, n, k)``: forces on the n coordinates, each to be multiplied by a new parameter."""

@@ -342,24 +342,22 @@ def from_file(path: Path, attribute: str) -> tuple[Any, Path]:
         If there is no such file, it cannot be imported, or has nothing of that name.
     """
     if not path.is_file():
-        raise InputError(
-            "no such file", expected="a Python file", got=no_file(path), remedy="check the path", file=path
-        )
-    module_name = f"sysid_harness_user_model_{path.stem}"
+        raise InputError("no such file", expected="FILE.py:NAME", got=no_file(path), remedy="check the path", file=path)
+    module_name = f"sysid_harness_user_{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     if spec is None or spec.loader is None:
-        raise InputError("file is not Python", expected="a .py file", got=path.name, remedy="rename it", file=path)
+        raise InputError("not Python", expected="a .py file", got=path.name, remedy="rename it", file=path)
     module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module
+    sys.modules[module_name] = module  # so that its classes pickle
     try:
         spec.loader.exec_module(module)
     except HarnessError:
         raise
     except Exception as error:
         raise InputError(
-            f"the file raised {type(error).__name__}: {error}",
+            "the file does not run",
             expected="Python that can be imported",
-            got=type(error).__name__,
+            got=f"{type(error).__name__}: {error}",
             remedy="run it with python and repair it",
             file=path,
         ) from error
@@ -371,11 +369,12 @@ def from_file(path: Path, attribute: str) -> tuple[Any, Path]:
     if not attribute and len(public) == 1:
         attribute = public[0]
     if not attribute or not hasattr(module, attribute):
+        near = difflib.get_close_matches(attribute, public, n=2)
         raise InputError(
-            "no such function in the file",
-            expected=f"FILE.py:NAME with one of {', '.join(public) or '(none)'}",
+            f"the file has no {attribute!r}" if attribute else "no name in the file",
+            expected=f"FILE.py:NAME with one of {', '.join(public[:12]) or '(nothing public)'}",
             got=repr(attribute),
-            remedy="write the function's name after a colon",
+            remedy=f"did you mean {' or '.join(near)}?" if near else "write the function's name after a colon",
             file=path,
         )
     return getattr(module, attribute), path

@@ -10,9 +10,9 @@ import numpy as np
 
 from harness.errors import FitError, InputError
 from harness.judgement import feedback_of
-from harness.models.analysis import Findings, Takes
+from harness.models.analysis import Findings, Takes, as_dataset
 from harness.models.spread import steps
-from harness.signals import Dataset, FloatArray, Trajectory
+from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import Columns
 from identifiers.common.named import named
 from identifiers.common.neighbours import GROUPS
@@ -77,7 +77,7 @@ class FiniteSample:
 
     Examples
     --------
-    >>> from harness.signals import Channel, PlantSpec, Run
+    >>> from harness.signals import Channel, Dataset, PlantSpec, Run
     >>> rng, y = np.random.default_rng(0), np.zeros((2000, 1))
     >>> u = rng.normal(size=(2000, 1))
     >>> for k in range(1999):
@@ -98,8 +98,6 @@ class FiniteSample:
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return bounds and what was measured, row by row."""
-        if not isinstance(subject, Dataset):
-            raise InputError("finite-sample", expected="a data set", got=type(subject).__name__, remedy="give records")
         fine = 0 < self.confidence < 1 and (self.lags or 1) >= 1 and (self.length or 4) >= 4
         if not fine:
             raise InputError(
@@ -107,7 +105,7 @@ class FiniteSample:
                 got=f"{self.confidence}, {self.lags}, {self.length}", remedy="correct them",
             )  # fmt: skip
         made = named("identifiers", self.identifier, self.options)
-        records = [record.measured() for record in subject.estimation]
+        records = [record.measured() for record in as_dataset(subject, "finite-sample").estimation]
         return self.beside(made.fit(records, rng=rng), records, rng=rng)
 
     def beside(self, model: Any, records: Sequence[Trajectory], *, rng: np.random.Generator) -> Findings:

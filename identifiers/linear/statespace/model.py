@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["Errors", "Piece", "StateSpace", "coordinates", "errors_of", "gradients_of", "responses_to"]
+__all__ = ["Errors", "Piece", "StateSpace", "coordinates", "errors_of", "gradients_of"]
 
 Spectrum = npt.NDArray[np.complex128]
 

@@ -1,0 +1,107 @@
+"""What ``identify`` returns: a model and its scores, printed, drawn, stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.fitted import Usable
+from harness.protocols import Model
+from harness.signals import Trajectory, Use
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from harness.models.analysis import Findings
+    from harness.scoring import Score
+    from harness.scoring.predictive import ProbabilityScore
+
+_DRAWN = 20_000
+"""Samples that a notebook draws by itself: longer records ask for plot()."""
+
+
+@dataclass(frozen=True)
+class Identified(Usable):
+    """What ``identify`` returns: the model, and its scores by use of the data; to be used as a :class:`FittedModel`."""
+
+    model: Model
+    equation_error: dict[Use, list[Score]]
+    simulation_error: dict[Use, list[Score]]
+    warnings: tuple[str, ...]
+    probability: dict[Use, list[ProbabilityScore]] = field(default_factory=dict)
+    """One step ahead, of a model that predicts distributions; empty for others."""
+    judged: Trajectory | None = field(default=None, repr=False, compare=False)
+    """The record that the picture in a notebook shows: the first that validates."""
+    bounds: Findings | None = field(default=None, repr=False)
+    """What theorems for finite samples promise beside what was measured, where it was asked for."""
+
+    def plot(self) -> Figure:
+        """Return the figure of the record that judges: its inputs, what was measured, and the free run of the model."""
+        from harness.scoring import predict
+
+        if self.judged is None:
+            raise InputError("no record to plot", expected="what identify returned", got="none", remedy="plot a record")
+        figure: Figure = self.judged.plot()
+        run = np.asarray(predict(self.model, self.judged, horizon=None))
+        for axis, values in zip(figure.axes[self.judged.spec.nu :], run.T, strict=True):
+            low, high = axis.get_ylim()
+            axis.plot(self.judged.t, values, "--", color="#cc6677", linewidth=0.9, label="free run")
+            room = 0.4 * (high - low)
+            axis.set_ylim(max(axis.get_ylim()[0], low - room), min(axis.get_ylim()[1], high + room))
+            axis.legend(loc="upper right", fontsize=8)
+        return figure
+
+    def errors(self) -> dict[str, tuple[float, str]]:
+        """Return the rms of the free run on validation data (on estimation data where none validates), with its unit.
+
+        By output, over all runs of that use.
+        """
+        from harness.comparison.models import free_run_errors
+
+        return free_run_errors(self.model, self.simulation_error)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return model, scores and warnings, ready for JSON."""
+        scores = {
+            name: {
+                use: [{"rms": s.rms.tolist(), "nrmse": s.nrmse.tolist(), "samples": s.samples} for s in own]
+                for use, own in found.items()
+            }
+            for name, found in (("equation_error", self.equation_error), ("simulation_error", self.simulation_error))
+        }
+        bounds = {} if self.bounds is None else {"bounds": self.bounds.to_dict()}
+        return {"model": self.model.to_dict(), **scores, "warnings": list(self.warnings), **bounds}
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
+        return [
+            (use, str(run), channel.name, *(f"{s.nrmse[k]:.4g}" for s in pair), f"{pair[1].rms[k]:.3g} {channel.unit}")
+            for use in self.equation_error
+            for run, pair in enumerate(zip(self.equation_error[use], self.simulation_error[use], strict=True))
+            for k, channel in enumerate(self.model.spec.outputs)
+        ]
+
+    def __repr__(self) -> str:
+        rows = [f"{use} {run} {name} {free}" for use, run, name, _, free, _ in self._rows()]
+        return f"<Identified {type(self.model).__name__}: NRMSE in free run: {', '.join(rows)}>"
+
+    def _repr_html_(self) -> str:
+        from harness.display import page, table
+
+        titles = ["use", "run", "output", "NRMSE one step ahead", "NRMSE in free run", "rms in free run"]
+        parts = [table(titles, self._rows())]
+        if values := getattr(self.model, "parameters", None):
+            spread, found = getattr(self.model, "deviations", {}), self.estimate
+            units = {} if found is None else dict(zip(found.names, found.units, strict=True))
+            shown = [
+                (n, f"{v:.6g}", f"{spread[n]:.2g}" if n in spread else "", units.get(n, "")) for n, v in values.items()
+            ]
+            parts.append(table(["parameter", "value", "standard deviation", "unit"], shown))
+        if self.judged is not None and len(self.judged) <= _DRAWN:
+            from harness.plots import inlined
+
+            parts.append(inlined(self.plot(), "measured and simulated"))
+        return page(f"{type(self.model).__name__}: {self.model.spec}", *parts)

@@ -1,0 +1,122 @@
+"""Feedback: whether past outputs foretell an input beyond its own past."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["FORETOLD", "Feedback", "feedback_of", "granger", "unit_columns"]
+
+# Of an input: what its own past leaves when it follows from it, as a multisine or a free motion does.
+FORETOLD = 1e-6
+# An input's own past: so many times what outputs have to say, and at most so many samples.
+_LONGER, _OWN = 4, 40
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """How far past outputs foretell an input beyond its own past.
+
+    Parameters
+    ----------
+    share : float
+        Share of the input's unpredictable part that past outputs explain, of the input where it is most.
+    probability : float
+        Of a share at least so large in open loop.
+    unforeseen : float
+        What the input's own past leaves of it, relative to its standard deviation.
+    """
+
+    share: float
+    probability: float
+    unforeseen: float = 1.0
+
+    @property
+    def found(self) -> bool:
+        """True if chance is no explanation (less than 1 in 1000) and the share is not negligible (1 %)."""
+        return self.probability < 1e-3 and self.share > 0.01
+
+
+def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
+    """Test whether outputs foretell the input beyond its own past: feedback (Granger 1969; Ljung 1999, sec. 13.4).
+
+    The input's own past is as long as all samples of the outputs are many: a sum of sines follows from a past of twice
+    their number, and outputs that only stand for an older past are no feedback.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    lags : int
+        Samples of the outputs' past.
+
+    Returns
+    -------
+    Feedback
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> rng = np.random.default_rng(0)
+    >>> u, y = rng.normal(size=(500, 1)), np.zeros((500, 1))
+    >>> for k in range(499):
+    ...     y[k + 1] = 0.8 * y[k] + u[k] + 0.3 * rng.normal()
+    >>> feedback_of([Trajectory(np.arange(500.0), u, y, spec)]).found
+    False
+    """
+    if records[0].spec.nu == 0:
+        return Feedback(0.0, 1.0)
+    shares, chances, alone = granger(records, lags)
+    worst = int(np.argmax(shares))
+    return Feedback(float(shares[worst]), min(1.0, float(chances[worst]) * shares.size), float(alone[worst]))
+
+
+def granger(records: Sequence[Trajectory], lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return, of every input: share that outputs explain, its chance in open loop, and what the own past leaves."""
+    from scipy.stats import f
+
+    spec = records[0].spec
+    nu, ny = spec.nu, spec.ny
+    nothing = np.zeros(nu), np.ones(nu), np.ones(nu)
+    rows = sum(map(len, records))
+    past = min(lags + _LONGER * (lags + 1) * ny, _OWN)
+    past = max(lags, min(past, (rows // 4 - (lags + 1) * ny) // max(nu, 1), min(map(len, records)) // 3))
+    long = [record for record in records if len(record) > past + 1]
+    rows = sum(len(record) - past for record in long)
+    if rows <= 2 * (1 + past * nu + (lags + 1) * ny):
+        return nothing
+    own, others, target = [], [], []
+    for record in long:
+        stop = len(record)
+        own.append(np.hstack([np.ones((stop - past, 1)), *(record.u[past - j : stop - j] for j in range(1, past + 1))]))
+        # a controller acts on the output of the same sample, unless that depends on the input itself
+        seen = [record.y[past - j : stop - j] for j in range(int(spec.feedthrough), lags + 1)]
+        others.append(np.hstack(seen))
+        target.append(record.u[past:])
+    few, more, wanted = np.concatenate(own), np.concatenate(others), np.concatenate(target)
+    # Norms of residuals are those of the triangle: it is small.
+    triangle = np.asarray(
+        np.linalg.qr(np.hstack([unit_columns(few), unit_columns(more), wanted]), mode="r"), dtype=np.float64
+    )
+    wanted, lost = triangle[:, -nu:], []
+    for width in (few.shape[1], few.shape[1] + more.shape[1]):
+        q, values, _ = np.linalg.svd(triangle[:, :width], full_matrices=False)
+        q = q[:, values > 1e-10 * values[0]]
+        lost.append((np.sum((wanted - q @ (q.T @ wanted)) ** 2, axis=0), q.shape[1]))
+    (alone, fewer), (helped, many) = lost
+    power = rows * np.concatenate([record.u for record in long]).var(axis=0)
+    floor = FORETOLD**2 * power  # an input that its own past foretells needs no feedback
+    shares = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)
+    added, remaining = max(many - fewer, 1), max(rows - many, 1)
+    ratio = (shares / added) / np.maximum((1.0 - shares) / remaining, 1e-300)
+    return shares, f.sf(ratio, added, remaining), np.sqrt(alone / np.where(power > 0, power, 1.0))
+
+
+def unit_columns(columns: FloatArray) -> FloatArray:
+    """Return columns of length 1 (those of zeros stay)."""
+    size = np.linalg.norm(columns, axis=0)
+    return np.asarray(columns / np.where(size > 0, size, 1.0), dtype=np.float64)

@@ -1,0 +1,80 @@
+"""Models that ``sysid`` stored, read back by the identifier that knows their kind."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from harness import registry
+from harness.errors import InputError, no_file, unread
+from harness.models.sound import refuse_unsound
+from harness.protocols import Model
+from harness.trust import registered_only
+
+__all__ = ["MODEL", "read_model"]
+
+MODEL = "model.json"
+"""The model in a folder of ``sysid close-loop``."""
+
+
+def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read") -> Model:
+    """Return a model that ``sysid identify -o`` or ``close-loop`` stored.
+
+    Parameters
+    ----------
+    path : path
+        The file, or the folder of ``close-loop``.
+    kinds : sequence of str
+        Kinds that serve; all that an identifier reads if empty.
+    use : str
+        What a model of another kind cannot be, for the message.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or is no model, or names code that is not trusted (:func:`harness.trust.trusting`).
+    """
+    path = Path(path)
+    whole = path.is_dir()
+    path = path / MODEL if whole else path
+    wanted = f"{MODEL} of sysid identify -o, or a folder of sysid close-loop"
+    if not whole and not path.exists():
+        raise InputError("no such file", expected=wanted, got=no_file(path), remedy="check the path", file=path)
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        kind = content["kind"]
+    except (OSError, ValueError, KeyError, TypeError, ArithmeticError) as error:
+        raise InputError(
+            "not a model",
+            expected=wanted,
+            got=unread(path, error),
+            remedy="give the file that sysid identify -o wrote",
+            file=path,
+        ) from error
+    registered_only(content, file=path)
+    beside = path.parent / str(content.get("model", ""))
+    if beside.suffix == ".eqs" and beside.is_file():  # equations lie where the model does
+        content["model"] = str(beside)
+    known = kinds or [entry.id for entry in registry.entries("model_readers")]
+    if kind not in known:
+        raise InputError(
+            f"a model that cannot be {use}",
+            expected=f"one of the kinds {', '.join(known)}",
+            got=repr(kind),
+            remedy="fit one with another identifier (sysid list identifiers), or close the loop",
+            file=path,
+        )
+    try:
+        model: Model = registry.load("model_readers", kind).from_dict(content)
+        refuse_unsound(model)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise InputError(
+            "not a model",
+            expected=f"the whole description of a {kind} model",
+            got=f"{type(error).__name__}: {' '.join(str(error).split())[:200]}",
+            remedy="give the file as sysid identify -o wrote it",
+            file=path,
+        ) from error
+    return model
