@@ -14,6 +14,7 @@ from harness.data.whole_files import whole_file
 from harness.errors import FitError, InputError
 from harness.signals import Trajectory
 from identifiers.common.bands import refuse_share
+from identifiers.learned.integrating import Integrating
 from identifiers.learned.recurrent_fit import Fitted, Problem, descend
 from identifiers.learned.recurrent_model import RecurrentEnsemble, RecurrentModel, vouched
 from identifiers.learned.recurrent_pass import Layout
@@ -41,7 +42,7 @@ class NeuralOutputError(Excited):
     order : int
         States.
     hidden, outside : int
-        Units of the network of the state, and of that of the output.
+        Units of the network of the state, and of that of the output (0: outputs are linear in the states).
     ridge : float
         Cost of the squares of the weights, in those of scaled output errors; a tenth of it for the linear part.
     starts : int
@@ -59,6 +60,9 @@ class NeuralOutputError(Excited):
         Show a bar on the error stream.
     held_out : float
         Share of every record, its end, that is not learned from and tells how wide the bands are.
+    integrated : bool
+        Outputs are sums of what the networks say, which does not depend on them: positions under forces, levels that
+        nothing drains. A ridge below 1 suits long runs, whose errors are small shares of the outputs.
     """
 
     order: int = 3
@@ -72,22 +76,24 @@ class NeuralOutputError(Excited):
     checkpoint: str | None = None
     progress: bool = False
     held_out: float = 0.2
+    integrated: bool = False
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
         """Return the ensemble; the held-out errors of its members stand in its notes."""
         what = "neural-output-error"
-        numbers = (self.order, self.hidden, self.outside, self.starts, self.members, self.iterations)
-        if min(numbers) < 1 or not self.ridge > 0 or self.members > self.starts:
+        numbers = (self.order, self.hidden, self.starts, self.members, self.iterations)
+        if min(numbers) < 1 or self.outside < 0 or not self.ridge > 0 or self.members > self.starts:
             raise InputError(
                 f"options of {what}",
-                expected="numbers of at least 1, a ridge > 0, no more members than starts",
-                got=f"{numbers}, ridge {self.ridge}",
+                expected="numbers of at least 1 (outside: 0), a ridge > 0, no more members than starts",
+                got=f"{numbers}, outside {self.outside}, ridge {self.ridge}",
                 remedy="correct them",
             )
         refuse_share(self.held_out, what)
         records, spec = self.asked(trajectories, samples=ceil((self.order + 4) / self.held_out), what=what)
-        layout = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
         problems = Problem.scaled(records, self.held_out)
+        network = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
+        layout = Integrating(network, _increments(problems)) if self.integrated else network
         direct = self.direct or spec.feedthrough
         seed = int(rng.integers(2**62))
         path = None if self.checkpoint is None else Path(self.checkpoint)
@@ -118,13 +124,29 @@ class NeuralOutputError(Excited):
         """Return a hash of all that the starts depend on."""
         text = hashlib.sha256(
             repr(
-                (self.order, self.hidden, self.outside, self.ridge, self.iterations, self.direct, self.held_out, seed)
+                (
+                    self.order,
+                    self.hidden,
+                    self.outside,
+                    self.ridge,
+                    self.iterations,
+                    self.direct,
+                    self.held_out,
+                    self.integrated,
+                    seed,
+                )
             ).encode()
         )
         for problem in problems:
             text.update(problem.u.tobytes())
             text.update(problem.y.tobytes())
         return text.hexdigest()
+
+
+def _increments(problems: Sequence[Problem]) -> tuple[float, ...]:
+    """Return the size of the increments of each scaled output in a sample."""
+    steps = np.concatenate([np.diff(one.scaled_y, axis=0) for one in problems])
+    return tuple(float(size) for size in np.maximum(np.sqrt(np.mean(steps**2, axis=0)), 1e-12))
 
 
 def _kept(path: Path | None, key: str) -> list[Fitted]:

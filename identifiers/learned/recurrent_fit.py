@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from harness.errors import FitError
 from harness.models.damped import Damping, damped_descent
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.scaling import centred
+from identifiers.learned.integrating import Integrating
 from identifiers.learned.recurrent_pass import Layout
 from identifiers.linear.n4sid import Subspace
 
@@ -70,7 +71,7 @@ class Recurrence(Protocol):
     def states(self, theta: FloatArray, start: FloatArray, u: FloatArray) -> FloatArray:
         """Return the states (N, nx) of a free run."""
 
-    def description(self) -> list[int] | dict[str, int]:
+    def description(self) -> list[int] | dict[str, Any]:
         """Return its sizes, JSON-ready."""
 
 
@@ -104,6 +105,16 @@ class Problem:
         """Samples learned from; the others are held out."""
         return len(self.u) - int(self.held_out * len(self.u))
 
+    @property
+    def scaled_y(self) -> FloatArray:
+        """Outputs (N, ny) about their mean, in their size."""
+        return (self.y - self.y_mean) / self.y_std
+
+    def increments(self, size: Sequence[float]) -> Problem:
+        """Return the record of what is summed to its outputs: their increments in a sample, of some size each."""
+        steps = np.diff(self.scaled_y, axis=0, append=self.scaled_y[-1:]) / np.array(size)
+        return replace(self, y=steps, y_mean=np.zeros_like(self.y_mean), y_std=np.ones_like(self.y_std))
+
     def errors(self, scaled: FloatArray) -> FloatArray:
         """Return predicted minus measured (N, ny), wrapped on periodic channels, in scaled units."""
         predicted = self.y_mean + self.y_std * scaled
@@ -126,7 +137,7 @@ class Fitted:
 
 
 def descend(
-    layout: Layout,
+    layout: Layout | Integrating,
     problems: Sequence[Problem],
     rng: np.random.Generator,
     ridge: float,
@@ -139,7 +150,7 @@ def descend(
 
     Parameters
     ----------
-    layout : Layout
+    layout : Layout or Integrating
     problems : sequence of Problem
     rng : numpy.random.Generator
     ridge : float
@@ -150,11 +161,20 @@ def descend(
     lags : bool
         Begin at a cascade of lags; else at a subspace model, where there is one.
     """
-    theta, start = _begin(layout, problems, rng, lags)
-    free = _free(layout, direct)
+    begun, levels = list(problems), np.zeros((len(problems), 0))
+    if isinstance(layout, Integrating):
+        network = layout.inner
+        begun, levels = [one.increments(layout.size) for one in begun], np.array([one.scaled_y[0] for one in begun])
+    else:
+        network = layout
+    theta, start = _begin(network, begun, rng, lags)
+    free, weight = _free(network, direct), _ridge(network, ridge)
     theta[~free] = 0.0
     starts = np.tile(start, (len(problems), 1))
-    return descend_from(layout, problems, theta, starts, _ridge(layout, ridge), free, iterations)
+    if layout is not network:  # errors of sums pile up: from where the increments are right the way is short
+        found = descend_from(network, begun, theta, starts, weight, free, iterations)
+        theta, starts = found.theta, found.starts
+    return descend_from(layout, problems, theta, np.hstack([starts, levels]), weight, free, iterations)
 
 
 def descend_from(
@@ -282,7 +302,7 @@ def cascade(problems: Sequence[Problem], nx: int, rng: np.random.Generator) -> L
     rate = np.exp(rng.uniform(np.log(min(1.0, 10.0 / longest)), np.log(0.3), nx))
     b, c = np.zeros((nx, problems[0].u.shape[1])), np.zeros((problems[0].y.shape[1], nx))
     b[0], c[:, -1] = rate[0], 1.0
-    start = np.full(nx, float(np.mean((problems[0].y[0] - problems[0].y_mean) / problems[0].y_std)))
+    start = np.full(nx, float(np.mean(problems[0].scaled_y[0])))
     return np.diag(1.0 - rate) + np.diag(rate[1:], -1), b, c, start
 
 
@@ -297,7 +317,7 @@ def subspace_start(
         Trajectory(
             np.arange(float(problem.cut)),
             problem.u[: problem.cut],
-            ((problem.y - problem.y_mean) / problem.y_std)[: problem.cut],
+            problem.scaled_y[: problem.cut],
             spec,
         )
         for problem in problems

@@ -18,6 +18,7 @@ from identifiers.common.bands import Ahead, Bands, held_out_runs
 from identifiers.common.observers import best_gain, riccati_gains, run_in_steps
 from identifiers.common.reach import Reach
 from identifiers.learned.ensemble import Ensemble, own_spread
+from identifiers.learned.integrating import Integrating
 from identifiers.learned.polynomial_pass import Polynomials
 from identifiers.learned.recurrent_fit import Fitted, Problem, Recurrence, fit_start
 from identifiers.learned.recurrent_pass import Layout
@@ -200,8 +201,8 @@ class RecurrentModel(StateNetwork):
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> RecurrentModel:
         """Return the model of a description."""
-        spec, sizes = spec_from_dict(content["spec"]), content["layout"]
-        layout: Recurrence = Polynomials.of(sizes) if isinstance(sizes, dict) else Layout(*map(int, sizes))
+        spec = spec_from_dict(content["spec"])
+        layout = _layout_of(content["layout"])
         arrays: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
         fit_error, notes = float(content["fit_error"]), dict(content.get("notes", {}))
         reach = None if content.get("reach") is None else Reach.from_dict(content["reach"])
@@ -210,6 +211,15 @@ class RecurrentModel(StateNetwork):
         bands = Bands.from_dict(content.get("bands"))
         more: dict[str, Any] = {"reach": reach, "fade": fade, "bands": bands, "edges": edges}
         return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, **more, **arrays)
+
+
+def _layout_of(sizes: Any) -> Recurrence:
+    """Return the layout of a description."""
+    if not isinstance(sizes, dict):
+        return Layout(*map(int, sizes))
+    if "inner" in sizes:
+        return Integrating(Layout(*map(int, sizes["inner"])), tuple(map(float, sizes["size"])))
+    return Polynomials.of(sizes)
 
 
 _ARRAYS = (
@@ -308,6 +318,8 @@ def own_member(
     states = np.concatenate([p.states(layout, fitted.theta, x) for p, x in zip(problems, fitted.starts, strict=True)])
     low, high = states.min(axis=0), states.max(axis=0)
     edges = np.array([low - (high - low), high + (high - low)]) if bounded else None
+    if edges is not None and isinstance(layout, Integrating):  # where it stands does not matter to it
+        edges[:, layout.inner.nx :] = [[-np.inf], [np.inf]]
     x_mean, x_std = states.mean(axis=0), np.maximum(states.std(axis=0), 1e-6)
     zero = np.zeros((layout.nx, spec.ny))
     wide = np.ones((len(_HORIZONS), spec.ny))

@@ -13,6 +13,7 @@ from harness.physics.fitting.output_error_estimate import at_bound, output_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.mechanics.grey_box_model import GreyBoxModel, tuned_gain
 from identifiers.mechanics.physical import PhysicalFit
+from identifiers.mechanics.starting import StartBelief
 
 if TYPE_CHECKING:
     from harness.physics import OutputErrorFit, System
@@ -74,6 +75,7 @@ class OutputError(PhysicalFit):
             "estimate": output_error_estimate(system, fit).to_dict(),
         }
         model = GreyBoxModel(spec, recipe, dict(fit.parameters), None, self.intersample, notes=notes)
+        model = replace(model, belief=StartBelief.of(model.simulator, records, fit))
         return replace(model, filter_gain=tuned_gain(model, records))
 
     def _fitted(self, system: System, records: list[Trajectory], rng: np.random.Generator) -> OutputErrorFit:

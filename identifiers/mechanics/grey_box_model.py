@@ -15,6 +15,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.observers import best_gain, riccati_gains, run_in_steps, stationary_gain
 from identifiers.mechanics.physical import Recipe, recipe_for
+from identifiers.mechanics.starting import StartBelief
 
 if TYPE_CHECKING:
     from harness.physics import Simulator, System
@@ -42,6 +43,8 @@ class GreyBoxModel:
     substeps : int, optional
         Runge-Kutta steps in a sample; by default from the system's eigenvalues.
     notes : dict
+    belief : StartBelief, optional
+        What is believed of the state at the start of a record; without, its first outputs alone tell it.
     """
 
     spec: PlantSpec
@@ -51,6 +54,7 @@ class GreyBoxModel:
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
     substeps: int | None = None
     notes: dict[str, Any] = field(default_factory=dict)
+    belief: StartBelief | None = None
 
     def __post_init__(self) -> None:
         if self.filter_gain is None:
@@ -131,17 +135,22 @@ class GreyBoxModel:
 
         same_language(self.spec, data)
         record, dt = self._translated(data.measured()), self.spec.sample_time
-        found = data_states(self.simulator, record, self._values)[0][0]
+        states, known = data_states(self.simulator, record, self._values)
+        found = states[0]
+        starts = [found] if self.belief is None else self.belief.guesses(found, known)
         spread = np.maximum(np.std(data.y, axis=0), 1e-12)
-        least = max(5, self.simulator.nx + 1)
+        least = 5 if self.belief is not None else max(5, self.simulator.nx + 1)
         for seconds in (25 * dt, 1.0, 4.0, None):
             count = len(record) if seconds is None else min(len(record), round(seconds / dt))
             if count * self.spec.ny < least or (seconds is not None and count < 5):
                 continue
-            windows = Windows(self.simulator, [record[:count]], None, spread)
-            better = minimise_states(windows, self._values, found[None])[0]
+            if self.belief is not None:
+                better = self.belief.likeliest(self.simulator, self._values, record[:count], starts)
+            else:
+                windows = Windows(self.simulator, [record[:count]], None, spread)
+                better = minimise_states(windows, self._values, found[None])[0]
             if np.isfinite(better).all():
-                found = better
+                found, starts = better, [better]
             if count == len(record):
                 break
         return self._whole(found, float(data.t[0]), data.u[:1], data)
@@ -256,6 +265,7 @@ class GreyBoxModel:
             "filter_gain": None if self.filter_gain is None else self.filter_gain.tolist(),
             "intersample": self.intersample,
             "substeps": self.substeps,
+            "belief": None if self.belief is None else self.belief.to_dict(),
             "notes": self.notes,
         }
 
@@ -281,6 +291,7 @@ class GreyBoxModel:
                 content.get("intersample", "zoh"),
                 None if steps is None else int(steps),
                 dict(content.get("notes", {})),
+                StartBelief.from_dict(content.get("belief")),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(

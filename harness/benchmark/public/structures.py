@@ -136,7 +136,8 @@ def _path(
 ) -> tuple[Structure, float]:
     """Return where adding the best effect each time leads from one structure, and its figure over both halves.
 
-    An effect counts only if the structure, fitted to all records, errs over them no more than over the halves.
+    An effect counts only if the structure, fitted to all records, errs over them no more than over the halves, within
+    the accuracy of such figures.
     """
     places = _places(best)
     for _ in range(most):
@@ -152,7 +153,7 @@ def _path(
             if not least < _WORTH * error:
                 return best, error
             model = refitted(rule, more, records)
-            if model is not None and _own_figure(rule, model, records) <= least:
+            if model is not None and _WORTH * _own_figure(rule, model, records) <= least:
                 best = Structure(more.model, more.options, more.effects, _parameters(model), more.intersample)
                 error = least
                 break
