@@ -385,10 +385,8 @@ class ArmPolicy:
         "dry friction is known to a few percent",
         "seeds below 1000",
     )
-    noisy: float = _number(
-        0.05,
-        "an effect on the torque itself is tried only where the noise of the torque is at most this share of it",
-        "the noise is in the residual too: the factor comes out too small by the square of the share",
+    own: int = _number(
+        5, "effects of one joint", "a geared one has dry and viscous friction and a rotor before anything is wrong"
     )
     wide: int = _number(6, "effects on the whole arm, wrong torque gains among them", "cost")
     angle: float = _number(

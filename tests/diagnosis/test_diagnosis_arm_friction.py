@@ -60,7 +60,17 @@ def records(lever: ArmModel, friction: object, pause: float = 0.0) -> Dataset:
         q, v, a = (np.asarray(one, dtype=np.float64) for one in motion(seed, pause))
         needed = lever.torques(q, v, a)
         u = needed + friction(v, needed) + 0.01 * np.random.default_rng(seed).normal(size=q.shape)  # type: ignore[operator]
-        runs.append(Run(Trajectory(np.arange(len(q)) * DT, u, q, PlantSpec(lever.inputs, lever.positions, DT)), use))
+        runs.append(
+            Run(
+                Trajectory(
+                    np.asarray(np.arange(len(q)) * DT, dtype=np.float64),
+                    u,
+                    q,
+                    PlantSpec(lever.inputs, lever.positions, DT),
+                ),
+                use,
+            )
+        )
     return Dataset("lever", tuple(runs), intersample="smooth")
 
 

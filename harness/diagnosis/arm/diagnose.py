@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from harness.diagnosis.arm.bodies import ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
-from harness.diagnosis.arm.joint import JointRegression, joint_dictionary, white_noise
+from harness.diagnosis.arm.geared import beside_the_usual, rotor_or_gain
+from harness.diagnosis.arm.joint import JointRegression, joint_dictionary
 from harness.diagnosis.arm.misfit import inertia_below_nothing, likely_mistake, misfit_reasons
-from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
+from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill, white_noise
 from harness.diagnosis.arm.other_arm import (
     caution,
     free_bodies,
@@ -24,7 +25,7 @@ from harness.diagnosis.arm.other_arm import (
     unlikely_gains,
 )
 from harness.diagnosis.arm.regression import RegressionForm
-from harness.diagnosis.arm.rotor import ROTOR
+from harness.diagnosis.arm.rotor import ROTOR, in_the_bodies
 from harness.diagnosis.arm.simpler import with_simpler_laws
 from harness.diagnosis.arm.wide import WideResult, wide_search
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
@@ -253,20 +254,20 @@ def _joint(
             got="others",
             remedy="check units and spikes of the positions",
         )
-    candidates, noisy = joint_dictionary(arm, k, regression, runs["estimation"][0], dictionary)
-    outcome = search(
-        form,
-        nominal,
-        candidates,
-        policy=replace(policy, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z),
+    candidates = joint_dictionary(arm, k, regression, dictionary)
+    if free is not None and in_the_bodies(arm, runs, k):  # the bodies that are fitted have it
+        candidates = [placed for placed in candidates if placed.effect.name != ROTOR]
+    own = replace(
+        policy, most=arm_policy.own, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z
     )
-    outcome = with_simpler_laws(form, outcome, candidates, policy)
+    outcome = beside_the_usual(form, search(form, nominal, candidates, policy=own), candidates, own)
+    outcome = rotor_or_gain(form, with_simpler_laws(form, outcome, candidates, own), candidates, own)
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
-    noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))
+    noise = max(run.noise[k] for run in runs["validation"]) * float(np.sqrt(passed))
     closed = _on_the_true_motion(arm, runs, known, (regression, outcome.model), arm_policy)
     left = left_over(RegressionForm(closed[0], arm_policy), closed[1], policy)
-    return JointDiagnosis(k, regression, outcome, left, tuple(noisy), noise, arm_policy, closed)
+    return JointDiagnosis(k, regression, outcome, left, noise, arm_policy, closed)
 
 
 def _on_the_true_motion(

@@ -195,20 +195,24 @@ def _elastic(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
 
     The torque through the spring is what the link needs, so the torques of the motion are those at
     q - c tau, v - c tau', a - c tau'' of the joint (Spong, J. Dyn. Sys. Meas. Control 109 (1987) 310), to first order
-    in c; smooth nominal torques stand for tau, because derivatives of measured ones are noise.
+    in c. That torque is what the bodies need along the measured motion: the measured one holds the motor's friction and
+    rotor, which no spring carries, and its noise, which is in the residual too, always asks for a spring through its
+    second derivative.
     """
+    bodies = arm.arm.parameters
 
     def columns(run: ArmRun) -> FloatArray:
-        m = run.calm
-        tau, first, second = run.calm.u[:, k], run.first[:, k], run.second[:, k]
+        m, dt = run.calm, run.motion.sample_time
+        tau = arm.torques(m.q, m.v, m.a, parameters=bodies)[:, k]
+        rate = np.gradient(tau, dt)
         step = STEP / max(float(np.abs(tau).max()), 1e-9)
         parts = []
         for sign in (1.0, -1.0):
             q, v, a = m.q.copy(), m.v.copy(), m.a.copy()
             q[:, k] += sign * step * tau
-            v[:, k] += sign * step * first
-            a[:, k] += sign * step * second
-            parts.append(arm.torques(q, v, a))
+            v[:, k] += sign * step * rate
+            a[:, k] += sign * step * np.gradient(rate, dt)
+            parts.append(arm.torques(q, v, a, parameters=bodies))
         return np.asarray(-(parts[0] - parts[1])[:, :, None] / (2 * step))
 
     return columns

@@ -36,8 +36,6 @@ class JointDiagnosis:
         Its nominal model is that after effects on the whole arm, before its own.
     leftover : Leftover
         What free torques would still gain.
-    drowned : tuple of str
-        Effects that were not tried because the torque is too noisy for them.
     noise : float
         Of the torque's samples, as it shows in the residual.
     closed : (JointRegression, Fit), optional
@@ -49,7 +47,6 @@ class JointDiagnosis:
     regression: JointRegression
     outcome: Outcome
     leftover: Leftover
-    drowned: tuple[str, ...]
     noise: float
     policy: ArmPolicy = ARM_POLICY
     closed: tuple[JointRegression, Fit] | None = None

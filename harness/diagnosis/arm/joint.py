@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from harness.diagnosis.arm.motion import ArmRun, moving_rows
+from harness.diagnosis.arm.motion import ArmRun, low_passed, moving_rows
 from harness.diagnosis.arm.regression import Change
 from harness.diagnosis.arm.rotor import rotor_inertia
 from harness.diagnosis.policy import ARM_POLICY, EFFORT
 from harness.diagnosis.records.motion import Motion, motion_band
-from harness.diagnosis.runs.equation import Equations, decimated, expressible
+from harness.diagnosis.runs.equation import decimated, expressible
 from harness.diagnosis.search.fit import WAVE
 from harness.effects.compose import compose
 from harness.effects.effect import Effect, Placed
@@ -21,7 +21,7 @@ from harness.physics.arms.arm import ArmModel
 from harness.physics.compiled.system import System
 from harness.signals import Channel, FloatArray
 
-__all__ = ["JOINT_EFFECTS", "JointRegression", "joint_dictionary", "joint_system", "white_noise"]
+__all__ = ["JOINT_EFFECTS", "JointRegression", "joint_dictionary", "joint_system"]
 
 JOINT_EFFECTS = (
     "viscous_friction",
@@ -48,19 +48,29 @@ ON_TORQUE = ("input_gain", "load_dependent_friction")
 
 @dataclass(frozen=True, eq=False)
 class JointEquation:
-    """The equation of torques of a joint with some effects; see :class:`harness.diagnosis.arm.regression.Equation`."""
+    """The equation of torques of a joint with some effects; see :class:`harness.diagnosis.arm.regression.Equation`.
 
-    equations: Equations
+    The measured torque is filtered as the motion is, so what jumps is, too: a friction that jumps where the joint turns
+    would be left over there as if it were another law. ``rows`` gives at every sample what is smooth, what jumps, and
+    the derivatives of both.
+    """
+
+    system: System
     motions: Mapping[str, Sequence[Motion]]
-
-    @property
-    def system(self) -> System:
-        """The joint with its effects."""
-        return self.equations.system
+    rows: Callable[..., list[FloatArray]]
 
     def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
         """Return for every record the residual torque (rows, 1) and its derivatives (rows, 1, np)."""
-        return [self.equations.residual(motion, p) for motion in self.motions[use]]
+        found = []
+        for motion in self.motions[use]:
+            given = (motion.q, motion.v, motion.a, motion.u, np.asarray(p, dtype=float), motion.t[:, None])
+            smooth, jumps, *slopes = (part.reshape(len(motion.q), -1) for part in self.rows(*given))
+            moved = np.concatenate([jumps, slopes[1]], axis=1)
+            if moved.any():
+                moved = low_passed(moved, motion.cutoff, motion.sample_time)
+            slim = decimated(np.concatenate([smooth, slopes[0]], axis=1) + moved, motion)
+            found.append((slim[:, :1], slim[:, None, 1:]))
+        return found
 
 
 class JointRegression:
@@ -108,12 +118,10 @@ class JointRegression:
             made = []
             for number, run in enumerate(parts):
                 m = run.motion
-                # effects see the calm torque, and a factor on it what is needed, as calm: noise that is in the residual
-                # too would take part in the fit
-                torque = run.calm.u[:, pick]
-                rough = m.u[:, pick] - torque
+                # what depends on the torque sees what the bodies need, as calm: the noise of the measured one is in the
+                # residual too, and its size is that of friction where friction is most of it
                 needed = known[use][number][:, None]
-                columns = [torque, needed - rough, rough, run.calmed(needed) - needed, -run.first[:, pick]]
+                columns = [run.calm.u[:, pick], m.u[:, pick], needed, run.calmed(needed), -run.first[:, pick]]
                 if free is not None:
                     columns.append(free[use][number])
                 own = np.concatenate(columns, axis=1)
@@ -134,7 +142,7 @@ class JointRegression:
         key = tuple(str(placed) for placed in effects)
         if key not in self._equations:
             system = compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
-            self._equations[key] = JointEquation(_joint_equations(system, self.nominal.np), self.motions)
+            self._equations[key] = JointEquation(system, self.motions, _residual_rows(system, self.nominal.np))
         return self._equations[key]
 
     def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
@@ -209,7 +217,7 @@ class JointRegression:
             name: {use: [motion.q[:, 0] for motion in parts] for use, parts in self.motions.items()},
             f"{name}_rate": {use: [motion.v[:, 0] for motion in parts] for use, parts in self.motions.items()},
             self.nominal.inputs[0].name: {
-                use: [motion.u[:, 0] for motion in parts] for use, parts in self.motions.items()
+                use: [motion.u[:, 3] for motion in parts] for use, parts in self.motions.items()
             },
         }
         first, *others = axes
@@ -231,7 +239,8 @@ class JointRegression:
                         for axis, at in zip(group, knots, strict=True)
                     ]
                     both = np.einsum("ni,nj->nij", hats[0], hats[-1]).reshape(len(hats[0]), -1)
-                    torque[use].append(-decimated(hats[0] if len(hats) == 1 else both, motion)[:, None, :])
+                    free = low_passed(hats[0] if len(hats) == 1 else both, motion.cutoff, motion.sample_time)
+                    torque[use].append(-decimated(free, motion)[:, None, :])
             grid = itertools.product(*knots)
             labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in grid]
             changes.append(Change(None, {}, (f"{name} over {' and '.join(group)}", *labels), torque))
@@ -268,6 +277,7 @@ def _thinned(motion: Motion) -> Motion:
         motion.factor // step,
         motion.sample_time * step,
         None if motion.counts is None else motion.counts[: rows * step].reshape(rows, step, -1).min(axis=1),
+        motion.cutoff,
     )
 
 
@@ -301,13 +311,11 @@ def joint_system(arm: ArmModel, joint: int, free: int = 0) -> System:
 
 
 def joint_dictionary(
-    arm: ArmModel, joint: int, regression: JointRegression, run: ArmRun, dictionary: Sequence[Effect] | None = None
-) -> tuple[list[Placed], list[str]]:
-    """Return the effects at a joint that can be judged, and the names of those that the torque's noise hides.
+    arm: ArmModel, joint: int, regression: JointRegression, dictionary: Sequence[Effect] | None = None
+) -> list[Placed]:
+    """Return the effects at a joint that can be judged.
 
     Where the URDF states a damping, viscous friction may also be too large in the model: then its sign is free.
-    An effect that acts on the torque itself (its gain, friction in proportion to it) needs a torque 20 times above its
-    noise: otherwise the noise, which is in the residual too, takes part in the fit.
     """
     from harness.effects import builtin, place_all
 
@@ -316,32 +324,12 @@ def joint_dictionary(
     effects = [_of_this_unit(effect) if effect.name in ON_TORQUE else effect for effect in effects]
     if arm.damping[joint] > 0:
         effects = [_either_sign(effect) if effect.name == "viscous_friction" else effect for effect in effects]
-    torque = run.calm.u[:, joint]
-    dt = run.motion.sample_time
-    corner = ARM_POLICY.calm * motion_band(run.motion.q[:, joint], dt)[0]
-    noise = white_noise(run.motion.u[:, joint]) * float(np.sqrt(min(4 * corner * dt, 1.0)))
     # where inertia is known on an absolute scale, a factor on the torque shows; beside free inertia it is that inertia
-    placed = [
+    return [
         candidate
         for candidate in place_all(regression.nominal, effects)
         if expressible(candidate) or (candidate.effect.name == "input_gain" and not regression.own)
     ]
-    loud = noise > ARM_POLICY.noisy * float(np.std(torque))
-    noisy = [candidate for candidate in placed if candidate.effect.name in ON_TORQUE and loud]
-    return [candidate for candidate in placed if candidate not in noisy], [str(candidate) for candidate in noisy]
-
-
-def white_noise(signal: FloatArray) -> float:
-    """Return the standard deviation of white noise in an oversampled signal (N,), from its fourth difference.
-
-    Examples
-    --------
-    >>> y = np.sin(np.arange(5000) * 0.01) + 0.01 * np.random.default_rng(0).standard_normal(5000)
-    >>> round(white_noise(y), 3)
-    0.01
-    """
-    d = np.diff(np.asarray(signal, dtype=float), 4)
-    return 1.4826 * float(np.median(np.abs(d - np.median(d)))) / float(np.sqrt(70.0))
 
 
 def _either_sign(effect: Effect) -> Effect:
@@ -367,33 +355,34 @@ def _of_this_unit(effect: Effect) -> Effect:
     )
 
 
-def _joint_equations(system: System, free: int) -> Equations:
+def _residual_rows(system: System, free: int) -> Callable[..., list[FloatArray]]:
     """Return the torque that the joint asks of its input minus the measured one, with its derivatives.
 
-    Where the force depends on the torque itself (its gain, friction in proportion to it), what the motion needs is
-    divided by how much of the torque passes. The other way round, a torque that does not pass would make every residual
-    small: it would explain itself, and does at a light joint, where all of it is friction.
+    What is in proportion to the torque (its gain, friction of a gear) is so to what the bodies need, and what passes
+    divides that; the gain divides the other forces of the joint too. The other way round, a torque that does not pass
+    would make every residual small: it would explain itself, and does at a light joint, where all of it is friction.
     """
     import casadi as ca
 
+    from harness.physics.arms.vectorised import OnRecords
+
     q, v, a, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("a"), ca.SX.sym("t")
-    u, p = ca.SX.sym("u", 4 + free), system.p
+    u, p, torque = ca.SX.sym("u", 4 + free), system.p, ca.SX.sym("torque")
     swap_from = ca.vertcat(system.x, system.u, system.gravity, system.t)
-    swap_to = ca.vertcat(q, v, u[0], ca.DM([0.0, -1.0]), t)
-    matrix, force, drive = (
-        ca.substitute(ca.SX(term), swap_from, swap_to)
-        for term in (system.mass_matrix, system.generalized_forces, system.input_forces)
+    swap_to = ca.vertcat(q, v, torque, ca.DM([0.0, -1.0]), t)
+    matrix, force = (
+        ca.substitute(ca.SX(term), swap_from, swap_to) for term in (system.mass_matrix, system.generalized_forces)
     )
-    left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[4:])
-    passes = ca.jacobian(force, u[0])
-    measured = u[0] + u[2]
-    needed = left_over + passes * u[0] + u[2]
-    left_over = needed / passes - measured + (1 / passes - 1) * u[3]
-    jacobian = ca.jacobian(left_over, p)
-    strong = ca.Function("strong", [q, v, a, u, p, t], [left_over, jacobian])
-    none = ca.SX.zeros(1, p.numel())
-    weak = ca.Function("weak", [q, v, u, p, t], [ca.SX(0), force, none, none])
-    return Equations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [drive]))
+    passes = ca.jacobian(force, torque)
+    gain = ca.substitute(passes, v, 0)  # no friction at rest
+    bodies = u[3] + sum(p[k] * u[4 + k] for k in range(1, free))
+    measured, rough, clock = u[1], u[2] - u[3], p[0] * u[4]
+    own = (matrix @ a - force + passes * torque) / gain
+    jumping = ca.substitute(own, a, 0)
+    parts = bodies / gain + own - jumping + rough + clock - measured, bodies / passes - bodies / gain + jumping
+    smooth, jumps = (ca.substitute(part, torque, bodies) for part in parts)
+    slopes = [ca.jacobian(part, p) for part in (smooth, jumps)]
+    return OnRecords(ca.Function("rows", [q, v, a, u, p, t], [smooth, jumps, *slopes]))
 
 
 def _sizes(system: System, motion: Motion) -> dict[str, dict[str, float]]:

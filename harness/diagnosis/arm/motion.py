@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.records.motion import ORDER, Motion, motion_band, smooth_motion
@@ -13,9 +15,11 @@ from harness.diagnosis.runs.equation import decimated
 from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["ArmRun", "arm_runs", "moving_rows", "standstill"]
+__all__ = ["ArmRun", "arm_runs", "low_passed", "moving_rows", "standstill", "white_noise"]
 
 USES = ("estimation", "validation", "test")
+NYQUIST = 0.9
+"""Corner over half of the sample rate from which on nothing is filtered."""
 
 
 @dataclass(frozen=True)
@@ -30,20 +34,22 @@ class ArmRun:
         The same, filtered down to twice the band of the motion: regressors are taken from it. The residual holds
         M times the noise of the acceleration; a regressor with that noise would follow it (a mass comes out too
         small), and feedback carries it into the torques as well (an elasticity comes out of nothing).
-    first, second : array (N, n)
+    first : array (N, n)
         Time derivatives of the calm torques.
     rigid : array (N, n)
         Torque that the nominal arm needs along the motion, the URDF's damping and friction included.
     corner : float
         Of the calm motion [Hz].
+    noise : array (n,)
+        Of the samples of the measured torques, before any filter.
     """
 
     motion: Motion
     calm: Motion
     first: FloatArray
-    second: FloatArray
     rigid: FloatArray
     corner: float
+    noise: FloatArray
 
     @property
     def sharp(self) -> ArmRun:
@@ -52,7 +58,11 @@ class ArmRun:
 
     def calmed(self, values: FloatArray) -> FloatArray:
         """Return columns (N,) or (N, k) filtered as the calm motion is."""
-        return _low_passed(values, self.corner, self.motion.sample_time)
+        return low_passed(values, self.corner, self.motion.sample_time)
+
+    def followed(self, values: FloatArray) -> FloatArray:
+        """Return columns (N,) or (N, k) filtered as the motion and the torques are: what jumps does so there too."""
+        return low_passed(values, self.motion.cutoff, self.motion.sample_time)
 
     def slim(self, columns: FloatArray, joints: Sequence[int] | None = None) -> FloatArray:
         """Return columns (N, n) or (N, n, k) of these joints, low-passed and decimated as the residual is."""
@@ -115,12 +125,33 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
     rigid = arm.torques(motion.q, motion.v, motion.a) + arm.damped(motion.v)
     band = max(motion_band(record.y[:, k], motion.sample_time)[0] for k in range(arm.n))
     still = np.abs(motion.v) <= ARM_POLICY.still * np.sqrt(np.mean(motion.v[motion.inside] ** 2, axis=0))
-    motion = replace(motion, counts=1.0 - still)
+    motion = replace(motion, counts=1.0 - (still | _pauses(still, motion)))
     corner = max(ARM_POLICY.calm * band, _clear(record, columns, motion))
     calm = _calmed(motion, corner)
-    dt = motion.sample_time
-    first = np.gradient(calm.u, dt, axis=0)
-    return ArmRun(motion, calm, first, np.gradient(first, dt, axis=0), rigid, corner)
+    noise = np.array([white_noise(record.u[:, k]) for k in range(arm.n)])
+    return ArmRun(motion, calm, np.gradient(calm.u, motion.sample_time, axis=0), rigid, corner, noise)
+
+
+def _pauses(still: NDArray[np.bool_], motion: Motion) -> NDArray[np.bool_]:
+    """Return where joints (N, n) pause, and as far around it as the filter of the torques carries what is unknown."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    width = max(round(0.5 / (motion.cutoff * motion.sample_time)), 1)
+    long = minimum_filter1d(still.astype(np.uint8), width, axis=0)
+    return np.asarray(maximum_filter1d(long, 3 * width, axis=0) > 0)
+
+
+def white_noise(signal: FloatArray) -> float:
+    """Return the standard deviation of white noise in an oversampled signal (N,), from its fourth difference.
+
+    Examples
+    --------
+    >>> y = np.sin(np.arange(5000) * 0.01) + 0.01 * np.random.default_rng(0).standard_normal(5000)
+    >>> round(white_noise(y), 3)
+    0.01
+    """
+    d = np.diff(np.asarray(signal, dtype=float), 4)
+    return 1.4826 * float(np.median(np.abs(d - np.median(d)))) / float(np.sqrt(70.0))
 
 
 def _clear(record: Trajectory, columns: dict[str, tuple[int | None, int | None]], motion: Motion) -> float:
@@ -132,14 +163,24 @@ def _clear(record: Trajectory, columns: dict[str, tuple[int | None, int | None]]
 
 def _calmed(motion: Motion, corner: float) -> Motion:
     """Return a motion low-passed without delay at a corner [Hz]."""
-    q, v, u = (_low_passed(part, corner, motion.sample_time) for part in (motion.q, motion.v, motion.u))
+    q, v, u = (low_passed(part, corner, motion.sample_time) for part in (motion.q, motion.v, motion.u))
     return replace(motion, q=q, v=v, a=np.gradient(v, motion.sample_time, axis=0), u=u)
 
 
-def _low_passed(values: FloatArray, corner: float, sample_time: float) -> FloatArray:
-    """Return columns (N,) or (N, k) low-passed without delay at a corner [Hz]."""
+def low_passed(values: FloatArray, corner: float, sample_time: float) -> FloatArray:
+    """Return columns (N,) or (N, k) low-passed without delay at a corner [Hz], as they are if samples end below it."""
     from scipy import signal
 
-    sos = signal.butter(ORDER, min(2 * corner * sample_time, 0.9), output="sos")
+    if 2 * corner * sample_time >= NYQUIST:
+        return values
+    sos = _low_pass(2 * corner * sample_time)
     pad = min(int(4 / (corner * sample_time)), len(values) - 1)
     return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=pad))
+
+
+@functools.cache
+def _low_pass(corner: float) -> FloatArray:
+    """Return the filter of a corner over half of the sample rate, as second-order sections."""
+    from scipy import signal
+
+    return np.asarray(signal.butter(ORDER, corner, output="sos"))

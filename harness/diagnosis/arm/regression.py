@@ -321,8 +321,10 @@ class RegressionForm(InOneGo):
         return float(np.max(changed / np.maximum(self.regression.size, 1e-300), initial=0.0))
 
     def distance(self, fit: Fit, other: Fit) -> float:
-        """Return infinity: how far two fits are apart is not asked of torques."""
-        return float("inf")
+        """Return by how much the torques of two fits differ, at the joint where they do most: rms over torque's rms."""
+        pairs = zip(*(regression_detail(one).residual["estimation"] for one in (fit, other)), strict=True)
+        apart = self._rms([a - b for a, b in pairs])
+        return float(np.max(apart / np.maximum(self.regression.size, 1e-300), initial=0.0))
 
     def damping(self, fit: Fit, at: str) -> None:
         """Return nothing: what brakes a joint is known by its torque only."""

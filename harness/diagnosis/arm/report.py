@@ -6,7 +6,7 @@ What does not apply is empty: an arm is not simulated, so there are no simulatio
     By joint: ``joint`` (name of its position), ``link_joint`` (name in the URDF), ``judged``, ``standstill`` (share of
     the time), ``effects``, ``before`` and ``after`` (by use: rms of the torque residual while it moves), ``unit``,
     ``torque_rms``, ``clock_s`` (by how long its torque is recorded too late; null where
-    that is more than a clock can be), ``not_tried``; under ``left``: ``share``
+    that is more than a clock can be); under ``left``: ``share``
     (of the torque's standard deviation that stays unexplained, its noise taken off), ``noise`` (of the torque's
     samples, as it shows in the residual), ``predictable`` and ``axis`` (what could still be predicted, over what),
     ``error`` (partial autocorrelations and deviation of the error that the likelihood found).
@@ -211,7 +211,6 @@ def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str,
         "effects": [],
         "clock_s": None,
         "left": None,
-        "not_tried": [],
     }
     if judged is not None:
         error = regression_detail(judged.final).errors[0]
@@ -224,7 +223,6 @@ def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str,
             "axis": None if judged.predictable is None else judged.predictable.name,
             "error": {"partial": error.partial.tolist(), "deviation": known(error.deviation)},
         }
-        entry["not_tried"] = list(judged.drowned)
     return entry
 
 
@@ -296,10 +294,6 @@ def _not_visible(found: ArmDiagnosis) -> list[dict[str, str]]:
         {"name": hidden.placed.effect.name, "at": hidden.placed.at, "reason": hidden.placed.effect.experiment}
         for hidden in sorted(found.wide.outcome.rounds[0].test.hidden, key=lambda hidden: str(hidden.placed))
     ]
-    for joint in found.joints:
-        for name in joint.drowned:
-            effect, _, at = name.partition("@")
-            rows.append({"name": effect, "at": at, "reason": "the torque is less than 20 times its noise: move faster"})
     return rows
 
 

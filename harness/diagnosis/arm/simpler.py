@@ -56,8 +56,8 @@ def with_simpler_laws(form: Form, outcome: Outcome, candidates: Sequence[Placed]
     """Return an outcome with simpler laws in the place of accepted ones while these data do not tell them apart.
 
     One or two laws of a place are replaced by up to two of those that they become at a limit. The best such replacement
-    is the answer if it is as likely; and where an accepted law ended on a bound at which it is another one, or against
-    its own physics, if it is better than nothing.
+    is the answer if it is as likely, or has fewer parameters and errs by less than is asked of an effect; and where an
+    accepted law ended on a bound at which it is another one, or against its own physics, if it is better than nothing.
 
     Parameters
     ----------
@@ -109,6 +109,7 @@ def _better(
         lawful = not any(impossible(form, known.placed, model) for known in old)
         enough = (
             close(model, fit, value(model) - value(fit), policy)
+            or (fit.count < model.count and form.distance(model, fit) < policy.least)
             if lawful
             else value(fit) > value(outcome.nominal) + 2 * policy.evidence
         )
@@ -131,6 +132,9 @@ def _replacements(
             known = {name: placed.effect for name, placed in here.items()}
             simple = dict.fromkeys(law.name for one in old for law in becomes(one.placed.effect, known))
             open_to = [here[name] for name in simple if str(here[name]) not in present]
+            for law in (here[name] for name in known if str(here[name]) not in present):
+                if size > 1 and {one.placed.effect.name for one in old} <= {*law.effect.nests}:
+                    yield [*old], [law]  # the two are parts of it
             for count in range(1, MOST + 1):
                 for new in itertools.combinations(open_to, count):
                     if not any(_same(one.placed, new) for one in old):

@@ -178,12 +178,11 @@ class WideRegression:
 def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     """Return what every joint could do by itself (N, n, 6 n).
 
-    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque, acceleration.
+    Sign of the speed, speed, 1, size of what the bodies need times the sign, rate of the torque, acceleration; what
+    jumps is filtered as the torque is.
 
     The rate stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
-    step by which an integrator is late. The size of the torque explains by itself a torque that is all friction: here
-    that is meant, such a joint says nothing of the whole arm. (The torque that the bodies need in its place left the
-    corners of a joint that sticks to be explained, and an elasticity of another joint did so in 2 of 4 logs.)
+    step by which an integrator is late.
 
     Parameters
     ----------
@@ -193,10 +192,12 @@ def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     """
     rows, n = run.motion.u.shape
     result = np.zeros((rows, n, len(OWN) * n))
+    needed = run.calmed(run.rigid)
     for k in range(n):
         v = run.motion.v[:, k]
         sign = np.tanh(v / level[k])
-        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k], run.calm.a[:, k])
+        dry, load = run.followed(np.stack([sign, np.abs(needed[:, k]) * sign], axis=1)).T
+        parts = (dry, v, np.ones(rows), load, -run.first[:, k], run.calm.a[:, k])
         for place, column in enumerate(parts):
             result[:, k, len(OWN) * k + place] = column
     return result

@@ -14,6 +14,8 @@ __all__ = ["Motion", "measured_coordinates", "motion_band", "smooth_motion", "th
 
 ORDER = 4
 MOST = 20
+INTERPOLATION = 20
+"""Samples of a record from either end that an interpolation rings in, twice differentiated."""
 HELD, SMOOTH = 0.1, 0.2
 """Share of the sample rate up to which the motion is followed: with the mean over a held sample and differences of
 second order, and with smooth signals and differences of fourth order."""
@@ -37,6 +39,8 @@ class Motion:
     sample_time : float
     counts : array (N, n), optional
         1 where the residual of a coordinate says something, 0 where it could be anything; all of them if not given.
+    cutoff : float
+        Up to where the motion was followed [Hz].
     """
 
     t: FloatArray
@@ -48,6 +52,7 @@ class Motion:
     factor: int
     sample_time: float
     counts: FloatArray | None = None
+    cutoff: float = float("inf")
 
     def signals(self, u: FloatArray | None = None) -> Signals:
         """Return the motion as effects take it, with other inputs (N, nu) if given."""
@@ -142,6 +147,7 @@ def smooth_motion(
     """
     from scipy import signal
 
+    measured = len(run)
     if intersample == "smooth":
         run = _interpolated(run, [position for position, _ in columns.values() if position is not None])
     dt, n = run.spec.sample_time, len(run)
@@ -153,7 +159,8 @@ def smooth_motion(
         told += [motion_band(run.y[:, rate], dt)[1] for _, rate in columns.values() if rate is not None]
     cutoff = float(np.clip(max(told), min(5 * band, highest), highest))
     sos = signal.butter(ORDER, 2 * cutoff * dt, output="sos")
-    edge = int(np.clip(round(1.5 / (cutoff * dt)), 4, max(n // 8, 4)))
+    touched = INTERPOLATION * (n // measured) if n > measured else 0
+    edge = int(np.clip(round(1.5 / (cutoff * dt)) + touched, 4, max(n // 8, 4)))
 
     def derivative(x: FloatArray) -> FloatArray:
         second = np.gradient(x, dt)
@@ -180,9 +187,9 @@ def smooth_motion(
     u = run.u
     if intersample == "zoh" and n > 1:
         u = 0.5 * (u + np.concatenate([u[:1], u[:-1]]))
-    elif intersample == "smooth" and u.size:  # the balance of forces is linear in them: both sides take one filter
+    if (by_rates or intersample == "smooth") and u.size:  # a balance of forces is linear in them: one filter for both
         u = signal.sosfiltfilt(sos, u, axis=0, padlen=min(3 * edge, n - 1))
-    return Motion(run.t, position_of, speed_of, acceleration_of, u, slice(edge, n - edge), factor, dt)
+    return Motion(run.t, position_of, speed_of, acceleration_of, u, slice(edge, n - edge), factor, dt, cutoff=cutoff)
 
 
 def _interpolated(run: Trajectory, positions: list[int]) -> Trajectory:
