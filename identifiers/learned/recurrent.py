@@ -14,10 +14,9 @@ from harness.data.whole_files import whole_file
 from harness.errors import FitError, InputError
 from harness.signals import Trajectory
 from identifiers.common.bands import refuse_share
-from identifiers.learned.integrating import Integrating
 from identifiers.learned.recurrent_fit import Fitted, Problem, descend
 from identifiers.learned.recurrent_model import RecurrentEnsemble, RecurrentModel, vouched
-from identifiers.learned.recurrent_pass import Layout
+from identifiers.learned.recurrent_pass import Integrating, Layout
 from identifiers.learned.training import Excited, bar
 
 __all__ = ["NeuralOutputError", "RecurrentEnsemble", "RecurrentModel"]

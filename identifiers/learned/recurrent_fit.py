@@ -13,8 +13,7 @@ from harness.errors import FitError
 from harness.models.damped import Damping, damped_descent
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.scaling import centred
-from identifiers.learned.integrating import Integrating
-from identifiers.learned.recurrent_pass import Layout
+from identifiers.learned.recurrent_pass import Integrating, Layout
 from identifiers.linear.n4sid import Subspace
 
 __all__ = ["Fitted", "Problem", "Recurrence", "cascade", "descend", "descend_from", "fit_start", "subspace_start"]

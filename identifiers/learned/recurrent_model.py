@@ -18,10 +18,9 @@ from identifiers.common.bands import Ahead, Bands, held_out_runs
 from identifiers.common.observers import best_gain, riccati_gains, run_in_steps
 from identifiers.common.reach import Reach
 from identifiers.learned.ensemble import Ensemble, own_spread
-from identifiers.learned.integrating import Integrating
 from identifiers.learned.polynomial_pass import Polynomials
 from identifiers.learned.recurrent_fit import Fitted, Problem, Recurrence, fit_start
-from identifiers.learned.recurrent_pass import Layout
+from identifiers.learned.recurrent_pass import Integrating, Layout
 from identifiers.learned.state_network import StateNetwork
 
 __all__ = ["RecurrentEnsemble", "RecurrentModel", "own_member", "vouched"]

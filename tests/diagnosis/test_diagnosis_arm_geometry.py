@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.diagnosis.arm.geometry import runs_of_another_arm
 from harness.diagnosis.arm.motion import ArmRun, arm_runs
+from harness.diagnosis.arm.other_arm import runs_of_another_arm
 from harness.diagnosis.arm.wide_regression import WideRegression
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, PlantSpec, Run, Trajectory

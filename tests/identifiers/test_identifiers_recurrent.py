@@ -16,9 +16,8 @@ from harness.scoring import simulation_error
 from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.learned import recurrent
-from identifiers.learned.integrating import Integrating
 from identifiers.learned.recurrent import NeuralOutputError, RecurrentEnsemble
-from identifiers.learned.recurrent_pass import Layout, library
+from identifiers.learned.recurrent_pass import Integrating, Layout, library
 from identifiers.linear.least_squares import Arx
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 1.0)

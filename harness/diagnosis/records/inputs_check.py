@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -111,21 +111,10 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
         return replace(cut, u=_earlier(cut.u, rows))[spare : len(cut) - spare]
 
     equations = _asked(system, read(0.0), dataset)
-    if equations is None:
+    rows, gained = (0.0, 0.0) if equations is None else _late(equations, read)
+    if not rows:
         return dataset
-    sides = {sign: _gain(equations, read(0.5 * sign)) for sign in (1.0, -1.0)}
-    sign = max(sides, key=lambda side: sides[side])
-    if sides[sign] < 0.0:
-        return dataset
-    known = {0.0: 0.0, 0.5: sides[sign]}
-    for rows in DATA_POLICY.rows_tried:
-        known[rows] = _gain(equations, read(sign * rows))
-        if known[rows] < max(known.values()):
-            break
-    late = max(known, key=lambda rows: known[rows])
-    beside = [known[rows] for rows in (0.0, late - 0.5, late + 0.5) if rows in known and rows != late]
-    if late not in (0.5, 1.0, 2.0) or known[late] < max(beside) + ODD.shift:
-        return dataset
+    late, sign = abs(rows), np.sign(rows)
     whole, names = int(late), " and ".join(record.spec.inputs[k].name for k in moving)
     many = "one row" if whole == 1 else f"{whole} rows"
     verb = "is" if len(moving) == 1 else "are"
@@ -135,22 +124,39 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
             return dataset
         words = (
             f"{names} {'moves' if len(moving) == 1 else 'move'} between readings: the plant follows a line from one to "
-            f"the next (log-likelihood {known[late]:.0f} higher than held, as it is here), as it does where a "
+            f"the next (log-likelihood {gained:.0f} higher than held, as it is here), as it does where a "
             'controller works faster than the log; declare intersample = "foh"'
         )
         return _with(replace(dataset, intersample="foh"), [Oddity("between", number, names, (), words, used=True)])
     if sign < 0:
         words = (
             f"{names} {verb} recorded {many} early, or the plant has a dead time of {many}: the equations of motion "
-            f"ask for it (log-likelihood {known[late]:.0f} higher), and the record does not tell which"
+            f"ask for it (log-likelihood {gained:.0f} higher), and the record does not tell which"
         )
         return _with(dataset, [Oddity("shift", number, names, (), words)])
     words = (
-        f"{names} {verb} recorded {many} late: the plant answers before (log-likelihood {known[late]:.0f} higher with "
+        f"{names} {verb} recorded {many} late: the plant answers before (log-likelihood {gained:.0f} higher with "
         f"the input read {many} earlier, as it is here); write u[k] beside the y[k] that it follows, before the step"
     )
     runs = [replace(run, trajectory=_reread(run.trajectory, whole)) for run in dataset.runs]
     return _with(replace(dataset, runs=tuple(runs)), [Oddity("shift", number, names, (), words, used=True)])
+
+
+def _late(equations: _Equations, read: Callable[[float], Trajectory]) -> tuple[float, float]:
+    """Return by how many rows an input is late (below 0: early), and the log-likelihood that says so; 0 if none."""
+    sides = {sign: _gain(equations, read(0.5 * sign)) for sign in (1.0, -1.0)}
+    sign = max(sides, key=lambda side: sides[side])
+    if sides[sign] < 0.0:
+        return 0.0, 0.0
+    known = {0.0: 0.0, 0.5: sides[sign]}
+    for rows in DATA_POLICY.rows_tried:
+        known[rows] = _gain(equations, read(sign * rows))
+        if known[rows] < max(known.values()):
+            break
+    late = max(known, key=lambda rows: known[rows])
+    beside = [known[rows] for rows in (0.0, late - 0.5, late + 0.5) if rows in known and rows != late]
+    clear = late in (0.5, 1.0, 2.0) and known[late] >= max(beside) + ODD.shift
+    return (sign * late, known[late]) if clear else (0.0, 0.0)
 
 
 def _reread(record: Trajectory, rows: int) -> Trajectory:
