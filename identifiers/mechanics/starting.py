@@ -93,7 +93,7 @@ class StartBelief:
         total = sum(map(len, wrong))
         lags = range(min(_LAGS, max(map(len, wrong))))
         # Over all samples and not over those of a lag: only so is it the covariance of anything.
-        errors = np.array([sum(np.sum(one[k:] * one[: len(one) - k], axis=0) for one in wrong) / total for k in lags])
+        errors = np.array([sum(_lagged(one, k) for one in wrong) / total for k in lags])
         errors[0] += _SINGULAR * errors[0] + (_EXACT * outputs) ** 2
         return cls(states.mean(axis=0), precision, errors)
 
@@ -175,3 +175,8 @@ class StartBelief:
         if content is None:
             return None
         return cls(**{name: np.array(content[name], dtype=float) for name in cls.__dataclass_fields__})
+
+
+def _lagged(errors: FloatArray, lag: int) -> FloatArray:
+    """Return the sum of products (ny,) of errors (N, ny) that are so many samples apart; 0 in a shorter run."""
+    return np.asarray(np.sum(errors[lag:] * errors[: max(len(errors) - lag, 0)], axis=0))

@@ -124,3 +124,15 @@ def test_both_signs_behind_a_sensor_that_hides_them_are_looked_for() -> None:
         part = whole[at : at + 40]
         run = model.free_run(model.initial_state(part[:15])[None], part.u[None])[0]
         assert np.sqrt(np.mean((run - part.y) ** 2)) < 0.05
+
+
+def test_records_of_other_lengths_count_as_far_as_they_go() -> None:
+    """A run that is shorter than the longest by more than half of it was no fit at all."""
+    learner = OutputError(model="linear", options={"order": 3}, horizon="record")
+    whole, short = record(0), record(2, 80)
+    belief = learner.fit([whole, short], rng=np.random.default_rng(0)).belief
+    assert belief is not None
+    assert len(belief.errors) == 500
+    noise = NOISE * whole.y.std()
+    assert np.sqrt(belief.errors[0, 0]) == pytest.approx(noise, rel=0.2)
+    assert np.abs(belief.errors[100:, 0]).max() < 0.25 * noise**2
