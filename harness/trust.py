@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -18,7 +19,7 @@ from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["names_fmu", "registered_only", "trusted", "trusting"]
+__all__ = ["UNZIPPING", "names_fmu", "registered_only", "trusted", "trusting"]
 
 _TRUSTED: ContextVar[frozenset[Path]] = ContextVar("trusted", default=frozenset())
 NATIVE = (".fmu", ".ssp", ".so", ".dll", ".dylib", ".pyd")
@@ -27,6 +28,8 @@ LIBRARIES = (b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 """How libraries of Linux, Windows and macOS begin, whatever they are called."""
 DESCRIPTIONS = ("modelDescription.xml", "SystemStructure.ssd")
 """What makes an archive or a folder an FMU or a package of FMUs, whatever it is called."""
+UNZIPPING = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError)
+"""What reading an archive raises; RuntimeError if an entry is encrypted, or packed by a method that zipfile lacks."""
 ADDRESS = re.compile(r"([A-Za-z_]\w*)[\w.]*:[A-Za-z_]\S*")
 """``module:attribute``, as Python's entry points and Gymnasium's environments are addressed."""
 LONGEST = 4096  # characters of a path
@@ -213,7 +216,7 @@ def _is_code(path: Path) -> bool:
             return False
         with zipfile.ZipFile(path) as archive:
             return any(name in DESCRIPTIONS for name in archive.namelist())
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # the last: zipfile, of a rare compression
+    except UNZIPPING:
         return False  # unreadable, so it loads no library; whoever reads the file says what is wrong with it
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from harness.diagnosis.forms.fit_records import likelihood_detail, reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.records.columns_check import DEGREE, SAMPLES
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
 from harness.physics.fitting.likelihood_fit import sensor_noise
@@ -17,12 +18,9 @@ from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise", "overwhelmed"]
 
-DEGREES = np.pi / 180
 SHIFTS = (1, 2, 5, 10, 20)
 """Samples by which an input is tried late and early; then those between the best one and its neighbours."""
 LATEST = SHIFTS[-1]
-SAMPLES = 1500
-"""Samples of a record that tell how late an input is."""
 
 
 def misfit_reasons(
@@ -186,8 +184,8 @@ def mistakes(dataset: Dataset) -> Iterator[tuple[str, Dataset, float]]:
         for k, channel in enumerate(channels):
             yield f"the sign of {channel.name}", _changed(dataset, kind, [k], -1.0), 0.0
             if kind == "y" and channel.unit == "rad":
-                scale = count * float(np.log(DEGREES))
-                yield f"whether {channel.name} is in degrees", _changed(dataset, kind, [k], DEGREES), scale
+                scale = count * float(np.log(DEGREE))
+                yield f"whether {channel.name} is in degrees", _changed(dataset, kind, [k], DEGREE), scale
         if len(channels) > 1:
             what = "inputs" if kind == "u" else "outputs"
             yield f"the signs of all {what}", _changed(dataset, kind, range(len(channels)), -1.0), 0.0

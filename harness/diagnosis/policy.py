@@ -389,6 +389,18 @@ class ArmPolicy:
         5, "effects of one joint", "a geared one has dry and viscous friction and a rotor before anything is wrong"
     )
     wide: int = _number(6, "effects on the whole arm, wrong torque gains among them", "cost")
+    lightest: float = _number(-0.95, "relative error of a link that leaves it next to no mass", "none is below nothing")
+    gyration: float = _number(
+        0.5, "largest radius of gyration [m] of a link whose tensor a URDF does not state", "half a link of a metre"
+    )
+    unfiltered: float = _number(
+        0.9, "corner over half of the sample rate from which on nothing is filtered", "the filter would ring there"
+    )
+    gains_tried: tuple[float, ...] = _number(
+        (0.8, 0.5, 0.35),
+        "torque gains from which a fit starts in the place of a rotor",
+        "a rotor is never below nothing, and geared up a few times the link at most",
+    )
     angle: float = _number(
         0.3,
         "largest joint zero, tilt and flexure [rad]",
@@ -602,6 +614,12 @@ class DataPolicy:
         "share of the noise of a kept reading by which a jump of the acceleration may move it",
         "a bias of a tenth changes the chance of a reading by half a percent; averages over wider windows made the "
         "corners of an engine's friction Stribeck friction",
+        "seeds below 1000",
+    )
+    ringing: int = _number(
+        20,
+        "samples from either end in which a twice differentiated interpolation rings",
+        "outliers of ten deviations there passed for an error that remembers",
         "seeds below 1000",
     )
     rows_late: int = _number(2, "rows by which a recorded input may be late", "a log is written a step or two off")

@@ -239,7 +239,8 @@ def _place_force(system: System, placed: Placed, port: Port, made: _Symbols, nom
     q, v = _motion(system, port.name)
     signal, a = system.input_forces[row], ca.SX.sym("a")
     load = carried_load(system, port.name)
-    damping, pull = unforced(nominal, port.name)
+    asks = {"damping", "pull"} & set(placed.effect.extras)
+    damping, pull = unforced(nominal, port.name) if asks else (0.0, 0.0)
     value, derivatives = placed.effect.evaluate(
         signal,
         made.states,

@@ -10,6 +10,7 @@ from typing import Any
 
 from harness.errors import InputError
 from harness.fmi.archive import has_document_type
+from harness.trust import UNZIPPING
 
 __all__ = ["Joined", "Terminal", "joined", "read_terminals"]
 
@@ -83,7 +84,7 @@ def read_terminals(path: str | Path) -> dict[str, Terminal]:
                 return {}
             size = archive.getinfo(ENTRY).file_size
             text = archive.read(ENTRY) if size <= LARGEST else b""
-    except (OSError, zipfile.BadZipFile, NotImplementedError) as error:  # the last: zipfile, of a rare compression
+    except UNZIPPING as error:
         raise _refused(path, "an entry that can be unpacked", str(error)) from error
     if not text:
         raise _refused(path, f"at most {LARGEST >> 20} MiB, and something in it", f"{size} bytes")

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 from harness.errors import InputError
 from harness.fmi.archive import STARTS, check_entries, has_document_type, plain_name
+from harness.trust import UNZIPPING
 from plants.temporary import release, temporary_folder
 
 __all__ = ["MAX_ENTRIES", "MAX_TOTAL", "FmuFile", "read_fmu"]
@@ -187,7 +188,7 @@ def read_fmu(path: str | Path) -> FmuFile:
     try:
         with zipfile.ZipFile(path) as archive:
             _check_entries(path, archive)
-    except (zipfile.BadZipFile, OSError, ValueError) as error:
+    except UNZIPPING as error:
         raise InputError(
             "not an FMU",
             expected="a zip archive with modelDescription.xml",

@@ -199,3 +199,25 @@ def test_members_keep_their_order() -> None:
     first = Terminal("a", "sequence", None, (("x", "x", "signal"), ("y", "y", "signal")))
     second = Terminal("b", "sequence", None, (("p", "p", "signal"), ("q", "q", "signal")))
     assert [(one.first, one.second) for one in joined(first, second)] == [("x", "p"), ("y", "q")]
+
+
+@pytest.mark.parametrize("damage", ["content", "method", "encrypted", "cut"])
+def test_an_entry_that_cannot_be_unpacked_is_refused_in_words(damage: str, tmp_path: Path) -> None:
+    """zipfile raises another error for each of these; a stream whose bytes were changed was a fault of ours."""
+    path = tmp_path / "theirs.fmu"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(ENTRY, "<a>" + "terminals and icons " * 200 + "</a>")
+    content = bytearray(path.read_bytes())
+    first, head = 30 + len(ENTRY), content.index(b"PK\x01\x02")
+    if damage == "content":
+        content[first : first + 20] = b"\xff" * 20
+    elif damage == "method":
+        content[8:10] = content[head + 10 : head + 12] = (99).to_bytes(2, "little")
+    elif damage == "encrypted":
+        content[6] |= 1
+        content[head + 8] |= 1
+    else:
+        del content[first + 10 : first + 30]
+    path.write_bytes(bytes(content))
+    with pytest.raises(InputError, match=r"theirs\.fmu"):
+        read_terminals(path)

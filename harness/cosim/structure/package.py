@@ -6,7 +6,6 @@ import posixpath
 import shutil
 import tempfile
 import zipfile
-import zlib
 from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from urllib.parse import parse_qs, unquote, urlparse
 
 from harness.errors import InputError
 from harness.fmi.archive import check_entries, has_document_type
+from harness.trust import UNZIPPING
 
 __all__ = ["PROXIED", "FolderPackage", "InFmu", "Package", "Readable", "ZipPackage", "on_this_machine", "parsed"]
 
@@ -109,7 +109,7 @@ class ZipPackage(Package):
                     if entry.filename.endswith(DESCRIPTIONS):
                         _refuse_large(path, entry.filename, entry.file_size, LARGEST_TEXT)
                         _refuse_doctype(path, entry.filename, archive.read(entry))
-        except (zipfile.BadZipFile, OSError, ValueError) as error:
+        except UNZIPPING as error:
             raise InputError(
                 "not an SSP package",
                 expected="a zip archive with SystemStructure.ssd",
@@ -130,8 +130,7 @@ class ZipPackage(Package):
         try:
             with zipfile.ZipFile(self.path) as archive:
                 return archive.read(entry)
-        # RuntimeError: a member packed by a method that zipfile does not know
-        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError) as error:
+        except UNZIPPING as error:
             raise self._damaged(name, error) from error
 
     def file(self, name: str) -> Path:
@@ -143,7 +142,7 @@ class ZipPackage(Package):
             try:
                 with zipfile.ZipFile(self.path) as archive:
                     archive.extract(self._entries[name], self._folder)
-            except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError) as error:
+            except UNZIPPING as error:
                 raise self._damaged(name, error) from error
         return target
 
@@ -220,8 +219,7 @@ class InFmu(Readable):
                 if found.file_size > largest:
                     raise ValueError(f"{found.file_size >> 20} MiB")
                 return archive.read(found)
-        # RuntimeError: an entry that is encrypted, or packed by a method that zipfile does not know
-        except (KeyError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError) as error:
+        except (KeyError, *UNZIPPING) as error:
             raise InputError(
                 "a file inside an FMU",
                 expected=f"a file of at most {largest >> 20} MiB inside {self._fmu.name}",

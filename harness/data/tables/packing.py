@@ -6,6 +6,7 @@ import zipfile
 from pathlib import Path
 
 from harness.errors import InputError
+from harness.trust import UNZIPPING
 
 __all__ = ["NUMBER", "most_unpacked", "refuse_bomb", "refuse_large"]
 
@@ -66,7 +67,7 @@ def refuse_bomb(path: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
-    except (OSError, ValueError, zipfile.BadZipFile):
+    except UNZIPPING:
         return
     most = most_unpacked(path.stat().st_size)
     if size > most:

@@ -13,6 +13,7 @@ from pathlib import Path
 from harness.data.tables.headers import TIME_WORDS, words_of
 from harness.data.tables.packing import most_unpacked
 from harness.errors import InputError
+from harness.trust import UNZIPPING
 
 __all__ = ["CODINGS", "closed_lines", "suffix_by_content", "text_of"]
 
@@ -107,7 +108,7 @@ def suffix_by_content(path: Path) -> str | None:
         try:
             with zipfile.ZipFile(path) as archive:
                 inside = archive.namelist()
-        except (zipfile.BadZipFile, OSError):
+        except UNZIPPING:
             return "rename it to end in .xlsx or .npz"
         if any(name.startswith("xl/") for name in inside):
             return "rename it to end in .xlsx"

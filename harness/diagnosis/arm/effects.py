@@ -22,10 +22,6 @@ __all__ = ["GAIN", "Wide", "wide_effects"]
 
 STEP = 1e-4
 GAIN = "input_gain"
-LIGHTEST = -0.95
-"""Relative error of a link that leaves it next to no mass."""
-GYRATION = 0.5
-"""Largest radius of gyration of a link whose tensor a URDF does not state [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +139,7 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
     for number in arm.links:
         joint = arm.arm.joints[number]
         if joint.mass > 0:
-            scale = _par("scale", "1", "relative error of mass and inertia", policy.gain - 1, least=LIGHTEST)
+            scale = _par("scale", "1", "relative error of mass and inertia", policy.gain - 1, least=policy.lightest)
             words = (
                 "The URDF gives this link the wrong mass and inertia.",
                 "mass and inertia of the link times (1 + scale)",
@@ -165,7 +161,7 @@ def _tensor(joint: Joint) -> Effect:
     A factor on one that it does state is not tried: at a joint of next to no inertia the noise of its acceleration asks
     for none.
     """
-    moment = _par("I", "kg m^2", "moment of inertia about every axis", joint.mass * GYRATION**2, sign="+")
+    moment = _par("I", "kg m^2", "moment of inertia about every axis", joint.mass * ARM_POLICY.gyration**2, sign="+")
     faster = "the same path at several speeds: what a tensor needs grows with the square of the speed, gravity stays"
     words = "The URDF gives this link no inertia tensor.", "inertia I about the centre of mass, as of a ball", faster
     return _effect("link_inertia", [moment], words)

@@ -24,8 +24,6 @@ from harness.effects.effect import Placed
 __all__ = ["beside_the_usual", "rotor_or_gain"]
 
 USUAL = ("coulomb_friction", "viscous_friction", ROTOR)
-FACTORS = (0.8, 0.5, 0.35)
-"""Gains that are tried in the place of a rotor, which is never below nothing."""
 
 
 def beside_the_usual(form: Form, outcome: Outcome, candidates: Sequence[Placed], policy: Policy) -> Outcome:
@@ -87,7 +85,7 @@ def _in_its_place(form: Form, model: Fit, gone: Placed, new: Placed) -> Fit | No
     """Return the fit of a rotor in the place of a gain, or the other way round: all forces change by one factor."""
     effects = [new if str(placed) == str(gone) else placed for placed in model.effects]
     starts = []
-    factors = [1 / model.values[gone.name("gain")]] if gone.effect.name == GAIN else FACTORS
+    factors = [1 / model.values[gone.name("gain")]] if gone.effect.name == GAIN else ARM_POLICY.gains_tried
     for factor in factors:
         start = dict(model.values) | ({new.name("gain"): factor} if new.effect.name == GAIN else {})
         for placed in model.effects:

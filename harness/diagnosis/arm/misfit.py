@@ -12,6 +12,7 @@ from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, moving_rows
 from harness.diagnosis.arm.wide_regression import OWN, own_columns
 from harness.diagnosis.policy import ARM_POLICY, Policy
+from harness.diagnosis.records.columns_check import DEGREE
 from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 
@@ -20,7 +21,6 @@ __all__ = ["apparent_inertia", "inertia_below_nothing", "likely_mistake", "misfi
 NONE = (0.0, 0.0, 0.0)
 """No gravity."""
 
-DEGREES = np.pi / 180
 MANY = 20.0
 """Times the torque from which on a residual is not given in percent of it."""
 SHOWN = 3
@@ -149,7 +149,7 @@ def _position_mistakes(dataset: Dataset, arm: ArmModel) -> Iterator[tuple[str, l
         (f"the sign of {arm.positions[k].name}", k, -1.0) for k in range(arm.n)
     ]
     if all(channel.unit == "rad" for channel in arm.positions):
-        cases.append(("whether the positions are in degrees", None, DEGREES))
+        cases.append(("whether the positions are in degrees", None, DEGREE))
     for text, k, factor in cases:
         of_joint = [arm.positions[k].name, f"{arm.positions[k].name}_rate"] if k is not None else names
         scale = np.array([factor if name in of_joint else 1.0 for name in names])

@@ -18,8 +18,6 @@ from harness.signals import Dataset, FloatArray, Trajectory
 __all__ = ["ArmRun", "arm_runs", "low_passed", "moving_rows", "standstill", "white_noise"]
 
 USES = ("estimation", "validation", "test")
-NYQUIST = 0.9
-"""Corner over half of the sample rate from which on nothing is filtered."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +169,7 @@ def low_passed(values: FloatArray, corner: float, sample_time: float) -> FloatAr
     """Return columns (N,) or (N, k) low-passed without delay at a corner [Hz], as they are if samples end below it."""
     from scipy import signal
 
-    if 2 * corner * sample_time >= NYQUIST:
+    if 2 * corner * sample_time >= ARM_POLICY.unfiltered:
         return values
     sos = _low_pass(2 * corner * sample_time)
     pad = min(int(4 / (corner * sample_time)), len(values) - 1)

@@ -12,10 +12,10 @@ from harness.physics.compiled.sampled import SampledBlocks
 from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
-__all__ = ["changed_share"]
+__all__ = ["LOOKED_AT", "changed_share"]
 
-_LOOKED_AT = 1000
-"""Samples of a record, evenly spread, from which one step is made with and without the effect: an rms needs no more."""
+LOOKED_AT = 1000
+"""Samples of a record, evenly spread, along which what two models do is compared: an rms needs no more."""
 
 
 def changed_share(
@@ -87,7 +87,7 @@ def _stepped(trace: Trace, system: System, x: FloatArray, p: FloatArray) -> tupl
 
 def _apart(samples: int) -> int:
     """Return how many samples lie between those that are looked at."""
-    return max(1, samples // _LOOKED_AT)
+    return max(1, samples // LOOKED_AT)
 
 
 def _ratio(part: Sequence[FloatArray], whole: Sequence[FloatArray]) -> float:

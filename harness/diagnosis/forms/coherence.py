@@ -17,12 +17,10 @@ import numpy as np
 from harness.diagnosis.forms.directions import Direction
 from harness.diagnosis.search.fit import Column, Linearised
 from harness.diagnosis.search.leftover import largest_evidence
+from harness.diagnosis.search.scores import SINGULAR
 from harness.signals import FloatArray
 
 __all__ = ["in_parts", "incoherence", "without"]
-
-_SINGULAR = 1e-5
-"""Singular values of unit columns below which nothing is divided by them."""
 
 
 def in_parts(whole: Direction, parts: int) -> list[Direction]:
@@ -101,7 +99,7 @@ def _evidence(linear: Linearised, bases: Mapping[str, FloatArray], columns: Sequ
         made = made[:, np.linalg.norm(made, axis=0) > 0]
         unit = made / np.linalg.norm(made, axis=0)
         u, s, _ = np.linalg.svd(unit - basis @ (basis.T @ unit), full_matrices=False)
-        keep = s > _SINGULAR
+        keep = s > SINGULAR
         total += largest_evidence(u[:, keep].T @ linear.residual[use], s[keep])[0]
     return total
 

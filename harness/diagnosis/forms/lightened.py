@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
+from harness.diagnosis.forms.changed import LOOKED_AT
 from harness.diagnosis.forms.directions import signals_of
 from harness.diagnosis.forms.trace import Trace
 from harness.physics.compiled.system import System
 
 __all__ = ["lightened"]
 
-_LOOKED_AT = 1000
-"""Samples of a record, evenly spread, along which forces are compared."""
 _FARTHEST = 5.0
 """Times a parameter, or part of it: a step of first order reaches no farther."""
 
@@ -56,7 +55,7 @@ def lightened(
     p = nominal.vector({name: values[name] for name in nominal.parameter_names})
     rows, wanted = [], []
     for trace in traces:
-        every = slice(None, None, max(1, len(trace.record) // _LOOKED_AT))
+        every = slice(None, None, max(1, len(trace.record) // LOOKED_AT))
         moved = signals_of(trace, nominal).a[every]
         n = len(moved)
         derivative = function.map(n)(

@@ -28,8 +28,8 @@ __all__ = ["Doubt", "Repair", "check_columns", "doubts", "repairs"]
 
 DEGREE = float(np.pi / 180)
 ANGULAR = ("rad", "rad/s", "rad/s^2")
-
 SAMPLES = 1500
+"""Samples of a record that tell what is wrong with a column, and how late an input is."""
 
 
 @dataclass(frozen=True, eq=False)

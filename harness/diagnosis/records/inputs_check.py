@@ -124,8 +124,8 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
             return dataset
         words = (
             f"{names} {'moves' if len(moving) == 1 else 'move'} between readings: the plant follows a line from one to "
-            f"the next (log-likelihood {gained:.0f} higher than held, as it is here), as it does where a "
-            'controller works faster than the log; declare intersample = "foh"'
+            f"the next (log-likelihood {gained:.0f} higher than held), as where a controller works faster than the "
+            'log, and it is read so here; declare intersample = "foh"'
         )
         return _with(replace(dataset, intersample="foh"), [Oddity("between", number, names, (), words, used=True)])
     if sign < 0:

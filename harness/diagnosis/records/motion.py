@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects import Signals
 from harness.signals import FloatArray, Trajectory
@@ -14,8 +15,6 @@ __all__ = ["Motion", "measured_coordinates", "motion_band", "smooth_motion", "th
 
 ORDER = 4
 MOST = 20
-INTERPOLATION = 20
-"""Samples of a record from either end that an interpolation rings in, twice differentiated."""
 HELD, SMOOTH = 0.1, 0.2
 """Share of the sample rate up to which the motion is followed: with the mean over a held sample and differences of
 second order, and with smooth signals and differences of fourth order."""
@@ -159,7 +158,7 @@ def smooth_motion(
         told += [motion_band(run.y[:, rate], dt)[1] for _, rate in columns.values() if rate is not None]
     cutoff = float(np.clip(max(told), min(5 * band, highest), highest))
     sos = signal.butter(ORDER, 2 * cutoff * dt, output="sos")
-    touched = INTERPOLATION * (n // measured) if n > measured else 0
+    touched = DATA_POLICY.ringing * (n // measured) if n > measured else 0
     edge = int(np.clip(round(1.5 / (cutoff * dt)) + touched, 4, max(n // 8, 4)))
 
     def derivative(x: FloatArray) -> FloatArray:

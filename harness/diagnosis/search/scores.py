@@ -14,7 +14,7 @@ from harness.signals import FloatArray
 
 __all__ = ["Lead", "ScoreTest", "score_test"]
 
-_SINGULAR = 1e-5
+SINGULAR = 1e-5
 """Singular values of unit columns below which nothing is divided by them."""
 
 
@@ -144,7 +144,7 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
         left = unit - basis @ (basis.T @ unit)
         share = float(np.sqrt((left**2).sum(axis=0)).max())
         u, s, vt = np.linalg.svd(left, full_matrices=False)
-        keep = s > _SINGULAR
+        keep = s > SINGULAR
         along = -(u[:, keep].T @ residual)  # the innovations must go down
         gain = 0.5 * float(along @ along)
         coefficients[use] = vt[keep].T @ (along / s[keep]) / size[use]
