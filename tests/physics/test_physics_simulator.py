@@ -43,6 +43,21 @@ def excitation(system, count, seed=0):
     return rng.normal(size=(count, system.nu)) * 0.3, np.abs(rng.normal(size=system.nx)) * 0.3
 
 
+@pytest.mark.parametrize("intersample", ["zoh", "foh", "smooth"])
+def test_windows_with_a_late_input_are_run_alike_with_and_without_sensitivities(intersample):
+    system = delayed_cart()
+    u, x0 = excitation(system, 60)
+    p = system.vector()[None]
+    for backend in ("c", "casadi") if compiler() else ("casadi",):
+        simulator = system.simulator(0.01, substeps=2, intersample=intersample, backend=backend)
+        late, by_delays = simulator.sampled.inputs(u[None], p, True)
+        given = p, x0[None], late, by_delays, np.zeros(1)
+        with_them, without = (simulator.windows(*given, sensitivities=wanted) for wanted in (True, False))
+        assert with_them[2] is not None
+        assert without[2] is None
+        assert np.array_equal(with_them[1], without[1])
+
+
 @needs_compiler
 @pytest.mark.parametrize("intersample", ["zoh", "foh", "smooth"])
 @pytest.mark.parametrize("name", [*NAMES, "delayed"])

@@ -204,7 +204,7 @@ class Functions:
             held = u[window]
             after = np.vstack([held[1:], held[-1:]]) if foh else held
             d_held = d_after = None
-            if input_jacobian is not None:
+            if input_jacobian is not None and sensitivities:
                 d_held = input_jacobian[window].reshape(n, -1)
                 d_after = np.vstack([d_held[1:], d_held[-1:]]) if foh else d_held
             start = p[window], x0[window]
