@@ -5,12 +5,17 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-__all__ = ["files_named", "fingerprint"]
+__all__ = ["files_named", "fingerprint", "own_code", "sources"]
+
+PACKAGES = ("harness", "plants", "identifiers", "scenarios")
+SOURCES = (".py", ".toml", ".c", ".h")
+"""What decides an answer among the files of a package; pages and pictures do not."""
 
 
 def fingerprint(*parts: Any) -> str:
@@ -40,6 +45,32 @@ def fingerprint(*parts: Any) -> str:
     for piece in _pieces(parts):
         digest.update(str(len(piece)).encode() + b":" + piece)
     return digest.hexdigest()[:32]
+
+
+@cache
+def own_code(root: Path | None = None) -> str:
+    """Return a hash of what this project consists of: the part of a key that its version stands for once released.
+
+    A checkout changes without another version, and a row that other code made is another row.
+
+    Parameters
+    ----------
+    root : Path, optional
+        The folder of the four packages, where this file lies if not given.
+
+    Examples
+    --------
+    >>> own_code() == own_code()
+    True
+    """
+    base = Path(__file__).resolve().parent.parent if root is None else root
+    return fingerprint([sources(base / name) for name in PACKAGES])
+
+
+def sources(folder: Path) -> dict[str, Path]:
+    """Return the files of a package that decide what it answers, by their paths in it."""
+    found = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.suffix in SOURCES}
+    return {name: found[name] for name in sorted(found)}
 
 
 def _pieces(part: Any) -> Iterable[bytes]:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import HarnessError, InputError, PluginError, refuse_no_file
-from harness.fingerprint import files_named, fingerprint
+from harness.fingerprint import files_named, fingerprint, sources
 from harness.options import instead, meant_options
 
 __all__ = [
@@ -100,14 +100,17 @@ class Entry:
 
     @property
     def code(self) -> str:
-        """A hash of the source file of a part of others; empty for ours, which the version of the project tells."""
+        """A hash of the package of a part of others; empty for ours, which ``fingerprint.own_code`` tells."""
         if self.distribution == DISTRIBUTION:
             return ""
         try:
-            found = importlib.util.find_spec(self.point.value.partition(":")[0])
+            found = importlib.util.find_spec(self.point.value.partition(":")[0].partition(".")[0])
         except (ImportError, ValueError):
             return ""
-        return "" if found is None or found.origin is None else fingerprint(*files_named(found.origin))
+        if found is None:
+            return ""
+        folders = [Path(place) for place in found.submodule_search_locations or ()]
+        return fingerprint([sources(place) for place in folders], files_named(found.origin or ""))
 
 
 @functools.cache

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import msgspec
 
-from harness import __version__, registry
+from harness import registry
 from harness.benchmark.axes import expanded, problem
 from harness.benchmark.parts import RECORDED, RECORDING, Cell, Group, Part, Score, Suite, Task
 from harness.errors import InputError
-from harness.fingerprint import files_named, fingerprint
+from harness.fingerprint import files_named, fingerprint, own_code
 from harness.parts.files import fingerprint as plant_fingerprint
 from harness.parts.files import is_plant_file, stream_key
 from harness.trust import registered_only
@@ -151,9 +151,9 @@ def cells_of(tasks: Sequence[Task]) -> list[tuple[Task, Cell]]:
 
 
 def _job(plant: Part, scenario: Part, identifier: Part, seed: int, score: Score) -> str:
-    """Return the hash of everything that decides a row, the version of the project included."""
+    """Return the hash of everything that decides a row, the code of the project included."""
     content = {
-        "version": __version__,
+        "project": own_code(),
         "plant": (plant_fingerprint(plant.id) if is_plant_file(plant.id) else plant.id, plant.name, plant.options),
         "scenario": (scenario.id, scenario.name, scenario.options),
         "identifier": (identifier.id, identifier.name, identifier.options),

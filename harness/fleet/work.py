@@ -9,11 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
-from harness import __version__, registry
+from harness import registry
 from harness.data.recipe.description import read_description
 from harness.data.recipe.ports import located_model
 from harness.errors import HarnessError
-from harness.fingerprint import fingerprint
+from harness.fingerprint import fingerprint, own_code
 from harness.fleet.records import FleetRecord
 from harness.fleet.row import blank, encoded, fill
 from harness.jobs import Desk
@@ -53,7 +53,7 @@ class RecordJob:
     def job(self) -> str:
         """A hash of the data, of the files that they and the model name, and of all else that decides the answer."""
         files = [path for path in self._files() if path.is_file()]
-        return fingerprint(__version__, self.record.name, self.model, self.undriven, files)[:20]
+        return fingerprint(own_code(), self.record.name, self.model, self.undriven, files)[:20]
 
     def _files(self) -> list[Path]:
         """Return the files that decide the answer: the record's, those that a data set names, and that of the model."""

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness import __version__
 from harness.data.whole_files import whole_file, write_json
 from harness.errors import InputError, PlantError
+from harness.fingerprint import own_code
 from harness.jobs import Desk, run_jobs, shard_file
 from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
@@ -243,7 +243,7 @@ def generate(
     if not tasks:
         raise InputError("records of a study", expected="at least one", got="none", remedy="ask for more")
     batches = [RecordFiles(task, folder / "records", samples) for task in tasks]
-    settings = {"format": FORMAT, "version": __version__, "base": base, "samples": samples}
+    settings = {"format": FORMAT, "code": own_code(), "base": base, "samples": samples}
     with alone_in(apart), alone_in(folder):
         found = _opened(apart, settings, batches, resume=resume, force=force)
         (folder / "records").mkdir(parents=True, exist_ok=True)
@@ -289,7 +289,7 @@ def _opened(
         if old != settings:
             raise InputError(
                 "the folder holds the truth of other records",
-                expected="the seeds, samples and version that it was begun with",
+                expected="the seeds, samples and code that it was begun with",
                 got="others",
                 remedy="choose other folders, or begin anew with --force",
                 file=apart,

@@ -12,14 +12,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import whole_file, write_text
 from harness.errors import InputError, unread
+from harness.fingerprint import own_code
 from harness.jobs import shard_file
 from sysid_lab.row import COLUMNS
 
 __all__ = ["ROWS", "RowStore", "read_rows"]
 
-ROWS = "rows.csv"
+ROWS, CODE = "rows.csv", "code.txt"
 AGAIN = ("crashed", "timeout")
 """What a resumed study tries once more."""
 
@@ -39,7 +40,7 @@ class RowStore:
     Raises
     ------
     InputError
-        If there are rows, and neither is wanted; or the file is no table of rows.
+        If there are rows, and neither is wanted; if other code made them; or the file is no table of rows.
     """
 
     def __init__(self, folder: Path, *, resume: bool = False, force: bool = False) -> None:
@@ -56,6 +57,16 @@ class RowStore:
         self.rows: dict[str, dict[str, str]] = {}
         if self.path.exists() and resume and not force:
             self.rows = {key: row for key, row in read_rows(self.path).items() if row["status"] not in AGAIN}
+        made_by = folder / CODE
+        if self.path.exists() and not force and (not made_by.is_file() or made_by.read_text("utf-8") != own_code()):
+            raise InputError(
+                "the rows of the folder were made by other code",
+                expected="one study by one state of the code",
+                got="sysid-harness has changed since",
+                remedy="choose a new folder, or begin anew with --force",
+                file=self.path,
+            )
+        write_text(made_by, own_code())
         if force:
             shutil.rmtree(self.shards, ignore_errors=True)
         self.shards.mkdir(exist_ok=True)

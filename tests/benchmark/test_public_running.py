@@ -137,6 +137,19 @@ def test_a_finished_cell_is_kept_until_something_changes(folder: Path) -> None:
     assert run(folder, resume=True, only="black").by_set["cascaded-tanks"]["black"].key != other.key
 
 
+def test_a_cell_that_other_code_made_is_made_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("harness.benchmark.public.running.own_code", lambda: "before" * 6)
+    first = run(folder)
+    assert "code beforebe" in (folder / "out" / "public.md").read_text()
+    monkeypatch.undo()
+    monkeypatch.setenv("SYSID_HARNESS_DATA", str(folder / "data"))
+    again = run(folder, resume=True)
+    old, new = (one.by_set["cascaded-tanks"]["black"] for one in (first, again))
+    assert new.key != old.key
+    assert new.code != old.code
+    assert new.figures == old.figures
+
+
 def test_a_part_of_the_table_leaves_the_rest_as_it_was(folder: Path) -> None:
     run(folder, sets=["cascaded-tanks"], only="black")
     both = run(folder, sets=["coupled-drives"], only="grey", resume=True)

@@ -83,6 +83,15 @@ def test_a_folder_with_rows_is_not_overwritten(tmp_path):
     assert RowStore(tmp_path, force=True).rows == {}
 
 
+def test_a_study_is_by_one_state_of_the_code(tmp_path):
+    RowStore(tmp_path).add(row(0))
+    (tmp_path / "code.txt").write_text("another")
+    with pytest.raises(InputError, match="made by other code"):
+        RowStore(tmp_path, resume=True)
+    assert RowStore(tmp_path, force=True).rows == {}
+    assert RowStore(tmp_path, resume=True).rows == {}
+
+
 def test_a_foreign_table_is_refused(tmp_path):
     (tmp_path / ROWS).write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="another version"):

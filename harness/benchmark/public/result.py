@@ -26,12 +26,13 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
     ``figures`` and ``whole_record`` are in the order of the rule's tests and in its unit: the initial state from the
     window, as the rule asks, and from the whole test record, which is another figure. ``tried`` lists what competed on
-    the validation part, with its figure there.
+    the validation part, with its figure there; ``code`` begins the hash of the project that made it.
     """
 
     set: str
     column: str
     key: str
+    code: str = ""
     status: Status
     reason: str = ""
     model: str = ""

@@ -9,7 +9,6 @@ from typing import Any
 
 import msgspec
 
-from harness import __version__
 from harness.benchmark.public.blackbox import chosen
 from harness.benchmark.public.choices import BlackChoices, GreyChoice, SetChoices, read_choices
 from harness.benchmark.public.greybox import repaired
@@ -21,7 +20,7 @@ from harness.benchmark.public.tables import write_tables
 from harness.benchmark.store import versions
 from harness.data.whole_files import whole_file
 from harness.errors import HarnessError, InputError
-from harness.fingerprint import fingerprint
+from harness.fingerprint import fingerprint, own_code
 from harness.protocols import Model
 from harness.signals import FloatArray, Trajectory
 
@@ -146,7 +145,7 @@ def _cell(
             set=rule.id, column=column, key="", status="not entered",
             reason="scored over horizons from every sample, for which no identifier is entered",
         )  # fmt: skip
-    key = fingerprint(rule.id, rule.window, rule.scale, split, msgspec.to_builtins(entry), __version__)
+    key = fingerprint(rule.id, rule.window, rule.scale, split, msgspec.to_builtins(entry), own_code())
     kept = folder / "cells" / f"{rule.id}-{column}.json"
     if resume and kept.is_file():
         found = msgspec.json.decode(kept.read_bytes(), type=Cell)
@@ -160,7 +159,7 @@ def _cell(
             cell = _black(rule, column, key, entry, split, say)
     except HarnessError as error:
         cell = Cell(set=rule.id, column=column, key=key, status="failed", reason=_line(error), origin=split.origin)
-    cell = msgspec.structs.replace(cell, seconds=time.perf_counter() - began)
+    cell = msgspec.structs.replace(cell, seconds=time.perf_counter() - began, code=own_code()[:8])
     kept.parent.mkdir(exist_ok=True)
     with whole_file(kept) as scratch:
         scratch.write_bytes(msgspec.json.format(msgspec.json.encode(cell), indent=1))

@@ -258,4 +258,4 @@ def _said(cell: Cell) -> str:
     if cell.status != "ok":
         return f"{cell.status}: {cell.reason}"
     validated = "" if cell.validation is None else f", {figure(cell.validation)} on the validation part"
-    return f"{cell.model}{validated}; {figure(cell.seconds, 2)} s; {cell.origin}"
+    return f"{cell.model}{validated}; {figure(cell.seconds, 2)} s; code {cell.code or 'not kept'}; {cell.origin}"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from harness import __version__
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import DATA_POLICY, EFFORT, POLICY, described
 from harness.diagnosis.search.fit import Begun, Column, Fit, InOneGo, Linearised, Suspect
@@ -16,7 +15,7 @@ from harness.diagnosis.store import Store, data_fingerprint
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
-from harness.fingerprint import fingerprint
+from harness.fingerprint import fingerprint, own_code
 from harness.signals import FloatArray
 
 __all__ = ["Remembered"]
@@ -26,7 +25,7 @@ class Remembered(InOneGo):
     """Keeps finished fits; one that is asked for again is read back, whatever was asked before it.
 
     A fit is known by all that decides it: the data, the compiled model with its effects, where its first steps led, the
-    fits that it goes on from and is held against, the deciding numbers and the version of the project.
+    fits that it goes on from and is held against, the deciding numbers and the code of the project.
 
     Parameters
     ----------
@@ -40,7 +39,7 @@ class Remembered(InOneGo):
         self.store: Store | None = None
         if folder is not None:
             decides = [described(numbers) for numbers in (POLICY, EFFORT, DATA_POLICY)]
-            self.store = Store(folder, fingerprint(data_fingerprint(form.dataset), decides, __version__))
+            self.store = Store(folder, fingerprint(data_fingerprint(form.dataset), decides, own_code()))
         self.proposed: Callable[[], list[Suspect]] = list
         """What else is begun beside the nominal model, whatever a first-order test says."""
 
