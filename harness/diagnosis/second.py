@@ -53,6 +53,11 @@ def second_opinion(
         )
         again = ask(other, first.dataset)
         stands = not again.misfit and nearer(simple, again.final, first.final, policy)
+    elif first.outcome.withdrawn:
+        names = " and ".join(str(one.placed) for one in first.outcome.withdrawn)
+        why = f"what is likeliest beside an unmeasured force, {names}, runs further from the validation records"
+        again = ask(other, first.dataset)
+        stands = again.verdict == "effects_found" and nearer(simple, again.final, first.final, policy)
     elif first.astray:
         why = (
             f"free runs of a model that lacks nothing err {first.runs.further:.2g} times as far on the validation "

@@ -30,6 +30,7 @@ class Answer:
     misfit: tuple[str, ...] = ()
     latent: bool = True
     error: float = 1.0
+    withdrawn: tuple[str, ...] = ()
     warnings: list[str] = field(default_factory=list)
     alarms: tuple[str, ...] = ()
     dataset: Dataset = DATA
@@ -45,6 +46,10 @@ class Answer:
         passes = SimpleNamespace(forces=(SimpleNamespace(port="q"),))
         points = {"estimation": SimpleNamespace(noise=noise)}
         return SimpleNamespace(detail=SimpleNamespace(points=points, passes=passes), error=self.error)
+
+    @property
+    def outcome(self) -> Any:
+        return SimpleNamespace(withdrawn=tuple(SimpleNamespace(placed=name) for name in self.withdrawn))
 
     @property
     def runs(self) -> Any:
@@ -105,6 +110,15 @@ def test_a_rival_asks_again_and_what_comes_clearly_nearer_stands() -> None:
     assert found.verdict == "effects_found"
     assert "coulomb_friction@q alone" in found.warnings[0]
     assert opinion(Answer(rival="coulomb_friction@q"), Answer(error=0.8))[0] is None
+
+
+def test_what_free_runs_take_back_is_looked_for_by_free_runs() -> None:
+    first = Answer(withdrawn=("elasticity@q", "sensor_cyclic_error@q"))
+    found, asked = opinion(first, Answer(verdict="effects_found", error=0.2))
+    assert "elasticity@q and sensor_cyclic_error@q, runs further" in found.warnings[0]
+    assert asked == [DATA]
+    assert opinion(first, Answer(verdict="effects_found", error=0.8))[0] is None, "it comes no nearer"
+    assert opinion(first, Answer(verdict="nothing_missing", error=0.2))[0] is None, "something is missing"
 
 
 def test_where_the_validation_records_go_further_each_record_is_halved() -> None:

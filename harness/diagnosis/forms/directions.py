@@ -289,6 +289,8 @@ def _rates(
     kind = port_of(nominal, placed).kind
     base = ca.Function("f", [nominal.x, nominal.u, nominal.p, nominal.t], [nominal.f])
     p0 = nominal.vector(known)
+    whole = None if kind == "input" else compose(nominal, [placed], sizes={"": at})
+    made = None if whole is None else ca.Function("g", [whole.x, whole.u, whole.p, whole.t], [whole.f[: nominal.nx]])
     directions = []
     for given, linear in choices(placed, at):
         names = linear or ("effect",)
@@ -305,12 +307,10 @@ def _rates(
                 plain = base.map(n)(x.T, trace.record.u.T, np.tile(p0[:, None], n), trace.record.t).full().T
                 rates = []
                 for case in cases:
-                    if kind == "input":
+                    if whole is None or made is None:
                         u = input_behind(placed, trace, nominal, case)
                         rates.append(base.map(n)(x.T, u.T, np.tile(p0[:, None], n), trace.record.t).full().T - plain)
                         continue
-                    whole = compose(nominal, [placed.with_values(case)], sizes={"": at})
-                    made = ca.Function("g", [whole.x, whole.u, whole.p, whole.t], [whole.f[: nominal.nx]])
                     p = whole.vector({**known, **{placed.name(k): v for k, v in case.items()}})
                     wide = np.hstack([x, np.zeros((n, whole.nx - nominal.nx))])
                     rate = made.map(n)(wide.T, trace.record.u.T, np.tile(p[:, None], n), trace.record.t).full().T

@@ -208,8 +208,15 @@ def _regression(run: Trajectory, column: int, signs: FloatArray) -> FloatArray:
 
 
 def _low_turns(y: FloatArray, level: float) -> int:
-    """Return how often a record has a local minimum below a level."""
-    inside = (y[1:-1] <= y[:-2]) & (y[1:-1] <= y[2:]) & (y[1:-1] < level)
+    """Return how often a record falls to a minimum below a level and rises again; where it stands still is no turn.
+
+    Examples
+    --------
+    >>> _low_turns(np.array([0.0, 0.0, 0.0, 1.0, 2.0]), 0.5), _low_turns(np.array([2.0, 0.1, 0.1, 1.0]), 0.5)
+    (0, 1)
+    """
+    moved = y[np.flatnonzero(np.diff(y, prepend=np.nan) != 0.0)]
+    inside = (moved[1:-1] < moved[:-2]) & (moved[1:-1] < moved[2:]) & (moved[1:-1] < level)
     return int(np.count_nonzero(inside))
 
 
