@@ -13,7 +13,7 @@ from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import PLAN_POLICY, Policy
 from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.runs.compare import FreeRuns
-from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.fit import Fit, Jump
 from harness.diagnosis.search.leftover import Leftover
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.scores import Lead, ScoreTest
@@ -99,12 +99,23 @@ class Diagnosis:
         """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.leftover.best is not None or self.latent_share > self.policy.large
         refused = not self.outcome.accepted and self.outcome.promised(self.policy) is not None
-        return left or refused or bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
+        denied = bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
+        return left or refused or denied or self.shaken
 
     @property
     def astray(self) -> bool:
         """True where the nominal model runs far further from the validation records than from the others."""
         return not self.outcome.accepted and self.runs.further > self.policy.further
+
+    @functools.cached_property
+    def jumps(self) -> tuple[Jump, ...]:
+        """Where the force that nobody measured changes faster than a disturbance does, beside the final model."""
+        return tuple(self.form.jumps(self.final))
+
+    @property
+    def shaken(self) -> bool:
+        """True where such a force jumps in both uses, by more than a disturbance that does not matter."""
+        return {jump.use for jump in self.jumps if jump.share > self.policy.disturbed} >= {"estimation", "validation"}
 
     @property
     def disagree(self) -> bool:

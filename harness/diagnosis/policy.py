@@ -188,6 +188,13 @@ class Policy:
         "at most 1.9 in 18 records with nothing missing, 3.2 where a drive tires; at most 1.5 in 16 of base 450000",
         "study base 440000, every 7th without an effect",
     )
+    shaken: float = _number(
+        8.0,
+        "standard deviations by which a force that nobody measured changes within a sample, from which on something "
+        "happened there",
+        "at most 5.9 in 24 records with nothing missing; at least 17 where a force comes or goes",
+        "study base 1000",
+    )
     mostly: float = _number(
         0.5, "share of a variance, or of what a channel errs, from which on it is said to be most of it", "the word"
     )
@@ -609,7 +616,7 @@ class DataPolicy:
         "counts itself",
         "one kept reading in ten thousand",
     )
-    jump: float = _number(
+    shaken: float = _number(
         0.1,
         "share of the noise of a kept reading by which a jump of the acceleration may move it",
         "a bias of a tenth changes the chance of a reading by half a percent; averages over wider windows made the "

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.fit import Begun, Column, Fit, Jump, Linearised, Suspect
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, Answer, Round, Table
@@ -159,6 +159,9 @@ class LinearForm:
 
     def distance(self, fit: Fit, other: Fit) -> float:
         return float("inf")
+
+    def jumps(self, fit: Fit) -> list[Jump]:
+        return []
 
     def damping(self, fit: Fit, at: str) -> None:
         return None

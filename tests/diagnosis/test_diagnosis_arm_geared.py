@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.arm.effects import wide_effects
+from harness.diagnosis.arm.joint import JointRegression, joint_dictionary
 from harness.diagnosis.arm.motion import arm_runs, moving_rows
+from harness.diagnosis.arm.regression import RegressionForm, regression_detail
 from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
@@ -153,3 +155,41 @@ def test_friction_of_the_load_is_told_beside_dry_friction(joint: ArmModel) -> No
     effects = found(report := close_loop(data, joint))
     assert set(effects) == {"coulomb_friction", "viscous_friction", "load_dependent_friction"}, report.data["summary"]
     assert effects["load_dependent_friction"]["mu"] == pytest.approx(0.2, rel=0.15)
+
+
+def test_dry_friction_jumps_where_the_joint_turns_and_not_at_the_next_of_few_samples(joint: ArmModel) -> None:
+    """Looked at at every tenth sample, the sign was widened to fit one record and erred by as much in the next."""
+    data = records(joint, lambda v, a: 2.0 * np.tanh(v / 0.005), 0.003, "smooth")
+    runs = arm_runs(joint, data)
+    known = {use: [run.rigid[:, 0] for run in parts] for use, parts in runs.items()}
+    regression = JointRegression(joint, 0, runs, known)
+    dry = [one for one in joint_dictionary(joint, 0, regression) if one.effect.name == "coulomb_friction"]
+    fit = RegressionForm(regression).fit(dry, [{}], None)
+    assert fit is not None
+    left = {use: float(np.std(parts[0])) for use, parts in regression_detail(fit).residual.items()}
+    assert regression.motions["estimation"][0].factor >= 8, "few rows are judged"
+    assert left["validation"] < 1.5 * left["estimation"]
+    assert fit.values["coulomb_friction@q1.w"] < 0.02
+
+
+@pytest.mark.slow
+def test_a_level_that_falls_is_found_beside_a_drag_and_a_rotor(joint: ArmModel) -> None:
+    """From nothing the search ended with Coulomb's friction: with Stribeck's begun from one start only, too."""
+
+    def brakes(v: FloatArray, a: FloatArray) -> FloatArray:
+        return 0.15 * a + (0.8 + 0.7 * np.exp(-((v / 0.3) ** 2))) * np.tanh(v / 0.005) + 0.3 * v
+
+    report = close_loop(records(joint, brakes, 0.01, "smooth"), joint)
+    assert set(found(report)) == {"stribeck_friction", "viscous_friction", "rotor_inertia"}, report.data["summary"]
+
+
+@pytest.mark.slow
+def test_two_effects_that_are_one_law_at_its_limit_are_tied_with_it(joint: ArmModel) -> None:
+    """Noise of a tenth does not tell stiff grease from dry and viscous friction, and only the two were named."""
+
+    def grease(v: FloatArray, a: FloatArray) -> FloatArray:
+        return (0.3 + 0.15 * np.abs(v) ** 0.6) * np.tanh(v / 0.005)
+
+    report = close_loop(records(joint, grease, 0.1, "smooth"), joint)
+    groups = [{member["name"] for member in tie} for tie in report.data["tie_sets"]]
+    assert "yield_friction" in found(report) or any("yield_friction" in group for group in groups)

@@ -21,20 +21,23 @@ J, B, MGL, MORE_J, MORE_G = 0.1, 0.05, 1.0, 0.01, 0.15
 LAW = Placed(builtin()["payload_step"], "theta")
 
 
-def record(seed: int, instant: float, *, moving: bool = False) -> Trajectory:
-    """Return a pendulum that picks up a load, by Heun's method in fine steps.
+def record(
+    seed: int, instant: float, *, moving: bool = False, force: float = 0.0, until: float = np.inf
+) -> Trajectory:
+    """Return a pendulum that picks up a load, or that a force pushes from an instant on, by Heun's method in fine steps.
 
     It is pushed from time to time, or all the time.
     """
+    heavier = 0.0 if force else 1.0
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.normal(size=N // 100), 100) * np.tile([1.0, 0.0], N // 200).repeat(100) * 0.4
     if moving:
         u = multisine(N, DT, rng, 0.7)
 
     def rates(x: np.ndarray, torque: float, t: float) -> np.ndarray:
-        loaded = t >= instant
-        force = torque - B * x[1] - (MGL + MORE_G * loaded) * np.sin(x[0])
-        return np.array([x[1], force / (J + MORE_J * loaded)])
+        loaded = heavier * (t >= instant)
+        total = torque - B * x[1] - (MGL + MORE_G * loaded) * np.sin(x[0]) + force * (instant <= t < until)
+        return np.array([x[1], total / (J + MORE_J * loaded)])
 
     x, angles, fine = np.array([0.3, 0.0]), [], 5
     for k in range(N):
@@ -73,6 +76,29 @@ def test_a_free_run_has_the_load_when_the_validation_record_picked_it_up() -> No
     assert after.refitted[LAW.name("t0")] == pytest.approx(10.0, abs=0.05)
     errors = after.validation[0] * found.runs.output.weights
     assert np.sqrt(np.mean(errors**2)) < 1.1 * NOISE
+
+
+@pytest.mark.parametrize(("first", "second"), [(7.31, 12.87), (13.13, 4.49)])
+def test_a_force_that_sets_in_is_named_with_its_instants(first: float, second: float) -> None:
+    """A force that remembers takes a step up: beside it nothing was said to be missing, five times of five."""
+    runs = [Run(record(6, first, moving=True, force=0.08), "estimation")]
+    runs += [Run(record(7, second, moving=True, force=0.08), "validation")]
+    found = diagnose(Dataset("load", tuple(runs)), load_model("pendulum"))
+    assert [str(accepted.placed) for accepted in found.outcome.accepted] == ["force_step@theta"]
+    assert found.grade == "explained"
+    assert found.final.values["force_step@theta.F"] == pytest.approx(0.08, rel=0.05)
+    assert found.final.values["force_step@theta.t0"] == pytest.approx(first, abs=0.05)
+    assert not found.jumps
+
+
+def test_a_force_that_comes_and_goes_is_no_step_and_not_nothing() -> None:
+    runs = [Run(record(8, 8.0, moving=True, force=0.1, until=12.0), "estimation")]
+    runs += [Run(record(9, 6.0, moving=True, force=0.1, until=11.0), "validation")]
+    found = diagnose(Dataset("load", tuple(runs)), load_model("pendulum"))
+    assert found.verdict == "unexplained"
+    for use, times in (("estimation", (8.0, 12.0)), ("validation", (6.0, 11.0))):
+        told = sorted(jump.time for jump in found.jumps if jump.use == use)
+        assert told == pytest.approx(times, abs=0.1)
 
 
 def loaded_cart(seed: int, instant: float, *, more: float) -> Trajectory:

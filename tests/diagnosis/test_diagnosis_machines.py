@@ -340,3 +340,30 @@ def test_what_a_measured_temperature_does(effect: str, law: Callable[[float, flo
 )
 def test_a_temperature_that_does_nothing_is_not_blamed(law: Callable[[float, float, float], float], seed: int) -> None:
     assert not named(diagnose(warmed(seed, law), warm_model()))
+
+
+@pytest.mark.slow
+def test_a_soft_joint_seen_from_its_motor_is_no_friction_and_no_delay() -> None:
+    """A harmonic drive in front of a hanging link, its motor's angle measured: gear friction stood for it."""
+    motor, link, mgl, damping, stiffness = 0.08, 0.2, 4.0, 0.2, 500.0
+    runs = []
+    for seed, use in enumerate(USES):
+        rng, dt, n = np.random.default_rng(900 + seed), 0.002, 4000
+        f, phase = np.geomspace(0.3, 40.0, 25), rng.uniform(0, 2 * np.pi, 25)
+        t = np.arange(n) * dt
+        u = (1.2 * np.sin(np.outer(t, 2 * np.pi * f) + phase) / np.sqrt(1 + f / 6)).sum(axis=1)
+        x, y = np.zeros(4), np.zeros(n)
+        for k in range(n):
+            y[k] = x[0]
+            for _ in range(10):  # symplectic steps of 0.2 ms
+                passed = stiffness * (x[0] - x[1]) + 0.3 * (x[2] - x[3])
+                x[2] += dt / 10 * (u[k] - damping * x[2] - passed) / motor
+                x[3] += dt / 10 * (passed - mgl * math.sin(x[1])) / link
+                x[:2] += dt / 10 * x[2:]
+        spec = PlantSpec(SPEC.inputs, SPEC.outputs, dt)
+        runs.append(Run(Trajectory(t, u[:, None], (y + 3e-5 * rng.normal(size=n))[:, None], spec), use))
+    found = diagnose(Dataset("joint", tuple(runs)), load_model("pendulum"))
+    first = found.outcome.accepted[0].placed
+    assert str(first) == "elastic_load@theta"
+    assert found.final.values[first.name("k")] == pytest.approx(stiffness, rel=0.03)
+    assert found.final.values[first.name("J")] == pytest.approx(link, rel=0.03)

@@ -12,6 +12,7 @@ from harness.diagnosis.report import evidence_json
 from harness.diagnosis.report.estimates import effect_data
 from harness.diagnosis.report.html import environment
 from harness.diagnosis.search.compare import Comparison, Judged
+from harness.diagnosis.search.fit import Jump
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.table import Accepted
 from harness.effects import builtin
@@ -180,6 +181,10 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
         ),
         ({"rival": (60.0, 40.0)}, "by 60 in log-likelihood, but its fit did not converge"),
         ({"disagree": True}, "the validation records want other parameters"),
+        (
+            {"jumps": (("estimation", 8.0), ("validation", 12.0))},
+            "jumps, at 8 s of the estimation records and at 12 s of the validation records: something happens there",
+        ),
         ({"further": 6.84}, "free runs err 6.8 times as far on the validation records as on the others"),
         ({}, "the force that nobody measured is too large for a disturbance"),
     ],
@@ -194,6 +199,8 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
         ),
         policy=POLICY,
         disagree=more.get("disagree", False),
+        shaken="jumps" in more,
+        jumps=tuple(Jump("theta", use, 0, time, 20.0, 0.2) for use, time in more.get("jumps", ())),
         astray="further" in more,
         runs=SimpleNamespace(further=more.get("further")),
     )

@@ -145,6 +145,7 @@ def test_every_effect_gives_finite_columns_or_none():
     assert silent == {
         "backlash",
         "unilateral_backlash",
+        "elastic_load",
         "elasticity",
         "hardening_elasticity",
         "sensor_cyclic_error",
@@ -229,6 +230,7 @@ def test_inputs_that_run_straight_are_followed_without_delay():
 def test_what_leaves_no_force_on_the_measured_motion_is_not_claimable():
     names = [one for one in place_all(PENDULUM, builtin().values()) if not claimable(PENDULUM, one)]
     assert {one.effect.name for one in names} == {
+        "elastic_load",
         "elasticity",
         "hardening_elasticity",
         "backlash",

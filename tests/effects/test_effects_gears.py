@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from harness.diagnosis.arm.rotor import friction_of_the_load
 from harness.effects import Placed, WrappedPlant, builtin, compose, place_all
 from harness.effects.places import unforced
 from harness.errors import InputError
@@ -96,3 +97,31 @@ def test_a_damper_brakes_more_one_way_and_never_drives(v, b, c):
     q, damping = np.linspace(-1, 1, 5), np.array([b + c, b - c])
     assume(abs(b - 0.95 * abs(c)) > 1e-9)
     assert bool(law.violations_along({"c": c}, q, damping)) == (b < 0.95 * abs(c))
+
+
+@pytest.mark.parametrize("force", [0.0, 3.0])
+def test_a_load_behind_a_spring_is_a_second_mass_that_gravity_pulls(force: float) -> None:
+    """J1 a = u - b v - passed, J2 w' = passed - mgl sin q, written out: motor and load meet in the spring."""
+    placed = Placed(builtin()["elastic_load"], "theta", {"k": 400.0, "J": 0.2, "d": 0.3})
+    system = compose(pendulum().system(), [placed])
+    slope = ca.Function("f", [system.x, system.u, system.p, system.t], [system.f])
+    q, v, e, w = 0.7, 1.5, 0.004, 1.2
+    x = [{"theta": q, "theta_rate": v}.get(one.name, e if one.name.endswith("e") else w) for one in system.states]
+    rates = np.asarray(slope(x, [force], system.vector({"J": 0.1, "b": 0.3, "mgl": 2.0}), 0.0)).ravel()
+    passed, pull = 400.0 * e + 0.3 * (v - w), -2.0 * np.sin(q)
+    wanted = [v, (force - 0.3 * v - passed) / 0.1, v - w, (passed + pull) / 0.2]
+    assert rates == pytest.approx(wanted, rel=1e-9)
+
+
+@given(load=st.floats(-9, 9), mu=st.floats(0, 0.5), r=st.floats(0, 1), v=st.sampled_from([-2.0, 2.0]))
+def test_what_a_gear_takes_of_the_load_may_be_either_sides(load: float, mu: float, r: float, v: float) -> None:
+    """A share of the load's torque (r = 0), and of the motor's (r near 1), is what the motor has to give besides."""
+    assume(abs(load) > 1e-3)
+    law = friction_of_the_load(builtin()["load_dependent_friction"], 0.6, told=True)
+    sign = np.sign(load * v)
+    motor = load * (1 + mu * sign + r * mu**2)
+    p = SimpleNamespace(mu=mu, r=r, w=1e-9)
+    assert motor + law.function(motor, None, p, 0.0, v) == pytest.approx(load)
+    if r == 0:
+        assert motor == pytest.approx(load + mu * abs(load) * np.sign(v))
+    assert abs(load * (1 + mu * sign + mu**2) - load / (1 - mu * sign)) <= abs(load) * mu**3 / (1 - mu) + 1e-12

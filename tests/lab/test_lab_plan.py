@@ -39,9 +39,9 @@ def test_every_effect_that_fits_is_hidden_or_named_as_left_out():
             "cogging@theta", "yield_friction@theta", "yield_friction@x", "mass_step@mp",
             "sensor_drift@theta", "sensor_drift@x"}  # fmt: skip
     # hidden by test_diagnosis_machines.py, until the engines of the study have their truths
-    left |= {"gear_loss@theta", "gear_loss@x", "torque_ripple@theta", "torque_ripple@x", 
+    left |= {"gear_loss@theta", "gear_loss@x", "torque_ripple@theta", "torque_ripple@x",
              "supply_sag@u", "propeller_thrust@u", "counterbalance@theta",
-             "wobbling_base@theta"}  # fmt: skip
+             "wobbling_base@theta", "elastic_load@theta", "elastic_load@x"}  # fmt: skip
     # hidden by test_diagnosis_servos.py and test_diagnosis_suspension.py
     left |= {"gear_friction@theta", "gear_friction@x", "asymmetric_damping@theta", "asymmetric_damping@x"}
     # hardware hides laws of bristles under the names of their levels

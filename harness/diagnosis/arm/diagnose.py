@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from harness.diagnosis.arm.bodies import ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
-from harness.diagnosis.arm.geared import beside_the_usual, rotor_or_gain
+from harness.diagnosis.arm.geared import beside_the_usual, rotor_or_gain, with_rivals
 from harness.diagnosis.arm.joint import JointRegression, joint_dictionary
 from harness.diagnosis.arm.misfit import inertia_below_nothing, likely_mistake, misfit_reasons
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill, white_noise
@@ -261,7 +261,8 @@ def _joint(
         policy, most=arm_policy.own, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z
     )
     outcome = beside_the_usual(form, search(form, nominal, candidates, policy=own), candidates, own)
-    outcome = rotor_or_gain(form, with_simpler_laws(form, outcome, candidates, own), candidates, own)
+    outcome = with_rivals(form, with_simpler_laws(form, outcome, candidates, own), candidates, own)
+    outcome = rotor_or_gain(form, outcome, candidates, own)
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(run.noise[k] for run in runs["validation"]) * float(np.sqrt(passed))

@@ -2,43 +2,52 @@
 
 Each of them may be several times what the bodies need. Beside what the others leave, an error that remembers takes up
 what one of them alone explains, and no search from nothing has a first step; together they leave noise. So they are
-fitted at once, what brings too little goes, one after the other, and from there the search goes on.
+fitted at once, with every law of dry friction in turn, of the best what brings too little goes, one after the other,
+and from there the search goes on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from harness.diagnosis.arm.effects import GAIN
-from harness.diagnosis.arm.rotor import ROTOR
+from harness.diagnosis.arm.joint import JointRegression
+from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.rotor import ON_LOAD, ROTOR
 from harness.diagnosis.policy import ARM_POLICY, Policy
 from harness.diagnosis.search.compare import Comparison, compared, impossible
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, named, value
-from harness.diagnosis.search.ties import close
+from harness.diagnosis.search.ties import close, undecided
 from harness.effects.effect import Placed
 
-__all__ = ["beside_the_usual", "rotor_or_gain"]
+__all__ = ["beside_the_usual", "rotor_or_gain", "with_rivals"]
 
-USUAL = ("coulomb_friction", "viscous_friction", ROTOR)
+USUAL = ("viscous_friction", ROTOR)
+DRY = "dry friction"
+PLAIN = "coulomb_friction"
+DRAGS = ("viscous_friction", "quadratic_drag")
 
 
-def beside_the_usual(form: Form, outcome: Outcome, candidates: Sequence[Placed], policy: Policy) -> Outcome:
+def beside_the_usual(form: RegressionForm, outcome: Outcome, candidates: Sequence[Placed], policy: Policy) -> Outcome:
     """Return the outcome of a search that begins with what is usual, where that is better than one from nothing.
 
     Parameters
     ----------
-    form : Form
+    form : RegressionForm
+        Of one joint.
     outcome : Outcome
         Of the search from nothing.
     candidates : sequence of Placed
         Of one joint.
     policy : Policy
     """
-    found = _needed(form, outcome.nominal, [one for one in candidates if one.effect.name in USUAL], policy)
+    found = _needed(form, _likeliest(form, outcome.nominal, candidates), policy)
     if found is None or named(found.effects) <= named(outcome.model.effects):
         return outcome
     if value(found) < value(outcome.model) - policy.misfit_gain:
@@ -56,6 +65,36 @@ def _near(form: Form, placed: Placed, candidates: Sequence[Placed]) -> list[tupl
     """Return the laws at the place of an effect that may do the same: the search asks them when it ends."""
     near = form.laws.family(placed.effect).near
     return [(other,) for other in candidates if other.at == placed.at and other.effect.name in near]
+
+
+def with_rivals(form: RegressionForm, outcome: Outcome, candidates: Sequence[Placed], policy: Policy) -> Outcome:
+    """Return an outcome that says which laws of dry friction do the same as one of its own, with or without a drag.
+
+    A search asks the rivals of what it adds. Two effects that are one law at its limit it may find one by one, and then
+    nobody has asked that law.
+    """
+    dry = [one for one in candidates if one.effect.whole == DRY and str(one) not in named(outcome.model.effects)]
+    friction = [known for known in outcome.accepted if known.placed.effect.whole == DRY]
+    drags = [known for known in outcome.accepted if known.placed.effect.name in DRAGS]
+    found: dict[str, list[tuple[Placed, ...]]] = {}
+    for gone in (*([one] for one in friction), *([one, other] for one in friction for other in drags)):
+        kept = [one for one in outcome.model.effects if one not in [known.placed for known in gone]]
+        for law in dry:
+            if all((law,) in known.tie for known in gone):
+                continue
+            starts = _begun(form, outcome.model.values, [law])
+            fits = _fits(form, [*kept, law], starts, (outcome.model,))
+            lawful = [fit for fit in fits if not any(impossible(form, one, fit) for one in fit.effects)]
+            fit = max(lawful, key=value, default=None)
+            gap = np.inf if fit is None else value(outcome.model) - value(fit)
+            if fit is not None and undecided(form, outcome.model, gone[0].placed, fit, (law,), gap, policy):
+                for known in gone:
+                    found.setdefault(str(known.placed), []).append((law,))
+    accepted = tuple(
+        replace(known, tie=tuple(dict.fromkeys([*known.tie, *found.get(str(known.placed), ())])))
+        for known in outcome.accepted
+    )
+    return replace(outcome, accepted=accepted)
 
 
 def rotor_or_gain(form: Form, outcome: Outcome, candidates: Sequence[Placed], policy: Policy) -> Outcome:
@@ -96,22 +135,62 @@ def _in_its_place(form: Form, model: Fit, gone: Placed, new: Placed) -> Fit | No
     return form.fit(effects, starts, None)
 
 
-def _needed(form: Form, nominal: Fit, effects: Sequence[Placed], policy: Policy) -> Fit | None:
+def _likeliest(form: RegressionForm, nominal: Fit, candidates: Sequence[Placed]) -> Fit | None:
+    """Return the likeliest fit of what is usual with one of the laws of dry friction, that its law allows."""
+    usual = [one for one in candidates if one.effect.name in USUAL]
+    dry = [one for one in candidates if one.effect.whole == DRY]
+    load = [one for one in candidates if one.effect.name == ON_LOAD]
+    plain = [one for one in dry if one.effect.name == PLAIN]
+    first = max(_fits(form, [*plain, *usual], [{}], (None, nominal)), key=value, default=None)
+    fits = [] if first is None else [first]
+    level = nominal.values if first is None else first.values
+    for others in (*([one] for one in dry if one not in plain), *([*plain, one] for one in load)):
+        fits += _fits(form, [*others, *usual], _begun(form, level, others), (first,))
+    fits += _fits(form, usual, [{}], (None, nominal))
+    lawful = [fit for fit in (_allowed(form, fit) for fit in fits) if fit is not None]
+    return max(lawful, key=value, default=None)
+
+
+def _allowed(form: Form, fit: Fit | None) -> Fit | None:
+    """Return a fit without what is usual where its law does not allow that, None where another law is not allowed."""
+    while fit is not None and (unlawful := [one for one in fit.effects if impossible(form, one, fit)]):
+        gone = next((one for one in unlawful if one.effect.name in USUAL), None)
+        kept = [one for one in fit.effects if one is not gone]
+        fit = form.fit(kept, [fit.values], fit) if gone is not None and kept else None
+    return fit
+
+
+def _fits(
+    form: Form, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], bases: Sequence[Fit | None]
+) -> list[Fit]:
+    """Return the fits of effects with the errors of several others; None are errors without memory."""
+    fits = (form.fit(effects, starts, base) for base in bases)
+    return [fit for fit in fits if fit is not None]
+
+
+def _begun(form: RegressionForm, known: Mapping[str, float], laws: Sequence[Placed]) -> list[dict[str, float]]:
+    """Return where laws of dry friction begin: as Coulomb's of a level that was fitted, at their other parameters."""
+    assert isinstance(form.regression, JointRegression)
+    new = laws[-1]
+    levels = [known[name] for name in known if name.startswith(PLAIN) and name.endswith(".Fc")]
+    own = {
+        new.name(parameter.name): levels[0]
+        for parameter in new.effect.parameters
+        if levels and parameter.linear and parameter.unit == "F"
+    }
+    chosen = form.regression.choices(new)
+    return [{**known, **own, **{new.name(name): number for name, number in one.items()}} for one in chosen]
+
+
+def _needed(form: Form, fit: Fit | None, policy: Policy) -> Fit | None:
     """Return the fit of those effects that bring what is asked of one, beside each other; None if none does."""
-    effects = list(effects)
-    while effects:
-        fits = [form.fit(effects, [{}], base) for base in (None, nominal)]
-        fit = max((one for one in fits if one is not None), key=value, default=None)
-        if fit is None:
-            return None
-        unlawful = [placed for placed in effects if impossible(form, placed, fit)]
-        if not unlawful:
-            weak = [(gain.total, placed) for placed, gain in _gains(form, fit, policy) if _lacks(gain, policy)]
-            weak += [(0.0, placed) for placed in effects if form.change(fit, placed) < policy.least]
-            if not weak:
-                return fit
-            unlawful = [min(weak, key=lambda pair: pair[0])[1]]
-        effects = [placed for placed in effects if placed not in unlawful]
+    while fit is not None and fit.effects:
+        weak = [(gain.total, placed) for placed, gain in _gains(form, fit, policy) if _lacks(gain, policy)]
+        weak += [(0.0, placed) for placed in fit.effects if form.change(fit, placed) < policy.least]
+        if not weak:
+            return fit
+        _, gone = min(weak, key=lambda pair: pair[0])
+        fit = form.fit([placed for placed in fit.effects if placed is not gone], [fit.values], fit)
     return None
 
 

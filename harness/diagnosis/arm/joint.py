@@ -10,8 +10,8 @@ import numpy as np
 
 from harness.diagnosis.arm.motion import ArmRun, low_passed, moving_rows
 from harness.diagnosis.arm.regression import Change
-from harness.diagnosis.arm.rotor import rotor_inertia
-from harness.diagnosis.policy import ARM_POLICY, EFFORT
+from harness.diagnosis.arm.rotor import ON_LOAD, friction_of_the_load, rotor_inertia
+from harness.diagnosis.policy import ARM_POLICY, EFFORT, POLICY
 from harness.diagnosis.records.motion import Motion, motion_band
 from harness.diagnosis.runs.equation import decimated, expressible
 from harness.diagnosis.search.fit import WAVE
@@ -43,7 +43,6 @@ JOINT_EFFECTS = (
 WAVES, SLOWEST = 24, 2.5
 """Wave numbers of a cogging that are tried, and the lowest [1/rad]: slower ones are gravity."""
 CLOCK = "clock"
-ON_TORQUE = ("input_gain", "load_dependent_friction")
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +127,7 @@ class JointRegression:
                 # and the calm acceleration, whose noise is in what the bodies need as well
                 assert m.counts is not None
                 counts = m.counts[:, pick]
-                made.append(
-                    _thinned(replace(m, q=m.q[:, pick], v=m.v[:, pick], a=run.calm.a[:, pick], u=own, counts=counts))
-                )
+                made.append(replace(m, q=m.q[:, pick], v=m.v[:, pick], a=run.calm.a[:, pick], u=own, counts=counts))
             self.motions[use] = tuple(made)
         self.counts = {use: [moving_rows(motion) for motion in parts] for use, parts in self.motions.items()}
         self.sizes = _sizes(self.nominal, self.motions["estimation"][0])
@@ -154,7 +151,7 @@ class JointRegression:
                 parameter.name for parameter in placed.effect.parameters if parameter.linear and not parameter.fixed
             )
             phase = placed.effect.parameter_of("phase")
-            for given in self._choices(placed, linear):
+            for given in self.choices(placed):
                 turns = [given]
                 if phase is not None:  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
                     turns = [{**given, phase.name: angle} for angle in (0.0, 0.5 * np.pi)]
@@ -169,12 +166,10 @@ class JointRegression:
                     changes.append(Change(placed, known, names, torque, "linear" if phase is None else "wave"))
         return changes
 
-    def _choices(self, placed: Placed, linear: Sequence[str]) -> list[dict[str, float]]:
+    def choices(self, placed: Placed) -> list[dict[str, float]]:
         """Return choices of the parameters in which an effect is not linear."""
         at = self.sizes.get(placed.at, {})
-        free = [
-            parameter for parameter in placed.effect.parameters if parameter.name not in linear and not parameter.fixed
-        ]
+        free = [parameter for parameter in placed.effect.parameters if not (parameter.linear or parameter.fixed)]
         grids: list[Sequence[float]] = []
         wave_number = placed.effect.parameter_of("wave number")
         for parameter in free:
@@ -259,28 +254,6 @@ class JointRegression:
         return [without - full for without, full in zip(*both, strict=True)]
 
 
-def _thinned(motion: Motion) -> Motion:
-    """Return a motion with an odd number of samples in each, four in one decimated sample: torques are means."""
-    step = max((motion.factor // 4 - 1) | 1, 1) if motion.factor >= 8 else 1
-    if step == 1:
-        return motion
-    rows = motion.q.shape[0] // step
-    pick = slice(step // 2, (rows - 1) * step + step // 2 + 1, step)
-    edge = -(-motion.inside.start // step)
-    return Motion(
-        motion.t[pick],
-        motion.q[pick],
-        motion.v[pick],
-        motion.a[pick],
-        motion.u[: rows * step].reshape(rows, step, -1).mean(axis=1),
-        slice(edge, rows - edge),
-        motion.factor // step,
-        motion.sample_time * step,
-        None if motion.counts is None else motion.counts[: rows * step].reshape(rows, step, -1).min(axis=1),
-        motion.cutoff,
-    )
-
-
 def joint_system(arm: ArmModel, joint: int, free: int = 0) -> System:
     """Return one joint as a system: its torque, its clock, and factors of ``free`` known columns."""
     import casadi as ca
@@ -321,7 +294,8 @@ def joint_dictionary(
 
     usual = [*(builtin()[name] for name in JOINT_EFFECTS), rotor_inertia]
     effects = usual if dictionary is None else list(dictionary)
-    effects = [_of_this_unit(effect) if effect.name in ON_TORQUE else effect for effect in effects]
+    told = not _inertia_alone(regression)
+    effects = [_of_this_unit(effect, told) for effect in effects]
     if arm.damping[joint] > 0:
         effects = [_either_sign(effect) if effect.name == "viscous_friction" else effect for effect in effects]
     # where inertia is known on an absolute scale, a factor on the torque shows; beside free inertia it is that inertia
@@ -337,22 +311,26 @@ def _either_sign(effect: Effect) -> Effect:
     return replace(effect, parameters=tuple(replace(parameter, sign="any") for parameter in effect.parameters))
 
 
-def _of_this_unit(effect: Effect) -> Effect:
+def _inertia_alone(regression: JointRegression) -> bool:
+    """Return whether all but a little of what the bodies need at a joint goes with its own acceleration."""
+    motion = regression.motions["estimation"][0]
+    a, load = motion.a[motion.inside, 0], motion.u[motion.inside, 3]
+    left = load - a * (a @ load) / max(float(a @ a), 1e-300)
+    return bool(np.linalg.norm(left) < POLICY.clear * np.linalg.norm(load))
+
+
+def _of_this_unit(effect: Effect, told: bool) -> Effect:
     """Return a factor on the torque within what a torque constant may be off: beyond, it is another unit or gear.
 
-    So is a friction in proportion to the torque that lets pass less.
+    So is a friction in proportion to the torque that lets pass less; ``told`` says whether its side is asked for.
     """
     low, high = 1 / ARM_POLICY.gain, ARM_POLICY.gain
-    gain = effect.name == "input_gain"
-    return replace(
-        effect,
-        parameters=tuple(
-            replace(parameter, minimum=low if gain else parameter.minimum, maximum=high if gain else 1 - low)
-            if parameter.main
-            else parameter
-            for parameter in effect.parameters
-        ),
-    )
+    if effect.name == ON_LOAD:
+        return friction_of_the_load(effect, 1 - low, told=told)
+    if effect.name != "input_gain":
+        return effect
+    (gain,) = effect.parameters
+    return replace(effect, parameters=(replace(gain, minimum=low, maximum=high),))
 
 
 def _residual_rows(system: System, free: int) -> Callable[..., list[FloatArray]]:

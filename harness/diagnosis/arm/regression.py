@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.diagnosis.policy import ARM_POLICY, EFFORT, POLICY, ArmPolicy
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
-from harness.diagnosis.search.fit import Begun, Column, ColumnKind, Fit, InOneGo, Linearised, Suspect
+from harness.diagnosis.search.fit import Begun, Column, ColumnKind, Fit, InOneGo, Jump, Linearised, Suspect
 from harness.diagnosis.systems import Parametrised
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -325,6 +325,10 @@ class RegressionForm(InOneGo):
         pairs = zip(*(regression_detail(one).residual["estimation"] for one in (fit, other)), strict=True)
         apart = self._rms([a - b for a, b in pairs])
         return float(np.max(apart / np.maximum(self.regression.size, 1e-300), initial=0.0))
+
+    def jumps(self, fit: Fit) -> list[Jump]:
+        """Return nothing: no force is taken for a disturbance."""
+        return []
 
     def damping(self, fit: Fit, at: str) -> None:
         """Return nothing: what brakes a joint is known by its torque only."""

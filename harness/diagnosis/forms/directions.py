@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from harness.diagnosis.forms.jumps import instants
 from harness.diagnosis.forms.lines import frequencies, short_waves, waves
 from harness.diagnosis.forms.trace import Along, Trace
 from harness.diagnosis.policy import EFFORT
@@ -132,7 +133,7 @@ def _forces(
 ) -> list[Direction]:
     """Return the directions of an effect whose force follows from the motion."""
     frequency, wave_number = (placed.effect.parameter_of(role) for role in ("frequency", "wave number"))
-    phase = placed.effect.parameter_of("phase")
+    phase, instant = (placed.effect.parameter_of(role) for role in ("phase", "instant"))
     waves_of_it: list[Placed] = []
     if frequency is not None:
         waves_of_it = [
@@ -145,7 +146,10 @@ def _forces(
         numbers += short_waves(traces["estimation"], nominal, row, beyond=max(numbers, default=0.0))
         waves_of_it = [placed.with_values({wave_number.name: k}) for k in numbers if k <= wave_number.maximum]
     else:
-        return _blocks(traces, signals, nominal, known, placed, sizes, None)
+        if instant is not None and instant.name not in placed.values:
+            found = instants(traces["estimation"], placed.at)
+            waves_of_it = [placed.with_values({instant.name: t0}) for t0 in found]
+        waves_of_it.append(placed)
     return [
         direction for wave in waves_of_it for direction in _blocks(traces, signals, nominal, known, wave, sizes, phase)
     ]

@@ -13,13 +13,14 @@ from harness.diagnosis.forms.damping import damping_along
 from harness.diagnosis.forms.directions import Direction, directions, line_directions, test_functions
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.innovations import answered
+from harness.diagnosis.forms.jumps import jumps
 from harness.diagnosis.forms.lightened import lightened
 from harness.diagnosis.forms.likelihood_form import USES, FirstSteps, LikelihoodForm
 from harness.diagnosis.forms.suspects import hidden
 from harness.diagnosis.forms.trace import Trace
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
-from harness.diagnosis.search.fit import Begun, Column, Fit, Suspect
+from harness.diagnosis.search.fit import Begun, Column, Fit, Jump, Suspect
 from harness.diagnosis.systems import by_equations
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
@@ -189,6 +190,12 @@ class EquationsForm(LikelihoodForm[System]):
             if unit == "v"
         ]
         return [*([names[coordinate.v] for coordinate in self.nominal.coordinates] or names), *motors]
+
+    def jumps(self, fit: Fit) -> list[Jump]:
+        """Return where the force that nobody measured changes faster than a disturbance does."""
+        if not self.latent:
+            return []
+        return jumps(self._traces(fit, USES), self.noise_model.force_scale, POLICY)
 
     def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate, and the damping of all that brakes it there."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import DATA_POLICY, EFFORT, POLICY, described
-from harness.diagnosis.search.fit import Begun, Column, Fit, InOneGo, Linearised, Suspect
+from harness.diagnosis.search.fit import Begun, Column, Fit, InOneGo, Jump, Linearised, Suspect
 from harness.diagnosis.store import Store, data_fingerprint
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
@@ -105,6 +105,10 @@ class Remembered(InOneGo):
     def distance(self, fit: Fit, other: Fit) -> float:
         """Pass on."""
         return self.form.distance(fit, other)
+
+    def jumps(self, fit: Fit) -> list[Jump]:
+        """Pass on."""
+        return self.form.jumps(fit)
 
     def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Pass on."""

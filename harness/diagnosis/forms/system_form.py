@@ -8,7 +8,7 @@ from typing import Generic
 
 import numpy as np
 
-from harness.diagnosis.search.fit import Column, Fit
+from harness.diagnosis.search.fit import Column, Fit, Jump
 from harness.diagnosis.systems import SystemT
 from harness.effects.effect import Placed
 from harness.physics.compiled.kalman_pass import Filtered, Pass
@@ -76,6 +76,10 @@ class SystemForm(ABC, Generic[SystemT]):
     def distance(self, fit: Fit, other: Fit) -> float:
         """Return how far another fit is from one, as such a share; infinity where nobody can tell."""
         return float("inf")
+
+    def jumps(self, fit: Fit) -> list[Jump]:
+        """Return where a latent force changes faster than a disturbance does; none is known here."""
+        return []
 
     def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate and what brakes it there; None where forces have no text."""

@@ -513,9 +513,20 @@ def _cause(found: Diagnosis) -> str:
         return f"{gain}, but {refusals_text(refused.refusals)}"
     if found.disagree:
         return "the validation records want other parameters than the estimation records"
+    if found.shaken:
+        return _happened(found)
     if found.astray:
         return f"free runs err {found.runs.further:.2g} times as far on the validation records as on the others"
     return "the force that nobody measured is too large for a disturbance"
+
+
+def _happened(found: Diagnosis) -> str:
+    """Return when the force that nobody measured jumps."""
+    parts = []
+    for use in ("estimation", "validation"):
+        times = sorted({round(one.time, 2) for one in found.jumps if one.use == use})
+        parts.append(f"{', '.join(f'{time:g}' for time in times)} s of the {use} records")
+    return f"the force that nobody measured jumps, at {' and at '.join(parts)}: something happens there"
 
 
 def _taken_back(found: Diagnosis) -> list[str]:

@@ -36,6 +36,9 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
         f"it changes {100 * r.numbers[0]:.2g} % of rates or readings, {100 * r.numbers[1]:g} % asked: nobody would "
         "miss it"
     ),
+    Kind.AGAIN: lambda r: (
+        f"it does not happen once: beside it the force that nobody measured jumps {r.numbers[0]:.0f} more times there"
+    ),
     Kind.INCOHERENT: lambda r: (
         f"it does not repeat: amplitude and phase change along the records (evidence {r.numbers[0]:.1f})"
     ),

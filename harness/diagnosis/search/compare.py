@@ -166,7 +166,7 @@ def judged(
         for refusal in wrong_signs(placed, fit.values)
     ]
     if not reasons:  # what costs more than a comparison is asked last
-        reasons = _coloured(fit, base, policy) or _small(form, added, fit, policy)
+        reasons = _coloured(fit, base, policy) or _small(form, added, fit, policy) or _again(form, added, fit)
     return Judged(tuple(added), fit, comparison, tuple(reasons))
 
 
@@ -207,6 +207,13 @@ def _small(form: Form, added: Sequence[Placed], fit: Fit, policy: Policy) -> lis
     """Return which effects change less than anybody would miss."""
     shares = [(placed, form.change(fit, placed)) for placed in added]
     return [Refusal(Kind.SIZE, str(placed), (share, policy.least)) for placed, share in shares if share < policy.least]
+
+
+def _again(form: Form, added: Sequence[Placed], fit: Fit) -> list[Refusal]:
+    """Return which effects are said to happen once, where the force that nobody measured goes on jumping."""
+    once = [placed for placed in added if placed.effect.parameter_of("instant") is not None]
+    more = [jump.port for jump in form.jumps(fit)] if once else []
+    return [Refusal(Kind.AGAIN, str(one), (more.count(one.at),)) for one in once if one.at in more]
 
 
 def coloured_gains(fit: Fit, base: Fit, order: int) -> tuple[float, float]:

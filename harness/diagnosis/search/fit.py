@@ -14,7 +14,7 @@ from harness.effects.effect import Placed
 from harness.physics.fitting.maximum import interval
 from harness.signals import FloatArray
 
-__all__ = ["WAVE", "Begun", "Column", "ColumnKind", "Fit", "Form", "InOneGo", "Linearised", "Suspect"]
+__all__ = ["WAVE", "Begun", "Column", "ColumnKind", "Fit", "Form", "InOneGo", "Jump", "Linearised", "Suspect"]
 
 ColumnKind = Literal["linear", "wave", "drift"]
 """What columns stand for: derivatives by linear parameters, or test functions of a force; the sine and the cosine of
@@ -205,6 +205,32 @@ class InOneGo:
         return None if begun is None else self.finish(begun, base, rival)
 
 
+@dataclass(frozen=True)
+class Jump:
+    """An instant at which something happened: a latent force changes faster than a disturbance does.
+
+    Attributes
+    ----------
+    port : str
+    use : str
+    run : int
+        Number of the record in its use.
+    time : float
+        [s]
+    size : float
+        Change within a sample over its standard deviation.
+    share : float
+        The step around it over the typical force.
+    """
+
+    port: str
+    use: str
+    run: int
+    time: float
+    size: float
+    share: float
+
+
 class Form(Protocol):
     """A way to give data a likelihood under a model with effects."""
 
@@ -289,6 +315,10 @@ class Form(Protocol):
         Each has its own values and hidden states: it is what an effect does beyond what the other parameters can do as
         well. Infinite where nobody can tell.
         """
+        ...
+
+    def jumps(self, fit: Fit) -> list[Jump]:
+        """Return where the force that nobody measured changes faster than a disturbance does; empty if none is told."""
         ...
 
     def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:

@@ -67,7 +67,7 @@ class Outcome:
 
         The data prefer it by all that is asked of an effect: it is no answer, and without it something is missing.
         """
-        asked = {*WANT_OF_EVIDENCE, Kind.INCOHERENT, Kind.OTHER_LAW}
+        asked = {*WANT_OF_EVIDENCE, Kind.INCOHERENT, Kind.OTHER_LAW, Kind.AGAIN}
         rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.refusals]
         held = [
             row

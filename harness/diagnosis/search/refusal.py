@@ -41,6 +41,8 @@ class Kind(Enum):
     """What its law asks of its values does not hold: the sentence of the law is the ``subject``."""
     OTHER_LAW = "other law"
     """Beside it an effect that was found before, the ``subject``, is no law any more: ``cause`` says why."""
+    AGAIN = "again"
+    """What is said to happen once, the ``subject``, happens again: how often the force at its place jumps beside it."""
     WITHDRAWN = "withdrawn"
     """It was accepted, and taken back: with it the model runs further from the validation records."""
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import effect, par
-from harness.effects.functions import sin
+from harness.effects.functions import sigmoid, sin
+from harness.effects.laws.stiffness import CHANGE
 
-__all__ = ["periodic_disturbance"]
+__all__ = ["force_step", "periodic_disturbance"]
 
 
 @effect(
@@ -45,3 +46,18 @@ __all__ = ["periodic_disturbance"]
 def periodic_disturbance(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
     """Sinusoidal force from outside (unbalance of a neighbour, mains)."""
     return p.A * sin(p.omega * t + p.phi)
+
+
+@effect(
+    ("coordinate", "input"),
+    [par("F", "F", scale="0.1 F", neutral=0.0, main=True, linear=True, meaning="force that comes"), *CHANGE],
+    formula="F = F step((t - t0)/w) (at an input: u' = u + F step((t - t0)/w))",
+    family=("force_bias", "payload_step", "sensor_drift"),
+    same_as={"parameter": "if t0 lies outside the record: a constant force of the nominal"},
+    limits={"force_bias": "where it is there from the beginning of every record"},
+    experiment="no excitation at all: the rest position jumps at the instant, and never again",
+    told_by=("rest",),
+)
+def force_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
+    """Constant force that sets in during a record: a cable that catches, a weight hung on, a brake that drags."""
+    return p.F * sigmoid((t - p.t0) / p.w)

@@ -19,6 +19,7 @@ from harness.effects.functions import absolute, dead_band, dead_band_slope, sigm
 __all__ = [
     "backlash",
     "cogging",
+    "elastic_load",
     "elasticity",
     "gear_loss",
     "hardening_elasticity",
@@ -95,6 +96,32 @@ def hardening_elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, l
     """Flexible transmission that stiffens with its twist, as harmonic drives do."""
     passed = p.k * s.e + p.k3 * s.e**3 + p.d * (s.w - v)
     return _through(passed, f, s, p, v)
+
+
+@effect(
+    "coordinate",
+    [
+        _stiffness("20 F a/v^2", (1.0, 0.1, 10.0), main=True),
+        par("J", "F/a", scale="0.4 F/a", sign="+", minimum=1e-12, nuisance=True, grid=(1.0, 0.2),
+            meaning="inertia of the load, no longer part of the motor's side"),
+        _damping("0.2 F/v"),
+    ],
+    states={"e": "q", "w": "v"},
+    initial={"w": "v"},
+    drives=True,
+    linearises=False,
+    formula="F = -(k e + d e') - g, e' = q' - w, J w' = k e + d e' + g; g the nominal force at rest, which pulls "
+    "at the load",
+    family=("elasticity", "input_delay", "actuator_lag", "viscous_friction", "coulomb_friction"),
+    limits={"parameter": "for large k: the two inertias add up to the nominal's",
+            "elasticity": "without damping of either mass, below the antiresonance"},
+    experiment="a chirp through the antiresonance and resonance of the two masses, with a sensor on each side",
+    told_by=("chirp",),
+)  # fmt: skip
+def elastic_load(f: Any, s: Any, p: Any, q: Any, v: Any, pull: Any) -> tuple[Any, list[Any]]:
+    """Load behind a flexible transmission whose motor's side is measured: harmonic drives, belts, shafts."""
+    passed = p.k * s.e + p.d * (v - s.w)
+    return -passed - pull, [v - s.w, (passed + pull) / p.J]
 
 
 def _play() -> list[EffectParameter]:

@@ -45,6 +45,7 @@ FORCES = (
     "periodic_disturbance",
     "even_drag",
     "position_dependent_damping",
+    "force_pulse",
     "force_step",
     "maxwell_element",
     "cubic_drag",
@@ -173,7 +174,9 @@ _TERMS: dict[str, Callable[[Mapping[str, float], str], Law]] = {
     "even": lambda values, plant: lambda q, v, t, u: -values["even"] * v * v,
     "vdp": lambda values, plant: lambda q, v, t, u: -values["vdp"] * q * q * v,
     "ripple": lambda values, plant: lambda q, v, t, u: values["ripple"] * u * math.cos(5 * q),
-    "stepf": lambda values, plant: lambda q, v, t, u: values["stepf"] if t >= values["stept"] else 0.0,
+    "stepf": lambda values, plant: (
+        lambda q, v, t, u: values["stepf"] * (values["stept"] <= t < values.get("stepe", math.inf))
+    ),
     "drag3": lambda values, plant: lambda q, v, t, u: -values["drag3"] * v**3,
     "mag": lambda values, plant: lambda q, v, t, u: -values["mag"] * _pull((q - values["magq"]) / values["magw"]),
     "warm": lambda values, plant: lambda q, v, t, u: -values["warm"] * (1 - t / values["warmt"]) * v,

@@ -33,7 +33,7 @@ from sysid_lab.truths.simulation import DT, GRAVITY, SUBSTEPS
 
 __all__ = ["OUTSIDE", "falling_damping", "force_size", "hide", "hide_outside", "sagging_gain"]
 
-OUTSIDE = ("even_drag", "cubic_drag", "force_step", "magnet", "tiring_drive")
+OUTSIDE = ("even_drag", "cubic_drag", "force_pulse", "magnet", "tiring_drive")
 """Laws that the dictionary does not have."""
 _LEVEL = {"nominal": 1.0, "quarter": 0.25}
 
@@ -166,16 +166,29 @@ def _tilt(context: Context, at: str, scale: float, size: float, rng: np.random.G
     return Hidden("gravity_tilt", at, {"tilt": value}, {"alpha": value})
 
 
+def _force_step(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    value = 2.0 * size * context.torque(at) * float(rng.choice([-1.0, 1.0]))
+    own, later = _instants(context, at, "stept", rng)
+    return Hidden("force_step", at, _put(context, at, {"stepf": value}), {"F": value, "t0": own}, own=later)
+
+
+def _instants(
+    context: Context, at: str, name: str, rng: np.random.Generator
+) -> tuple[float, dict[str, dict[str, float]]]:
+    """Return an instant in the middle of the estimation record, and the values of the truth for each record."""
+    record = (len(context.u) - PRE) * DT
+    own = {use: float(rng.uniform(0.3, 0.7)) * record for use in ("estimation", "validation")}
+    return own["estimation"], {use: _put(context, at, {name: t0 + PRE * DT}) for use, t0 in own.items()}
+
+
 def _payload(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
     a = np.gradient(context.v(at), DT)
     angle = at == "theta"
     felt = context.inertia(at) * a + (context.gravity * np.sin(context.q(at)) if angle else 0.0)
     part = size * context.torque(at) / rms(felt)
     values = {"dJ": part * context.inertia(at), "dG": part * context.gravity if angle else 0.0}
-    record = (len(context.u) - PRE) * DT
-    own = {use: float(rng.uniform(0.3, 0.7)) * record for use in ("estimation", "validation")}
-    later = {use: _put(context, at, {"t0": t0 + PRE * DT}) for use, t0 in own.items()}
-    return Hidden("payload_step", at, _put(context, at, values), {**values, "t0": own["estimation"]}, own=later)
+    own, later = _instants(context, at, "t0", rng)
+    return Hidden("payload_step", at, _put(context, at, values), {**values, "t0": own}, own=later)
 
 
 def _end_stop(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
@@ -365,6 +378,7 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "position_dependent_damping": _uneven,
     "drifting_damping": _drifting,
     "force_bias": _bias,
+    "force_step": _force_step,
     "gravity_tilt": _tilt,
     "payload_step": _payload,
     "end_stop": _end_stop,
@@ -411,8 +425,9 @@ def hide_outside(name: str, at: str, level: str, context: Context, rng: np.rando
         place, width = float(rng.uniform(-0.5, 0.5)) * rms(q), 0.2 * rms(q)
         off = (q - place) / width
         values = {"mag": force / rms(off * np.exp(-0.5 * off**2)), "magq": place, "magw": width}
-    elif name == "force_step":
-        values = {"stepf": 2 * force, "stept": (PRE + 0.5 * (len(v) - PRE)) * DT}
+    elif name == "force_pulse":  # it comes and goes
+        instants = (PRE + np.array([0.4, 0.6]) * (len(v) - PRE)) * DT
+        values = {"stepf": 2 * force, "stept": float(instants[0]), "stepe": float(instants[1])}
     else:
         truth, shape = {
             "even_drag": ("even", v**2),

@@ -104,6 +104,7 @@ _EACH = {
     "warmt": 1.0,
     "tire": 0.0,
     "stept": _LARGE,
+    "stepe": _LARGE,
     "stepf": 0.0,
     "t0": _LARGE,
     "dJ": 0.0,

@@ -124,7 +124,7 @@ static double force(const double *p, int i, const double *x, double *dx, double 
         f -= AT(P_mag, i) * off * exp(-0.5 * off * off);
     }
     f -= AT(P_drag3, i) * v * v * v + AT(P_warm, i) * (1 - t / AT(P_warmt, i)) * v + AT(P_tire, i) * u * fabs(v);
-    if (t >= AT(P_stept, i)) f += AT(P_stepf, i);
+    if (t >= AT(P_stept, i) && t < AT(P_stepe, i)) f += AT(P_stepf, i);
     f -= AT(P_dG, i) * taken(t - AT(P_t0, i), p[P_ramp]) * sin(q);
     return f;
 }
