@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from harness.errors import FitError
-from harness.judgement.feedback import unit_columns
+from harness.judgement.feedback import FORETOLD, unit_columns
 from harness.judgement.law import SHORT, THIN, dependence_text, first_rows, law_of
 from harness.signals import Trajectory
 
@@ -18,6 +18,8 @@ _ANSWERS = "; if there is none, and an output answers within the sample, declare
 # Inputs move nearly together if the others leave so little of one; its coefficient is chance if its standard deviation
 # is half of what all inputs do, so that the interval holds nothing and twice as much.
 _NEARLY, _CHANCE = 0.1, 0.5
+# Samples for each that an input is said to follow from: below, anything follows.
+_ROWS = 3
 
 
 def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float = 2.0) -> None:
@@ -79,7 +81,29 @@ def refuse_undetermined(records: Sequence[Trajectory], what: str, least_excitati
                 got=f"{law} but for a constant",
                 remedy="excite every input by itself, or leave one out",
             )
+        _refuse_late(first_rows(records), what)
     refuse_law(records, what, least_excitation)
+
+
+def _refuse_late(records: Sequence[Trajectory], what: str) -> None:
+    """Raise if an input follows, to rounding, from a few samples of the others: a copy that is late, or filtered."""
+    spec, u = records[0].spec, [record.u for record in records if len(record) > 2 * SHORT]
+    if sum(len(one) - 2 * SHORT for one in u) <= _ROWS * (1 + (2 * SHORT + 1) * (spec.nu - 1)):
+        return
+    now = np.concatenate([one[SHORT:-SHORT] for one in u])
+    near = [np.concatenate([one[j : len(one) - 2 * SHORT + j] for one in u]) for j in range(2 * SHORT + 1)]
+    for column in range(spec.nu):
+        others = np.hstack([np.ones((len(now), 1)), *(np.delete(one, column, axis=1) for one in near)])
+        known, wanted = unit_columns(others), now[:, column]
+        left = wanted - known @ np.linalg.lstsq(known, wanted, rcond=THIN)[0]
+        if 0.0 < wanted.std() and left.std() <= FORETOLD * wanted.std():
+            names = ", ".join(channel.name for i, channel in enumerate(spec.inputs) if i != column)
+            raise FitError(
+                f"{what}: the data do not determine the model",
+                expected="inputs that move apart",
+                got=f"{spec.inputs[column].name} follows from samples of {names}, {SHORT} before to {SHORT} after",
+                remedy="excite every input by itself, or leave one out",
+            )
 
 
 def _refuse_together(records: Sequence[Trajectory], what: str) -> None:

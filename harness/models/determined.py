@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harness.models.in_loops import innovations, without
+from harness.models.other_orders import agreeing
 from harness.models.spread import Matrices, gains, steps
 from harness.signals import FloatArray, Trajectory
 
@@ -17,9 +19,9 @@ KEY = "determined"
 """Where a model's notes hold its bands: by pair of channels, ``[[low, high], ...]`` in Hz."""
 WIDTH = 2.0 ** (1.0 / 3.0)
 """Bands are thirds of an octave, over which responses hardly change but at sharp resonances."""
-CLEAR = 3.0
-"""|G|^2 over the variance of what a band alone says of it: reached by noise alone once in exp(3) = 20 bands."""
-CONTRADICTED = 0.5
+CLEAR = 12.0
+"""|G|^2 over the variance of what a band alone says of it, which then errs by half once in exp(12 / 4) = 20 bands."""
+CONTRADICTED = 0.25
 """Share of the gain in a band, the model's or what the data make of it, that the residual may take back: beyond it the
 data say something else."""
 QUIET, FAINT = 1e-8, 1e-6
@@ -27,6 +29,12 @@ QUIET, FAINT = 1e-8, 1e-6
 LEAK = (0.35875, 0.48829, 0.14128, 0.01168)
 """A window from which no line leaks more than 1e-9 of its power beyond four bins (Harris 1978, Proc. IEEE 66:51, table
 1, Blackman-Harris of 4 terms): with a shorter memory two lines fill what lies between them."""
+AVERAGES, ALONE = 2, 1e-3
+"""Averages of spectra for each input at least, and share of its power by which an input departs from the others: below
+it windows leak."""
+LIT, APART, SMOOTH = 1e-2, 3, 0.3
+"""Share of the mean power of a band from which on a line counts, samples of the spectrum on either side of which it is
+the largest, and share of its power two samples away that a smooth spectrum has at least: a line leaks 0.04 there."""
 SEGMENTS, LONGEST, ROWS, MEMORY = 6, 1024, 20_000, 400
 """Segments of a record at least, samples of one at most, samples looked at, samples of a response."""
 MOST = 36
@@ -76,22 +84,29 @@ def determined_bands(matrices: Matrices, records: Sequence[Trajectory]) -> dict[
     response = gains(matrices, frequency, spec.sample_time)
     suu, sru, noise, count = _spectra(records, n, matrices)
     edges = _edges(frequency)
-    moved = _moved(records, frequency, edges)
+    fine, owner = _fine(frequency, longest)
+    moved, lit = _moved(records, frequency, edges, fine)
     found = np.zeros((len(edges), spec.ny, spec.nu), dtype=bool)
     for band, (first, last) in enumerate(edges):
         lines = slice(first, last)
-        inputs = suu[lines].sum(axis=0) * count
-        weak = ~moved[band]
-        scale = np.sqrt(np.maximum(np.real(np.diag(inputs)), 1e-300))
-        own = np.real(np.diag(np.linalg.pinv(inputs / np.outer(scale, scale), rcond=1e-9, hermitian=True))) / scale**2
-        variance = noise[lines].mean(axis=0)[:, None] * own
+        own = _own(suu[lines], count)
+        variance = noise[lines].mean(axis=0)[:, None] / np.maximum(own, 1e-300)
         size = np.abs(response[lines]).max(axis=0)
         explained = np.einsum("fij,fjj->ij", np.abs(response[lines]) ** 2, suu[lines]).real
         wrong = np.sum(np.conj(response[lines]) * sru[lines], axis=0) / np.maximum(explained, 1e-300)
         right = np.abs(wrong) < CONTRADICTED * np.minimum(np.abs(1.0 + wrong), 1.0)
-        found[band] = (size**2 > CLEAR * variance) & ~weak & (own > 0) & right
+        found[band] = (size**2 > CLEAR * variance) & moved[band] & (own > 0) & right
+    told = np.repeat(found, [last - first for first, last in edges], axis=0)[owner]
+    unlit = told & ~lit[:, None]
+    if unlit.any():
+        turn, whole = np.exp(2j * np.pi * fine * spec.sample_time), gains(matrices, fine, spec.sample_time)
+        for row, column in zip(*np.nonzero(unlit.any(axis=0)), strict=True):
+            power = np.maximum(np.real(suu[:, column, column]) * count, 1e-300)
+            deviation = np.sqrt(noise[:, row] / power)[owner]
+            told[:, row, column] &= agreeing(whole[:, row, column], deviation, turn, lit[:, column])
+        told &= ~_turning(told, whole, gains(matrices, fine[:-1] + fine[1] / 2, spec.sample_time))
     return {
-        f"{output.name} per {given.name}": _merged(frequency, edges, found[:, row, column])
+        f"{output.name} per {given.name}": _merged(fine, told[:, row, column])
         for row, output in enumerate(spec.outputs)
         for column, given in enumerate(spec.inputs)
     }
@@ -157,19 +172,22 @@ def _spectra(
 ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], FloatArray, float]:
     """Return averages of U U* (F, nu, nu), R U* (F, ny, nu) and |R|^2 (F, ny), and independent averages.
 
-    R is what the model leaves of the output.
+    R is what the model leaves of the output; in a loop, U is what moves the inputs beside the controller.
     """
-    spec, window = records[0].spec, np.hanning(n + 1)[:-1, None]
-    suu = np.zeros((n // 2, spec.nu, spec.nu), dtype=np.complex128)
-    sru = np.zeros((n // 2, spec.ny, spec.nu), dtype=np.complex128)
+    spec, window, new = records[0].spec, np.hanning(n + 1)[:-1, None], innovations(records)
+    wide = spec.nu if new is None else spec.nu + spec.ny
+    suu = np.zeros((n // 2, wide, wide), dtype=np.complex128)
+    sru = np.zeros((n // 2, spec.ny, wide), dtype=np.complex128)
     noise, size = np.zeros((n // 2, spec.ny)), np.zeros(spec.ny)
     count, left = 0, ROWS
-    for record in records:
+    for number, record in enumerate(records):
         part = record[: min(len(record), max(left, n))]
         left -= len(part)
         if len(part) < n:
             continue
-        rest, y0, u0 = _left_over(matrices, part), part.y - part.y.mean(axis=0), part.u - part.u.mean(axis=0)
+        rest, y0, u0 = _left_over(matrices, part, n), part.y - part.y.mean(axis=0), part.u - part.u.mean(axis=0)
+        if new is not None:
+            u0 = np.hstack([u0, new[number][: len(part)]])
         for start in range(0, len(part) - n + 1, n // 2):
             u = np.fft.rfft(window * u0[start : start + n], axis=0)[1:]
             suu += u[:, :, None] * np.conj(u[:, None, :])
@@ -181,12 +199,30 @@ def _spectra(
         if left <= 0:
             break
     found = max(count, 1)
+    if new is not None:
+        suu, sru = without(suu, sru, spec.nu)
     return suu / found, sru / found, np.maximum(noise, QUIET * size) / found, 9.0 / 11.0 * found
 
 
-def _moved(records: Sequence[Trajectory], frequency: FloatArray, edges: Sequence[tuple[int, int]]) -> npt.NDArray[Any]:
-    """Return in which bands (B, nu) the inputs have power that does not leak from other lines of a record."""
+def _fine(frequency: FloatArray, longest: int) -> tuple[FloatArray, npt.NDArray[np.int_]]:
+    """Return frequencies (F,) of the whole record from 0 on, finer than a segment's, and the next of these."""
+    step = int(max(min(2 ** int(np.log2(longest)), LONGEST) // (2 * len(frequency)), 1))
+    fine = np.arange(step * len(frequency) + 1) * frequency[0] / step
+    return fine, np.clip(np.rint(np.arange(len(fine)) / step).astype(int) - 1, 0, len(frequency) - 1)
+
+
+def _moved(
+    records: Sequence[Trajectory], frequency: FloatArray, edges: Sequence[tuple[int, int]], fine: FloatArray
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return in which bands (B, nu) the inputs have power that leaks from no other line, and where lines (F, nu).
+
+    They are where a record's spectrum is largest, or changes less than a line's own leakage, and no small share of the
+    band's power.
+    """
+    from scipy.ndimage import binary_closing, binary_opening, maximum_filter1d
+
     found = np.zeros((len(edges), records[0].spec.nu), dtype=bool)
+    lit = np.zeros((len(fine), records[0].spec.nu), dtype=bool)
     half, left = frequency[0] / 2, ROWS
     for record in records:
         part = record.u[: max(left, 0)]
@@ -195,17 +231,65 @@ def _moved(records: Sequence[Trajectory], frequency: FloatArray, edges: Sequence
             continue
         phase = 2 * np.pi * np.arange(len(part)) / len(part)
         window = sum((-1) ** j * weight * np.cos(j * phase) for j, weight in enumerate(LEAK))
-        power = np.abs(np.fft.rfft((part - part.mean(axis=0)) * np.reshape(window, (-1, 1)), axis=0)) ** 2
+        window = np.reshape(window, (-1, 1))
+        level = (window * part).sum(axis=0) / window.sum()  # what is left of it would be a line at 0
+        power = np.abs(np.fft.rfft((part - level) * window, axis=0)) ** 2
         lines = np.fft.rfftfreq(len(part), record.spec.sample_time)
+        place = np.clip(np.rint(lines / fine[1]).astype(int), 0, len(fine) - 1)
+        peak, near = power >= maximum_filter1d(power, 2 * APART + 1, axis=0), np.pad(power, ((2, 2), (0, 0)))
+        smooth = peak | (power >= SMOOTH * np.maximum(near[4:], near[:-4]))
+        peak = (peak | binary_opening(smooth, np.ones((APART + 1, 1), dtype=bool))) & (power > 0)
         for band, (first, last) in enumerate(edges):
             low = 0.0 if first == 0 else frequency[first] - half
-            inside = power[(lines >= low) & (lines <= frequency[last - 1] + half)]
+            seen = (lines >= low) & (lines <= frequency[last - 1] + half)
+            inside = power[seen]
             found[band] |= (inside >= FAINT * power.max(axis=0)).any(axis=0) & power.any(axis=0)
-    return found
+            least = np.maximum(LIT * inside.mean(axis=0), FAINT * power.max(axis=0))
+            np.logical_or.at(lit, place[seen], peak[seen] & (inside >= least))
+    closed = binary_closing(np.pad(lit, ((APART, APART), (0, 0))), np.ones((APART + 1, 1), dtype=bool))
+    return found, closed[APART:-APART] | lit
 
 
-def _left_over(matrices: Matrices, record: Trajectory) -> FloatArray:
-    """Return what a free run leaves of the outputs (N, ny), from the start that fits best and about its mean."""
+def _turning(
+    told: npt.NDArray[np.bool_], at: npt.NDArray[np.complex128], between: npt.NDArray[np.complex128]
+) -> npt.NDArray[np.bool_]:
+    """Return where (F, ny, nu) a line by itself lies on a slope of the model so steep that its neighbourhood is none.
+
+    The responses are ``at`` the frequencies, and half way ``between`` them.
+    """
+    beside = np.pad(told, ((1, 1), (0, 0), (0, 0)))
+    before, after = np.concatenate([at[:1], between]), np.concatenate([between, at[-1:]])
+    steep = np.maximum(np.abs(before - at), np.abs(after - at)) > CONTRADICTED * np.abs(at)
+    return np.asarray(steep & ~(beside[:-2] & beside[2:]), dtype=np.bool_)
+
+
+def _own(power: npt.NDArray[np.complex128], count: float) -> FloatArray:
+    """Return the power (nu,) of each input that the others do not tell, summed over the lines (F, nu, nu) of a band.
+
+    Lines are taken by few together, over which a late copy of an input hardly turns, and averages are many enough.
+    """
+    nu, own = power.shape[-1], np.zeros(power.shape[-1])
+    if nu == 1:
+        return np.asarray(count * power.real.sum(axis=0)[0], dtype=np.float64)
+    few = int(np.ceil(AVERAGES * nu / max(count, 1.0)))
+    for start in range(0, len(power), few):
+        inputs = power[start : start + few].sum(axis=0)
+        for j in range(nu):
+            others = np.delete(np.arange(nu), j)
+            size = np.sqrt(np.maximum(np.diag(inputs).real[others], 1e-300))
+            told = np.linalg.lstsq(
+                inputs[np.ix_(others, others)] / np.outer(size, size), inputs[others, j] / size, rcond=1e-9
+            )[0]
+            left = float((inputs[j, j] - np.conj(inputs[others, j] / size) @ told).real)
+            own[j] += count * left * (left > ALONE * inputs[j, j].real)
+    return own
+
+
+def _left_over(matrices: Matrices, record: Trajectory, n: int) -> FloatArray:
+    """Return what a free run leaves of the outputs (N, ny), from the start that fits best and about its mean.
+
+    The start is heard for a segment of n samples at most: a mode that hardly dies away would take a line with it.
+    """
     from scipy.signal import fftconvolve
 
     a, b, c, d = matrices
@@ -216,18 +300,19 @@ def _left_over(matrices: Matrices, record: Trajectory) -> FloatArray:
         forced = sum(fftconvolve(u[:, None, j], pulse[:, :, j], axes=0) for j in range(record.spec.nu))
         rest: FloatArray = record.y - np.asarray(forced)[: len(record)]
         rest = rest - rest.mean(axis=0)
-        free = np.empty((count, *c.shape))
+        heard = min(count, n)
+        free = np.empty((heard, *c.shape))
         power = c
-        for k in range(count):
+        for k in range(heard):
             free[k] = power
             power = power @ a
     if not (np.isfinite(rest).all() and np.isfinite(free).all()):  # a model that grows: nothing is left to compare
         return np.asarray(record.y - record.y.mean(axis=0), dtype=np.float64)
     if len(a):
-        rows, target = free.reshape(-1, len(a)), rest[:count].reshape(-1)
+        rows, target = free.reshape(-1, len(a)), rest[:heard].reshape(-1)
         length = np.linalg.norm(rows, axis=0)
         rows = rows / np.where(length > 0, length, 1.0)
-        rest[:count] -= (rows @ np.linalg.lstsq(rows, target, rcond=1e-8)[0]).reshape(count, -1)
+        rest[:heard] -= (rows @ np.linalg.lstsq(rows, target, rcond=1e-8)[0]).reshape(heard, -1)
     return np.asarray(rest, dtype=np.float64)
 
 
@@ -241,15 +326,12 @@ def _edges(frequency: FloatArray) -> list[tuple[int, int]]:
     return found
 
 
-def _merged(frequency: FloatArray, edges: Sequence[tuple[int, int]], told: npt.NDArray[np.bool_]) -> list[list[float]]:
-    """Return ranges [Hz] of neighbouring bands; the lowest begins at 0, where a response is smooth."""
-    half = frequency[0] / 2
+def _merged(frequency: FloatArray, told: npt.NDArray[np.bool_]) -> list[list[float]]:
+    """Return ranges [Hz] of neighbouring frequencies of a grid from 0 on."""
+    half = frequency[1] / 2
     found: list[list[float]] = []
-    for band, (first, last) in enumerate(edges):
-        if not told[band]:
-            continue
-        low = 0.0 if first == 0 else float(frequency[first] - half)
-        high = float(frequency[last - 1] + half)
+    for line in np.flatnonzero(told):
+        low, high = float(max(frequency[line] - half, 0.0)), float(frequency[line] + half)
         if found and low <= found[-1][1] * (1 + 1e-9):
             found[-1][1] = high
         else:

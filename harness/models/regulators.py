@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from harness.errors import InputError
 from harness.models.determined import bands_of, outside
-from harness.models.lqr import lqr_gain
+from harness.models.lqr import lqr_gain, reachable, spectral_radius, state_observable
 from harness.models.spread import gains
 from harness.signals import FloatArray
 
@@ -30,13 +31,20 @@ class Regulator:
         K.
     warnings : tuple of str
         What the design relies on though the data do not determine it.
+    controllable, observable : int
+        States that the inputs reach, and that the outputs show.
     """
 
     gain: FloatArray
     warnings: tuple[str, ...]
+    controllable: int
+    observable: int
 
     def __str__(self) -> str:
-        return f"u = -K x of {self.gain.shape[1]} states" + "".join(f"\nwarning: {one}" for one in self.warnings)
+        facts = f"{self.controllable} controllable and {self.observable} observable"
+        return f"u = -K x of {self.gain.shape[1]} states, {facts}" + "".join(
+            f"\nwarning: {one}" for one in self.warnings
+        )
 
 
 def regulator(model: Any, q: Any = None, r: Any = None) -> Regulator:
@@ -59,11 +67,20 @@ def regulator(model: Any, q: Any = None, r: Any = None) -> Regulator:
     ny, nu = c.shape[0], b.shape[1]
     weight = np.eye(ny) if q is None else np.atleast_2d(np.asarray(q, dtype=float))
     effort = np.eye(nu) if r is None else np.atleast_2d(np.asarray(r, dtype=float))
-    gain = np.asarray(lqr_gain(a, b, c.T @ weight @ c, effort), dtype=np.float64)
+    facts = reachable(a, b), state_observable(a, c)
+    gain = lqr_gain(a, b, c.T @ weight @ c, effort)
+    if gain is None:
+        raise InputError(
+            "regulator of a model",
+            expected="inputs that reach every mode that does not die out, weights that see it",
+            got=f"{facts[0]} of {len(a)} states controllable, {facts[1]} observable, spectral radius "
+            f"{spectral_radius(a):.4g}",
+            remedy="identify with an input, or an output, that moves with it, or a model of lower order",
+        )
     bands = bands_of(model)
     if bands is None:
         said = "the model does not say which frequencies its data determine"
-        return Regulator(gain, (said,))
+        return Regulator(gain, (said,), *facts)
     step = model.spec.sample_time
     f = np.geomspace(1e-4, 0.5, POINTS) / step
     loop = gains((a, b, gain, np.zeros((nu, nu))), f, step)
@@ -80,4 +97,4 @@ def regulator(model: Any, q: Any = None, r: Any = None) -> Regulator:
                     f"the loop gain is above {LOUD:g} between {low:.3g} and {high:.3g} Hz, where the data do not "
                     f"determine {output.name} per {given.name}: excite the plant there, or weigh the input more"
                 )
-    return Regulator(gain, tuple(warnings))
+    return Regulator(gain, tuple(warnings), *facts)

@@ -12,12 +12,14 @@ from scipy.signal import lfilter, ss2tf
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.models.damped import Damping
+from harness.models.determined import KEY
 from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.curve import Knots
 from identifiers.blocks.wiener_hammerstein_fit import Blocks, descended, shared_out
+from identifiers.common.loops.judge import loop_told
 from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.linear.prediction_error import PredictionError
@@ -235,8 +237,9 @@ class WienerHammerstein:
         "beats_trivial": "systems of the survey with one input and one output bend in a loop, where it has no curve",
     }
 
+    @loop_told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> WienerHammersteinModel:
-        """Return the model."""
+        """Return the model; where the records determine the linear model that it starts from stands in its notes."""
         what = "wiener-hammerstein"
         if self.order < 1 or self.knots < 4 or self.between < 1:
             raise FitError(
@@ -257,20 +260,20 @@ class WienerHammerstein:
         u, y = (np.concatenate([getattr(one, name)[:, 0] for one in records]) for name in "uy")
         scale = np.array([u.mean(), u.std(), y.mean(), y.std()])
         pairs = [((one.u[:, 0] - scale[0]) / scale[1], (one.y[:, 0] - scale[2]) / scale[3]) for one in records]
-        blocks, error = self._descended(records, pairs)
+        blocks, error, told = self._descended(records, pairs)
         states = _states_in(blocks, pairs)
-        notes = {"order": self.order, "front": len(blocks.a1) - 1, "back": len(blocks.a2) - 1}
+        notes = {"order": self.order, "front": len(blocks.a1) - 1, "back": len(blocks.a2) - 1, **told}
         return WienerHammersteinModel(
             spec, blocks, scale, states.mean(axis=0), states.std(axis=0), np.array([error * scale[3]]), notes=notes
         )
 
     def _descended(
         self, records: Sequence[Trajectory], pairs: list[tuple[FloatArray, FloatArray]]
-    ) -> tuple[Blocks, float]:
-        """Return the blocks with the least free-run error, and that error in scaled units."""
+    ) -> tuple[Blocks, float, dict[str, Any]]:
+        """Return the blocks with the least free-run error, that error in scaled units, and what the start says."""
         first = 0 if self.direct else 1
         early = [(u[:_EARLY], y[:_EARLY]) for u, y in pairs]
-        b, f = self._linear(records, early)
+        b, f, told = self._linear(records, early)
         starts = shared_out(b, f, early, self.knots, first)
         ends = [descended(start, early, first, 20) for start in starts]
         ends = [end for end in ends if np.isfinite(end[1])]
@@ -281,20 +284,24 @@ class WienerHammerstein:
             )  # fmt: skip
         best, error = descended(min(ends, key=lambda end: end[1])[0], pairs, first, self.rounds)
         if self.between == 1:
-            return best, error
+            return best, error, told
         finer, least = descended(best.between(self.between), pairs, first, self.rounds)
-        return (finer, least) if least < error else (best, error)
+        return (finer, least, told) if least < error else (best, error, told)
 
     def _linear(
         self, records: Sequence[Trajectory], pairs: Sequence[tuple[FloatArray, FloatArray]]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return B and F of the output-error model to start from, B without a leading delay."""
-        learner = PredictionError(order=self.order, delay=0 if self.direct else 1, least_excitation=0.0, stable=True)
+    ) -> tuple[FloatArray, FloatArray, dict[str, Any]]:
+        """Return B and F of the output-error model to start from, B without a leading delay, and its notes on data."""
+        excited = self.least_excitation
+        learner = PredictionError(
+            order=self.order, delay=0 if self.direct else 1, least_excitation=excited, stable=True
+        )
         known = zip(records, pairs, strict=True)
         scaled = [Trajectory(one.t[: len(u)], u[:, None], y[:, None], one.spec) for one, (u, y) in known]
         model = learner.fit(scaled, rng=np.random.default_rng(0))  # it draws nothing
         b, f = ss2tf(model.a_matrix, model.b_matrix, model.c_matrix, model.d_matrix)
-        return b[0, 0 if self.direct else 1 :], f
+        told = {name: model.notes[name] for name in ("warning", KEY) if name in model.notes}
+        return b[0, 0 if self.direct else 1 :], f, told
 
 
 def _states_in(blocks: Blocks, pairs: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:

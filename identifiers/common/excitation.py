@@ -309,6 +309,23 @@ def excited_lags(records: Sequence[Trajectory], most: int) -> int:
     return most
 
 
+def unexcited(records: Sequence[Trajectory], needed: int) -> str:
+    """Return what is wrong where the inputs excite fewer lags than a model asks for, in words; empty where they do.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    needed : int
+    """
+    lags = excited_lags(records, needed)
+    if lags >= needed:
+        return ""
+    return (
+        f"the inputs excite {lags} lags and the model asks for {needed}: it follows from how the record starts, "
+        "and from its order, more than from what the inputs do; use a richer input, or a lower order"
+    )
+
+
 def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: float, what: str) -> None:
     """Raise if the inputs follow the outputs by a law, for fits that are not linear one-step equations themselves.
 

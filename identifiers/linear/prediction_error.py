@@ -16,7 +16,7 @@ from harness.models.determined import KEY, determined_bands
 from harness.models.lqr import spectral_radius
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
-from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
+from identifiers.common.excitation import excited_lags, refuse_feedback_of_records, unexcited
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.loops.judge import ANSWERED, COLOURED, loop_told
 from identifiers.common.neighbours import spread_of, steps_without
@@ -181,7 +181,7 @@ class PredictionError:
             notes["order_criterion"] = found.ladder
         if stabilized:
             notes["stabilized"] = True
-        if self.order is not None and (poor := self._unexcited(records, self.order)) is not None:
+        if self.order is not None and (poor := self._unexcited(records, self.order)):
             notes["warning"] = poor
         white = [
             whiteness([one[:, output] for one in found.residuals]) for output in range(found.residuals[0].shape[1])
@@ -218,7 +218,7 @@ class PredictionError:
         model, fits = made._fitted(records, order, what)
         feedback = feedback_of(records)
         notes["feedback_share"] = feedback.share
-        if (poor := self._unexcited(records, order)) is not None:
+        if poor := self._unexcited(records, order):
             notes["warning"] = poor
         if feedback.found and self.structure == "oe":
             notes["warning"] = "outputs foretell the input (feedback): output error is biased unless noise is white"
@@ -271,19 +271,14 @@ class PredictionError:
             )
         return ""
 
-    def _unexcited(self, records: Sequence[Trajectory], order: int) -> str | None:
-        """Return a warning where the inputs excite fewer lags than their polynomials have numbers, else None."""
+    def _unexcited(self, records: Sequence[Trajectory], order: int) -> str:
+        """Return a warning where the inputs excite fewer lags than their polynomials have numbers, else nothing."""
         needed = (
             2 * order
             if self._structure in ("oe", "bj", "state-space") and self.nb is None and self.nf is None
             else order
         )
-        if self.least_excitation <= 0 or (lags := excited_lags(records, needed)) >= needed:
-            return None
-        return (
-            f"the inputs excite {lags} lags and the model asks for {needed}: it follows from how the record starts, "
-            "and from its order, more than from what the inputs do; use a richer input, or a lower order"
-        )
+        return unexcited(records, needed) if self.least_excitation > 0 else ""
 
     def _with_delays(self, records: Sequence[Trajectory]) -> tuple[PredictionError, dict[str, Any]]:
         """Return the identifier with its delays as numbers, and what the data say of them."""

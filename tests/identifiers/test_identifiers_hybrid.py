@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 
 import numpy as np
 import pytest
@@ -165,3 +166,24 @@ def test_an_input_of_few_lines_leaves_most_of_a_kernel_open_and_that_is_said(lin
     spec = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
     model = Volterra(memory=20, order=1).fit([Trajectory(k * 0.1, u[:, None], y[:, None], spec)], rng=rng)
     assert (f"the inputs excite {2 * lines} lags of 20" in model.notes.get("warning", "")) == said
+
+
+def test_where_the_second_mode_begins_is_said():
+    data, _ = switching(600, 3)
+    found = PiecewiseAffine().fit([data], rng=rng()).findings
+    assert found[0].startswith("2 modes, in which ")
+    level = re.fullmatch(r"the second where y (?:[+-] \S+ u )?- (\S+) > 0", found[1])
+    assert level is not None
+    assert float(level[1]) == pytest.approx(0.4, abs=0.05)
+
+
+def test_a_mode_in_which_no_sample_lies_is_no_mode_that_was_found():
+    plant = create("plants", "cart-wall-pymunk", outputs=["x", "x_rate"])
+    push = create("scenarios", "multisine", duration=14.0, amplitude=4.0, band=[0.05, 4.0], noise=1e-4)
+    data = run(plant, push, streams=Streams("w", "s", 0), role="estimation/0").measured()
+    given = PiecewiseAffine(starts=1).fit([data], rng=rng())
+    assert 0 in given.notes["samples"], "the record holds two samples of contact"
+    assert "no sample lies in 1 of 2 modes" in given.notes["warning"]
+    chosen = PiecewiseAffine(modes=None, starts=2).fit([data], rng=rng())
+    assert 0 not in chosen.notes["samples"]
+    assert len(chosen.coefficients) == chosen.notes["modes"]

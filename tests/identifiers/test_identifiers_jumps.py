@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 
 import numpy as np
 import pytest
@@ -179,3 +180,13 @@ def test_online_its_average_regret_falls():
     online = FollowTheLeader("piecewise-affine", {"modes": 3, "starts": 2}, burn_in=60, growth=1.6)
     early, late = (regret(online, [data[:n]], rng=rng(), points=0).average for n in (150, 900))
     assert late < 0.5 * early
+
+
+def test_guard_and_reset_are_said_as_equations():
+    learn, _ = bounces(0.0005)
+    found = HybridAutomaton().fit([learn.measured()], rng=rng()).findings
+    assert found[0].startswith("jumps where z ")
+    assert found[0].endswith("falls through 0")
+    assert found[1] == "after a jump z = z"
+    assert re.search(r"- 0\.(79|80)\d* z_rate", found[2])
+    assert "told by the guard" in found[3]

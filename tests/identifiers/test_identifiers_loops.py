@@ -165,3 +165,23 @@ def test_errors_that_the_dither_explains_are_found_and_others_are_not():
         [Trajectory(data.t, 0.5 * data.u, data.y, data.spec)], rng=np.random.default_rng(0)
     )
     assert said(doubt_of_loop(wrong, [data], feedback))
+
+
+def held(n: int = 1000) -> Trajectory:
+    """A resonance of gain 1 under a PI law, its set-point stepped every 60 samples, under a load of its input."""
+    rng, x, u, y = np.random.default_rng(5), np.zeros(2), np.zeros((n, 1)), np.zeros((n, 1))
+    a, b, c = np.array([[0.619, 0.403], [-0.403, 0.619]]), np.array([-4.009, -1.019]), np.array([-0.191, -0.051])
+    load, total, point = 0.0, 0.0, 0.0
+    for k in range(n):
+        y[k] = c @ x + 0.01 * rng.normal()
+        point = rng.normal() if k % 60 == 0 else point
+        total += 0.057 * (point - y[k, 0])
+        u[k] = 0.911 * (point - y[k, 0]) + total
+        x = a @ x + b * (u[k, 0] + load)
+        load = 0.97 * load + 0.3 * rng.normal()
+    return Trajectory(0.1 * np.arange(n), u, y, SPEC)
+
+
+def test_errors_that_answer_the_set_point_by_less_than_a_third_are_said():
+    model: Any = create("identifiers", "prediction-error", structure="bj", order=1).fit([held()], rng=RNG)
+    assert "beside the controller explains" in str(model.notes.get("warning", ""))

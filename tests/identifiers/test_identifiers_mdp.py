@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from harness.command import main
 from harness.errors import FitError
 from harness.scoring import predict, regret
 from harness.signals import Channel, PlantSpec, Trajectory
@@ -138,3 +139,27 @@ def test_more_data_never_widens_the_sets_and_they_cover(states, seed):
         assert model.transition.sum(axis=2) == pytest.approx(1.0)
     assert (np.diff(bounds, axis=0) <= 1e-12).all()
     assert (np.abs(model.transition - table).sum(axis=2) <= model.bound).mean() >= 0.5  # each holds with 95 %
+
+
+def test_the_command_says_what_was_counted_and_what_was_never_tried(tmp_path, capsys):
+    """A log of categories needs a dataset.toml that says so; the refusal of the log alone names it."""
+    log = tmp_path / "log.csv"
+    a, s = np.tile([0, 0, 0, 1, 0], 40), np.tile([0, 1, 2, 0, 1], 40)
+    table = np.column_stack([np.arange(200.0), a, s])
+    np.savetxt(log, table, delimiter=",", header="t [s],action [1],state [1]", comments="")
+    columns = ["--input", "action", "--output", "state", "--identifier", "mdp-counting"]
+    with pytest.raises(SystemExit):
+        main(["identify", str(log), *columns])
+    assert "categories = N" in capsys.readouterr().err
+    said = "\n".join(
+        f'[signals."{name}"]\nrole = "{role}"\ncolumn = "{name} [1]"\ncategories = {count}'
+        for name, role, count in (("action", "input", 2), ("state", "output", 3))
+    )
+    whole = tmp_path / "dataset.toml"
+    runs = '[[runs]]\nfile = "log.csv"\nuse = "estimation"\n'
+    whole.write_text(f'name = "log"\n[time]\ncolumn = "t [s]"\n{said}\n{runs}')
+    with pytest.raises(SystemExit):
+        main(["identify", str(whole), "--identifier", "mdp-counting"])
+    told = capsys.readouterr().out
+    assert "4 pairs of state and action, tried 40 to 79 times" in told
+    assert "2 of 6 pairs were never tried, of which nothing is known: (1, 1), (2, 1)" in told

@@ -1,5 +1,7 @@
 """Fitted linear models as objects of the field: other sample times, fewer states, forecasts, regulators."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from harness.errors import InputError
 from harness.export.linear import from_state_space
 from harness.fitted import FittedModel
+from harness.models.regulators import regulator
 from harness.models.transforms import continuous, discrete, reduction
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.arx import Arx
@@ -119,6 +122,17 @@ def test_a_regulator_warns_where_the_data_say_nothing():
     assert rich.regulator(100.0).warnings == ()
     assert "do not determine y per u" in poor.regulator(100.0).warnings[0]
     assert poor.determined["y per u"][-1][1] < 1.0
+    made = rich.regulator(100.0)
+    assert made.gain.shape[1] == len(rich.model.a_matrix) >= made.observable >= 2
+    assert f"{made.controllable} controllable and {made.observable} observable" in str(made)
+
+
+def test_a_regulator_of_a_mode_that_no_input_reaches_is_refused():
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    a, b, c = np.diag([1.2, 0.5]), np.array([[0.0], [1.0]]), np.ones((1, 2))
+    lost = SimpleNamespace(matrices=(a, b, c, np.zeros((1, 1))), spec=spec, notes={})
+    with pytest.raises(InputError, match="1 of 2 states controllable, 2 observable"):
+        regulator(lost)
 
 
 def test_deviations_are_refused_of_a_model_that_knows_none(model):

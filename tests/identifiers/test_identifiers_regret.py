@@ -7,10 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.errors import FitError
+from harness import api
+from harness.errors import FitError, InputError
+from harness.registry import create
+from harness.rng import Streams
+from harness.rollout import run
 from harness.scoring.regret import regret
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.online.gradient_descent import GradientDescent, acquiescent
+from identifiers.online.leader import FollowTheLeader
+from identifiers.online.recursive_polynomial import RecursivePolynomial
+from identifiers.online.rls import RecursiveLeastSquares
 from identifiers.online.spectral_filtering import SpectralFiltering, wave_filters
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 1.0)
@@ -90,3 +97,55 @@ def test_they_say_what_they_need():
         SpectralFiltering(filters=10, window=5).init(SPEC, rng=rng())
     with pytest.raises(FitError, match="options"):
         GradientDescent(block=2).init(SPEC, rng=rng())
+
+
+@pytest.mark.parametrize(
+    ("online", "law", "samples"),
+    [
+        (RecursiveLeastSquares(order=1), "log", 3000),
+        (RecursiveLeastSquares(order=1, forgetting=0.97), "linear", 3000),
+        (RecursivePolynomial(structure="arx", order=1), "log", 1000),
+        (RecursivePolynomial(structure="arx", order=1, forgetting=0.97), "linear", 1000),
+        (FollowTheLeader("arx", {"order": 1}), "log", 1000),
+    ],
+    ids=str,
+)
+def test_least_squares_pays_what_theory_says(online, law, samples):
+    """d n sigma^2 ln T, and the misadjustment of forgetting, within the scatter of a median of five streams."""
+    rises = []
+    for seed in range(5):
+        draw, y = rng(seed), np.zeros((samples, 1))
+        u = draw.normal(size=(samples, 1))
+        for k in range(samples - 1):
+            y[k + 1] = 0.7 * y[k] + u[k] + 0.1 * draw.normal()
+        found = regret(online, [Trajectory(np.arange(float(samples)), u, y, SPEC)], rng=rng(), points=16)
+        assert found.growth.law == law
+        rises.append(found.over_theory)
+        late = found.steps > 60
+        assert np.abs(found.theory - found.curve)[late].max() < 0.5 * np.ptp(found.curve[late]) + 0.02
+    assert 0.7 < np.median(rises) < 1.5
+
+
+def test_where_theory_gives_a_shape_alone_none_is_held_against_it():
+    found = regret(SpectralFiltering(update_by="gradient"), [stream([0.9], 600, 0.3)], rng=rng(), points=12)
+    assert (found.growth.law, found.growth.factor, found.over_theory) == ("root", None, None)
+    assert np.isfinite(found.theory).all()
+    pendulum = create("plants", "pendulum-ode", sample_time=0.05)
+    push = create("scenarios", "multisine", duration=10.0, amplitude=0.5, noise=0.001)
+    swing = run(pendulum, push, streams=Streams("p", "s", 0), role="estimation/0").measured()
+    filtered = regret(create("identifiers", "ekf", model="pendulum"), [swing], rng=rng(), points=4)
+    assert filtered.growth is None
+    assert np.isnan(filtered.theory).all()
+
+
+def test_the_command_says_and_draws_regret_beside_theory(tmp_path):
+    data = tmp_path / "stream.csv"
+    one = stream([0.7], 900, 0.1)
+    np.savetxt(data, np.column_stack([one.t, one.u, one.y]), delimiter=",", header="t [s],u [V],y [m]", comments="")
+    found = api.analyse("regret", data, input=["u"], output=["y"])
+    assert found.rows[-1]["samples"] == 599, "two thirds of a file are its estimation record"
+    assert "times as fast as theory says, as ln n" in found.words[1]
+    (axis,) = found.plot().axes
+    assert [line.get_label() for line in axis.lines][1] == "theory: ln n"
+    with pytest.raises(InputError, match="follow-the-leader"):
+        api.analyse("regret", data, input=["u"], output=["y"], options={"identifier": "arx"})

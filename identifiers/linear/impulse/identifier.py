@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from harness.errors import FitError
 from harness.judgement import feedback_of, refuse_undetermined
+from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.linear_model import LinearModel
@@ -167,7 +168,8 @@ class ImpulseResponse:
         estimate = _estimate(response, bands, spec.outputs, spec.inputs, first, why)
         if estimate is not None:
             notes["estimate"] = estimate.to_dict()
-        return _model(records[0], response, level, first, notes)
+        model = _model(records[0], response, level, first, notes)
+        return replace(model, notes={**notes, KEY: determined_bands(model.matrices, records)})
 
     def _best(self, known: _Sums, output: int, nu: int, length: int) -> tuple[Evidence, dict[str, Any], Loose]:
         """Return what the best kernel makes of one output, its numbers, and what a looser prior makes of it."""

@@ -165,11 +165,17 @@ def _weighed(
     """Return the misfit, the variance of the noise, the factor of the inner matrix, and what it makes of the data."""
     from scipy.linalg import solve_triangular
 
-    factor: FloatArray = np.asarray(np.linalg.cholesky(root.T @ gram @ root + np.eye(len(root))), dtype=np.float64)
+    factor = _factor(root.T @ gram @ root)
     seen = np.asarray(solve_triangular(factor, root.T @ right, lower=True, check_finite=False), dtype=np.float64)
     noise = max(square - float(seen @ seen), 1e-14 * square) / rows
     value = rows * np.log(max(noise, 1e-300)) + 2.0 * float(np.log(np.diag(factor)).sum())
     return float(value), noise, factor, seen
+
+
+def _factor(inner: FloatArray) -> FloatArray:
+    """Return the triangle of ``inner + I``; where its rounding is more than I, as of few lines, that is added too."""
+    least = 1.0 + len(inner) * np.finfo(float).eps * float(np.trace(inner))
+    return np.asarray(np.linalg.cholesky(inner + least * np.eye(len(inner))), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +219,7 @@ def loose(gram: FloatArray, right: FloatArray, square: float, rows: int, root: F
     >>> bool(np.allclose(found.covariance, variance * np.linalg.inv(x.T @ x), rtol=1e-4))
     True
     """
-    inner = root.T @ gram @ root
-    factor = np.linalg.cholesky(inner + np.eye(len(root)))
+    factor = _factor(root.T @ gram @ root)
     spread = np.linalg.solve(factor, root.T)
     mean = spread.T @ (spread @ right)
     decided = len(root) - float(np.sum(np.linalg.inv(factor) ** 2))
