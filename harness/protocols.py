@@ -25,6 +25,7 @@ __all__ = [
     "Experiment",
     "Feedthrough",
     "FreeRun",
+    "Growth",
     "Hindsight",
     "Identifier",
     "Model",
@@ -319,6 +320,49 @@ class OnlinePredictive(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Growth:
+    """How theory lets the regret of an online identifier grow with the samples n.
+
+    Parameters
+    ----------
+    law : {"log", "root", "linear", "bounded"}
+        As ln n, as the root of n, as n, or not at all.
+    factor : float, optional
+        What multiplies it, in losses of the minimiser for a sample; None where only the law is known.
+    source : str
+        Whose theorem, and what it asks of the stream.
+    """
+
+    law: Literal["log", "root", "linear", "bounded"]
+    factor: float | None = None
+    source: str = ""
+
+    def of(self, n: FloatArray) -> FloatArray:
+        """Return the law at numbers of samples (P,), each at least 1."""
+        n = np.asarray(n, dtype=float)
+        laws: dict[str, FloatArray] = {"log": np.log(n), "root": np.sqrt(n), "linear": n, "bounded": np.ones_like(n)}
+        return laws[self.law]
+
+    @classmethod
+    def of_least_squares(cls, parameters: float, forgetting: float = 1.0) -> Growth:
+        """Return that of ``parameters`` coefficients for each output, learned by exponentially weighted least squares.
+
+        Examples
+        --------
+        >>> Growth.of_least_squares(4).law, Growth.of_least_squares(4, 0.9).law
+        ('log', 'linear')
+        """
+        if forgetting < 1.0:
+            share = (1.0 - forgetting) / (1.0 + forgetting)
+            return cls(
+                "linear",
+                parameters * share,
+                "misadjustment of forgetting, white errors (Haykin 2014, *Adaptive Filter Theory*)",
+            )
+        return cls("log", float(parameters), "d n sigma^2 ln T, white errors (Cesa-Bianchi & Lugosi 2006, sec. 11.7)")
+
+
 @dataclass(frozen=True, eq=False)
 class Hindsight:
     """The batch minimiser that regret is measured against.
@@ -333,9 +377,12 @@ class Hindsight:
         True where the minimiser is global (convex loss); False reads "best found".
     details : dict
         Anything a report may show (coefficients, condition number).
+    growth : Growth, optional
+        How theory lets the regret against it grow; None where no theorem says.
     """
 
     losses: FloatArray
     exact: bool
     details: dict[str, Any] = field(default_factory=dict)
     per_output: FloatArray | None = None
+    growth: Growth | None = None

@@ -77,10 +77,10 @@ def copied(folder: Path) -> None:
     subprocess.run(command, check=True)
 
 
-def run_tests(folder: Path, tests: Sequence[str]) -> tuple[int | None, str]:
-    """Return the exit code of pytest (None: it took too long) and its last line."""
+def run_tests(folder: Path, tests: Sequence[str], *, most: int = 1) -> tuple[int | None, str]:
+    """Return the exit code of pytest (None: it took too long) and its last line; it ends at so many failures."""
     environment = dict(os.environ, PYTHONPATH=str(folder), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-    command = [sys.executable, "-m", "pytest", *tests, "-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", *tests, f"--maxfail={most}", "-q", "-n", "0", "-p", "no:cacheprovider"]
     command += ["-m", "not slow", "--no-header", "--tb", "no"]
     try:
         done = subprocess.run(

@@ -125,8 +125,9 @@ class ReplayedInput(Conditions):
             )
         dt = spec.sample_time
         stamps = (time - time[0]) / dt  # in samples
-        instants = np.arange(int(np.floor(stamps[-1] + ON_GRID)) + 1, dtype=np.float64)
-        before = np.searchsorted(stamps, instants + ON_GRID, side="right") - 1
+        slack = max(ON_GRID, 2 * float(np.spacing(np.abs(time).max())) / dt)  # since 1970 a number holds 0.2 us
+        instants = np.arange(int(np.floor(stamps[-1] + slack)) + 1, dtype=np.float64)
+        before = np.searchsorted(stamps, instants + slack, side="right") - 1
         if self.interpolation == "linear":
             discrete = [channel.name for channel in spec.inputs if channel.kind != "real"]
             if discrete:
@@ -143,17 +144,17 @@ class ReplayedInput(Conditions):
             straight: FloatArray = (1.0 - share) * values[before] + share * values[after]
             return straight
         if self.off_grid == "refuse":
-            self._refuse_between(time, stamps, values, dt, table)
+            self._refuse_between(time, stamps, values, dt, slack, table)
         held: FloatArray = values[before]
         return held
 
     def _refuse_between(
-        self, time: FloatArray, stamps: FloatArray, values: FloatArray, dt: float, table: Table
+        self, time: FloatArray, stamps: FloatArray, values: FloatArray, dt: float, slack: float, table: Table
     ) -> None:
         """Refuse a change that falls between two sample instants: the plant could only see it late."""
         changes = np.zeros(len(stamps), dtype=bool)
         changes[1:] = np.any(values[1:] != values[:-1], axis=1)
-        wrong = changes & (np.abs(stamps - np.rint(stamps)) > ON_GRID + 1e-9 * stamps)
+        wrong = changes & (np.abs(stamps - np.rint(stamps)) > slack + 1e-9 * stamps)
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(

@@ -18,7 +18,18 @@ __all__ = ["FORMAT", "arrow_table", "columns_of_files", "rows_of", "write_rows"]
 
 FORMAT = "sysid-harness/bench/1"
 UNITS = {
-    **{name: "1" for name in ("equation_error", "simulation_error", "noise_floor", "coverage", "control_score")},
+    **{
+        name: "1"
+        for name in (
+            "equation_error",
+            "simulation_error",
+            "noise_floor",
+            "coverage",
+            "control_score",
+            "predictive_cost",
+        )
+    },
+    "regret_over_theory": "1",
     **{name: "1" for name in ("least_equation_error", "least_simulation_error")},
     "control_regret": "samples of the optimal cost",
     **{name: "nats" for name in ("log_score", "log_regret", "average_log_regret")},
@@ -32,7 +43,7 @@ UNITS = {
 }
 """Units of the columns, kept in the schema of the Parquet files."""
 TIMINGS = ("data_seconds", "fit_seconds", "score_seconds", "memory_mib")
-CURVES = ("curve_steps", "curve_regret")
+CURVES = ("curve_steps", "curve_regret", "curve_theory")
 TRACES = ("trace_t", "trace_measured", "trace_residual")
 KEYS = ("plant", "scenario", "identifier", "seed")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,8 @@ __all__ = ["score_control"]
 AT_REST = 0.02
 """The plant is linearised at the mean of the records if one sample from there moves no state by more than this share of
 its spread: a record that swings about an equilibrium has its mean there, another has none."""
+NEWTON = 2
+"""Steps from there to the equilibrium itself: a controller about another point would pay for holding it."""
 STEPS = 400
 """Samples of the run whose control regret is taken: several designs, the data doubling between them."""
 NOISE = 0.1
@@ -29,10 +32,36 @@ CAREFUL = 0.8
 """Share of the optimal gain that an unstable plant begins with: it is held, and not well."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Where the plant is to be held, and the plant there.
+
+    Parameters
+    ----------
+    around : LinearPlantModel
+        The plant linearised there.
+    centre : mapping
+        States by name.
+    target, hold : array (ny,), (nu,)
+        Outputs and inputs.
+    spread : array (nx + nu,)
+        Sizes of states and inputs in the records.
+    """
+
+    around: LinearPlantModel
+    centre: dict[str, float]
+    target: FloatArray
+    hold: FloatArray
+    spread: FloatArray
+
+
 def score_control(
     model: Any, identifier: Any, task: Task, runs: Sequence[Trajectory], row: Row, rng: np.random.Generator
 ) -> None:
-    """Fill in control score, the facts about the model, and control regret, or why there are none.
+    """Fill in what the model is worth for control, the facts about it, and control regret, or why there are none.
+
+    Linear models, and lifted ones in their coordinates, get the cost of their LQG regulator; every model of real inputs
+    and outputs that of predictive control (:mod:`harness.scoring.model_predictive`).
 
     Parameters
     ----------
@@ -47,17 +76,28 @@ def score_control(
     rng : numpy.random.Generator
     """
     from harness.scoring import control_score
+    from harness.scoring.model_predictive import predictive_score
 
-    design = _for_control(model)
-    if design is None:
-        row.control_status = f"not for control: {type(model).__name__} is linear in no coordinates that it names"
-        return
-    plant, spread = _linearised(task, runs)
-    if isinstance(plant, str):
-        row.control_status = plant
+    point = _point(task, runs)
+    if isinstance(point, str):
+        row.control_status = point
         return
     try:
-        score = control_score(design, plant)
+        with make_plant(task.plant.id, dict(task.plant.options)) as plant:
+            row.predictive_cost = predictive_score(
+                model, plant, point.around, centre=point.centre, target=point.target, hold=point.hold,
+                size=point.spread[-plant.spec.nu :], rng=rng,
+            )  # fmt: skip
+    except InputError as error:
+        row.control_status = f"not for control: {type(model).__name__}: {error.got}"
+        return
+    design = _for_control(model)
+    if design is None:
+        failed = "" if row.predictive_cost is not None else ", which does not hold the plant"
+        row.control_status = f"{type(model).__name__} is linear in no coordinates: predictive control alone{failed}"
+        return
+    try:
+        score = control_score(design, point.around)
     except InputError as error:
         row.control_status = str(error)
         return
@@ -65,7 +105,7 @@ def score_control(
     row.control_status = score.status
     row.model_order, row.controllable, row.observable = score.order, score.controllable, score.observable
     row.stabilisable, row.detectable = score.stabilisable, score.detectable
-    row.control_regret = _regret(identifier, design, plant, spread, rng)
+    row.control_regret = _regret(identifier, design, point.around, point.spread, rng)
 
 
 def _for_control(model: Any) -> Any:
@@ -81,34 +121,44 @@ def _for_control(model: Any) -> Any:
     return LinearPlantModel(a, b, c, np.asarray(model.matrices[3], dtype=float))
 
 
-def _linearised(task: Task, runs: Sequence[Trajectory]) -> tuple[LinearPlantModel | str, FloatArray]:
-    """Return the plant at the mean of the records and the sizes of states and inputs; a text where there is none."""
+def _point(task: Task, runs: Sequence[Trajectory]) -> _Point | str:
+    """Return the plant at the mean of the records; a text where it cannot be held there or does not tell its states."""
     from harness.scoring import linearise
 
-    none = np.zeros(0)
     states = [one.x for one in runs]
     if any(x is None for x in states):
-        return "the plant does not tell its states", none
+        return "the plant does not tell its states"
     x = np.concatenate([part for part in states if part is not None])
     u = np.concatenate([one.u for one in runs])
     centre, hold, spread = x.mean(axis=0), u.mean(axis=0), x.std(axis=0)
-    with make_plant(task.plant.id, dict(task.plant.options)) as plant:
-        names = [channel.name for channel in plant.spec.states]
-        point = dict(zip(names, centre.tolist(), strict=True))
-        if "truth" not in plant.abilities:
-            return "the plant does not tell its states", none
-        try:
-            plant.reset(rng=np.random.default_rng(0), x0=point)
-            plant.step(hold)
-            truthful: Any = plant
-            moved = np.abs(np.asarray(truthful.truth()) - centre)
-            if np.any(moved > AT_REST * spread):
-                return "the records do not move about an equilibrium", none
-            found = linearise(plant, x0=point, u0=hold)
-        except InputError as error:
-            return str(error), none
     size = np.concatenate([spread, u.std(axis=0)])
-    return found, np.where(size > 0, size, 1.0)
+    size = np.where(size > 0, size, 1.0)
+    with make_plant(task.plant.id, dict(task.plant.options)) as plant:
+        if "truth" not in plant.abilities:
+            return "the plant does not tell its states"
+        names = [channel.name for channel in plant.spec.states]
+        truthful: Any = plant
+
+        def after(x: FloatArray, u: FloatArray) -> tuple[dict[str, float], FloatArray, FloatArray]:
+            by_name = dict(zip(names, x.tolist(), strict=True))
+            y = np.asarray(plant.reset(rng=np.random.default_rng(0), x0=by_name), dtype=float)
+            plant.step(u)
+            return by_name, y, np.asarray(truthful.truth()) - x
+
+        try:
+            by_name, target, moved = after(centre, hold)
+            if np.any(np.abs(moved) > AT_REST * spread):
+                return "the records do not move about an equilibrium"
+            found = linearise(plant, x0=by_name, u0=hold)
+            for _ in range(NEWTON):  # from the mean of the records to where the plant stays
+                drift = np.hstack([found.a_matrix - np.eye(len(centre)), found.b_matrix]) * size
+                step = size * np.linalg.lstsq(drift, -moved, rcond=1e-9)[0]
+                centre, hold = centre + step[: len(centre)], hold + step[len(centre) :]
+                by_name, target, moved = after(centre, hold)
+                found = linearise(plant, x0=by_name, u0=hold)
+        except InputError as error:
+            return str(error)
+    return _Point(found, by_name, target, hold, size)
 
 
 def _regret(

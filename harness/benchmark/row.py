@@ -34,10 +34,13 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     held-out records: the log score [nats a sample] above that of the record's own normal distribution or frequencies,
     and the share of samples in the 90 % sets.
     ``log_regret`` is the regret in log loss [nats] of online identifiers that predict distributions, over the
-    estimation records; ``average_log_regret`` the same for each sample.
+    estimation records; ``average_log_regret`` the same for each sample. ``regret_law`` is how theory lets the regret
+    grow (empty where no theorem says), ``regret_over_theory`` how fast it rises over what theory says, where theory has
+    a factor.
     ``trace_t``, ``trace_measured`` and ``trace_residual`` (output by output) are what the overlay of a cell is drawn
     from: samples of its first held-out record, and measured minus simulated there.
     ``control_score`` is the cost of the regulator designed on a linear model over that of the best, on the true plant;
+    ``predictive_cost`` that of predictive control on any model over that of the same on the true plant;
     ``control_status`` says how that went, or why there is none; ``control_regret`` counts samples of the optimal cost
     that were lost while learning to control; of ``model_order`` states so many are ``controllable``, ``observable``.
     ``axes`` and ``axis_values`` say where on the axes of its group a cell lies. ``memory_mib`` is the most that the
@@ -63,11 +66,14 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     regret: float | None = None
     average_regret: float | None = None
     regret_exact: bool | None = None
+    regret_over_theory: float | None = None
+    regret_law: str = ""
     log_regret: float | None = None
     average_log_regret: float | None = None
     control_score: float | None = None
     control_status: str = ""
     control_regret: float | None = None
+    predictive_cost: float | None = None
     model_order: int | None = None
     controllable: int | None = None
     observable: int | None = None
@@ -84,6 +90,7 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     held_out_samples: int | None = None
     curve_steps: tuple[int, ...] = ()
     curve_regret: tuple[float, ...] = ()
+    curve_theory: tuple[float | None, ...] = ()
     trace_t: tuple[float, ...] = ()
     trace_measured: tuple[tuple[float, ...], ...] = ()
     trace_residual: tuple[tuple[float | None, ...], ...] = ()
@@ -149,6 +156,7 @@ def sound(row: Row) -> Row:
     n = len(row.outputs)
     pairs = [("units", len(row.units), n), ("axis_values", len(row.axis_values), len(row.axes))]
     pairs += [("curve_regret", len(row.curve_regret), len(row.curve_steps))]
+    pairs += [("curve_theory", len(row.curve_theory), len(row.curve_steps))] if row.curve_theory else []
     for name in ("equation_rms", "simulation_rms", "trace_measured", "trace_residual"):
         pairs += [(name, len(getattr(row, name)), n)] if getattr(row, name) else []
     for name in ("trace_measured", "trace_residual"):

@@ -31,17 +31,24 @@ SCORES = (
     "log_score",
     "coverage",
     "regret",
+    "regret_over_theory",
     "log_regret",
     "control_score",
+    "predictive_cost",
     "control_regret",
     "noise_floor",
     "fit_seconds",
     "memory_mib",
 )
-CONTROL = ("control score", "control regret", "model for control")
+CONTROL = ("control score", "MPC cost", "control regret", "model for control")
 """Columns that stand there only where a suite asks for them (``score.control``)."""
-OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold", "log_regret": "log regret"}
-"""Scores of predicted distributions, with a column only where a line has them, and its title."""
+OPTIONAL = {
+    "log_score": "log score",
+    "coverage": "90 % sets hold",
+    "regret_over_theory": "regret's rise over theory's",
+    "log_regret": "log regret",
+}
+"""Scores with a column only where a line has them, and its title: of predicted distributions, and of rates."""
 BASELINES = ("true-model",)
 """Identifiers that know the truth: they show what is possible and do not compete."""
 
@@ -72,8 +79,10 @@ class Summary:
     log_score: Quartiles | None
     coverage: Quartiles | None
     regret: Quartiles | None
+    regret_over_theory: Quartiles | None
     log_regret: Quartiles | None
     control_score: Quartiles | None
+    predictive_cost: Quartiles | None
     control_regret: Quartiles | None
     noise_floor: Quartiles | None
     best_possible: Quartiles | None

@@ -159,6 +159,8 @@ def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Seque
                 paired = stream("control", task.plant.name, task.scenario.name, task.seed)
                 score_control(model, identifier, task, runs, row, paired)
             scored = True
+        elif task.score.control:
+            row.control_status = f"not for control: {type(identifier).__name__} predicts while it learns, no more"
         if hasattr(identifier, "hindsight"):
             _score_regret(identifier, shown, row, rng, task.score.curve)
             scored = True
@@ -281,6 +283,8 @@ def _score_regret(
     known = np.isfinite(result.curve)
     row.curve_steps = tuple(int(n) for n in result.steps[known])
     row.curve_regret = tuple(result.curve[known].tolist())
+    row.curve_theory = tuple(value if np.isfinite(value) else None for value in result.theory[known].tolist())
+    row.regret_law, row.regret_over_theory = result.growth.law if result.growth else "", result.over_theory
     if isinstance(identifier, OnlinePredictive):
         from harness.scoring.predictive import log_regret
 

@@ -150,8 +150,8 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     if estimate is not None and estimate.rank is not None:
         condition = f", condition number {estimate.condition:.3g}" if math.isfinite(estimate.condition) else ""
         say(f"  {estimate.rank}{condition}")
-    for equation in getattr(fitted.model, "equations", ()):
-        say(f"  {equation}")
+    for text in (*getattr(fitted.model, "equations", ()), *getattr(fitted.model, "findings", ())):
+        say(f"  {text}")
     _print_order(fitted.model, conditioned=estimate is not None)
     if gaps := gaps_words(bands_of(fitted.model), fitted.model.spec.sample_time):
         say(f"  {gaps}")

@@ -54,12 +54,15 @@ class FreeRun:
         Why the run is shorter than asked for.
     beyond : tuple of str
         Parameters that were given values outside their bounds.
+    moved : float
+        Share of its range by which a tolerance 100 times smaller moves an output; 0 where that was not tried.
     """
 
     trajectory: Trajectory
     notes: tuple[str, ...]
     ended: PlantError | None
     beyond: tuple[str, ...] = ()
+    moved: float = 0.0
 
     @property
     def start(self) -> float:
@@ -81,7 +84,8 @@ def window(
     Parameters
     ----------
     suggested : mapping
-        ``startTime``, ``stopTime``, ``stepSize`` [s] of the file's own experiment, None where it has none.
+        ``startTime``, ``stopTime``, ``stepSize`` [s] of the file's own experiment, and ``fixedInternalStepSize`` [s]
+        of what runs; None where it has none.
     start, stop, step : float, optional
         As asked for; they go before what is suggested. Where neither says anything: 0, one second after the start,
         and a 500th of the run.
@@ -120,7 +124,12 @@ def window(
     dt = _given(step, suggested.get("stepSize"))
     if dt is None or (step is None and not (np.isfinite(dt) and dt > 0)):
         dt = float(f"{(end - first) / SAMPLES:.6g}")
-        notes.append(f"{who} suggests no step: {dt:g} s, a {SAMPLES}th of the run (--step)")
+        inner = suggested.get("fixedInternalStepSize")
+        words = f"a {SAMPLES}th of the run"
+        if inner is not None and 0 < inner < end - first:
+            dt = inner * max(1, round(dt / inner))
+            words = f"a multiple of the step inside it, {inner:g} s"
+        notes.append(f"{who} suggests no step: {dt:g} s, {words} (--step)")
     count = int(np.floor((end - first) / dt + 1e-9)) + 1 if np.isfinite(dt) and dt > 0 else 0
     if not 2 <= count <= MOST:
         raise InputError(

@@ -26,6 +26,7 @@ __all__ = [
     "control_score",
     "in_states",
     "linearise",
+    "pulse_sizes",
 ]
 
 # Variance of the sensors against what a unit disturbance at the inputs does to them within the first samples.
@@ -124,7 +125,7 @@ def control_score(
             got=f"{np.shape(model.d_matrix)[1]} and {np.shape(model.d_matrix)[0]}",
             remedy="score a model of this plant",
         )
-    size = _pulse_sizes(plant)
+    size = pulse_sizes(plant)
     moved = np.flatnonzero(size > 0)
     q = np.diag(1.0 / size[moved] ** 2) if q is None else np.asarray(q, dtype=float)[np.ix_(moved, moved)]
     r = np.eye(shape[1]) if r is None else np.asarray(r, dtype=float)
@@ -363,7 +364,7 @@ def in_states(model: Any) -> tuple[FloatArray, FloatArray]:
     return c @ model.a_matrix @ np.linalg.inv(c), c @ model.b_matrix
 
 
-def _pulse_sizes(plant: Any) -> FloatArray:
+def pulse_sizes(plant: Any) -> FloatArray:
     """Return what a unit pulse at all inputs does to each output within the first samples (ny,)."""
     a, move = np.asarray(plant.a_matrix), np.asarray(plant.b_matrix)
     power = np.sum(np.asarray(plant.d_matrix) ** 2, axis=1)

@@ -22,6 +22,7 @@ __all__ = [
     "equation_error",
     "errors",
     "free_run",
+    "free_runs",
     "predict",
     "same_language",
     "simulation_error",
@@ -251,9 +252,9 @@ def errors(
         whole = n // steps
         if whole:
             inputs = data.u[: whole * steps].reshape(whole, steps, -1)
-            predicted[: whole * steps] = _windows(model, states[:whole], inputs).reshape(whole * steps, -1)
+            predicted[: whole * steps] = free_runs(model, states[:whole], inputs).reshape(whole * steps, -1)
         if n > whole * steps:
-            predicted[whole * steps :] = _windows(model, states[whole:], data.u[None, whole * steps :])[0]
+            predicted[whole * steps :] = free_runs(model, states[whole:], data.u[None, whole * steps :])[0]
     return residual(data.spec.outputs, data.y, predicted), how
 
 
@@ -328,11 +329,11 @@ def _initial_state(
 def free_run(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
     """Return the outputs (N, ny) of a free run from a state (nx,) under inputs (N, nu); NaN from where it diverges."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        outputs: FloatArray = _windows(model, x[None], u[None])[0]
+        outputs: FloatArray = free_runs(model, x[None], u[None])[0]
     return _until_divergence(outputs)
 
 
-def _windows(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
+def free_runs(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
     """Return the outputs (M, N, ny) of free runs from states x (M, nx) under inputs u (M, N, nu)."""
     if isinstance(model, FreeRun):
         fast: FloatArray = model.free_run(x, u)

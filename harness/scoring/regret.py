@@ -11,12 +11,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from harness.errors import FitError
-from harness.protocols import Hindsight, OnlineIdentifier, Tracking
+from harness.protocols import Growth, Hindsight, OnlineIdentifier, Tracking
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 
 __all__ = ["Regret", "regret"]
+
+SETTLED = 2
+"""Burn-ins after which a curve is held against the law of theory: the first estimates err by more than it says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +40,8 @@ class Regret:
         Sizes of the outputs: losses are in units of their variances. Ones where the losses are raw.
     details : dict
         What the identifier states: prior, burn-in, coefficients of the minimiser.
+    growth : Growth, optional
+        How theory lets the regret grow; None where no theorem says.
     """
 
     losses: FloatArray
@@ -45,6 +51,7 @@ class Regret:
     curve: FloatArray = field(default_factory=lambda: np.zeros(0))
     scale: FloatArray = field(default_factory=lambda: np.ones(1))
     details: dict[str, Any] = field(default_factory=dict)
+    growth: Growth | None = None
 
     @property
     def cumulative(self) -> FloatArray:
@@ -79,6 +86,51 @@ class Regret:
                 remedy="score a longer stream, ask for more points, or shorten the burn-in",
             )
         return float(np.polyfit(np.log(self.steps[late]), self.curve[late], 1)[0])
+
+    @property
+    def theory(self) -> FloatArray:
+        """The law of theory at :attr:`steps` (P,): its rise as the theory says it, its level that of the curve.
+
+        Where theory gives no factor, both are fitted to the curve and only the shape can be compared; NaN where there
+        is no theorem, or fewer than three points after the burn-in.
+        """
+        fitted = self._fitted()
+        if fitted is None or self.growth is None:
+            return np.full(self.steps.size, np.nan)
+        level, rise = fitted
+        law, late = self.growth.of(self.steps), self._late()
+        if self.growth.factor is not None:
+            rise = self.growth.factor * self._unit
+            level = float(np.mean(self.curve[late] - rise * law[late]))
+        return np.asarray(level + rise * law)
+
+    @property
+    def over_theory(self) -> float | None:
+        """How fast the curve rises, over what theory says; None where theory gives no factor."""
+        fitted = self._fitted()
+        if fitted is None or self.growth is None or not self.growth.factor or not self._unit > 0:
+            return None
+        return fitted[1] / (self.growth.factor * self._unit)
+
+    @property
+    def _unit(self) -> float:
+        """Loss of the minimiser for a sample, after the burn-in."""
+        skipped = int(self.details.get("burn_in", 0))
+        return float(np.mean(self.hindsight[skipped:])) if self.hindsight.size > skipped else float("nan")
+
+    def _late(self) -> NDArray[np.bool_]:
+        """Return which points of the curve (P,) lie well after the burn-in."""
+        return (self.steps > SETTLED * int(self.details.get("burn_in", 0))) & np.isfinite(self.curve)
+
+    def _fitted(self) -> tuple[float, float] | None:
+        """Return level and rise of the law that fit the curve best; None where it cannot be fitted."""
+        late = self._late()
+        if self.growth is None or int(late.sum()) < 3:
+            return None
+        if self.growth.law == "bounded":
+            return 0.0, float(np.mean(self.curve[late]))
+        rise, level = np.polyfit(self.growth.of(self.steps[late]), self.curve[late], 1)
+        return float(level), float(rise)
 
 
 def regret(
@@ -138,7 +190,7 @@ def regret(
     scale = _scale(trajectories) if scaled and (spec.ny == 1 or best.per_output is not None) else np.ones(spec.ny)
     losses = own @ scale**-2.0
     steps, curve = _curve(online, trajectories, losses, scale, points)
-    return Regret(losses, _total(best, scale), best.exact, steps, curve, scale, best.details)
+    return Regret(losses, _total(best, scale), best.exact, steps, curve, scale, best.details, best.growth)
 
 
 def _losses(spec: PlantSpec, measured: FloatArray, guess: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from harness.signals import FloatArray, PlantSpec
 
 __all__ = ["Controller", "StateFeedback", "regulation_costs"]
 
-_GONE = 1e6  # outputs beyond this count as gone: no cost of such a run means anything
+GONE = 1e6  # outputs beyond this count as gone: no cost of such a run means anything
 
 
 class Controller(Protocol):
@@ -101,7 +101,7 @@ def regulation_costs(
             except PlantError:
                 cost = np.inf
                 break
-            if not np.all(np.abs(y) < _GONE):
+            if not np.all(np.abs(y) < GONE):
                 cost = np.inf
                 break
         found.append(cost)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,13 @@ __all__ = ["described"]
 LISTED = 5
 """Names that a line lists."""
 NUMBERS = ("Real", "Float64", "Float32")
+NEEDS = {
+    "once per process": ("any number of instances in a process", "one instance in a process"),
+    "needs its tool": ("runs by itself", "needs its tool"),
+}
+"""What is no ability, and how it is said where it does not hold and where it does."""
 PORTS = ("input", "output", "parameter")
+_LINE = re.compile(r"^ERROR \(line (\d+), column \d+\): ")
 
 
 def described(path: Path, content: Mapping[str, Any]) -> list[Finding]:
@@ -45,6 +52,18 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 
 
+def _gathered(texts: Sequence[str]) -> list[str]:
+    """Return complaints that differ by their line only as one, with the lines."""
+    kinds: dict[str, list[str]] = {}
+    for text in texts:
+        match = _LINE.match(text)
+        kinds.setdefault(text[match.end() :] if match else text, []).extend(match.groups() if match else ())
+    return [
+        text + (f" (line{'s' if len(lines) > 1 else ''} {_listed(lines)})" if lines else "")
+        for text, lines in kinds.items()
+    ]
+
+
 def _archive(path: Path, content: Mapping[str, Any]) -> Finding:
     """Say what is in the file."""
     with zipfile.ZipFile(path) as archive:
@@ -63,7 +82,9 @@ def _standard(content: Mapping[str, Any]) -> Finding:
     units = {text for text in content["problems"] if _is_unit(text, content)}
     found = [text for text in content["problems"] if text not in units]
     tried = f"modelDescription.xml held against FMI {content['fmi']}"
-    return Finding("model description", not found, tried, "; ".join(found[:LISTED]) or "sound", float(len(found)))
+    return Finding(
+        "model description", not found, tried, "; ".join(_gathered(found)[:LISTED]) or "sound", float(len(found))
+    )
 
 
 def _is_unit(text: str, content: Mapping[str, Any]) -> bool:
@@ -75,9 +96,12 @@ def _abilities(content: Mapping[str, Any]) -> list[Finding]:
     """Say what the FMU offers."""
     found = []
     for kind, abilities in content["kinds"].items():
-        can = [name for name, has in abilities.items() if has is True]
-        lacks = [name for name, has in abilities.items() if has is False]
-        came = f"{', '.join(can) or 'nothing optional'}; not: {', '.join(lacks) or 'nothing'}"
+        offers = {name: has for name, has in abilities.items() if isinstance(has, bool) and name not in NEEDS}
+        can = [name for name, has in offers.items() if has]
+        lacks = [name for name, has in offers.items() if not has]
+        step = abilities.get("fixed internal step")
+        needs = [words[abilities[name]] for name, words in NEEDS.items()] + ([f"steps of {step:g} s"] if step else [])
+        came = f"{', '.join(can) or 'nothing optional'}; not: {', '.join(lacks) or 'nothing'}; {', '.join(needs)}"
         found.append(Finding(kind, None, "the attributes of the interface", came))
     return found
 
@@ -112,20 +136,22 @@ def _starts(content: Mapping[str, Any]) -> Finding:
     """Say which start values lie outside their own limits."""
     outside, count = [], 0
     for row in content["variables"]:
-        if row["type"] not in NUMBERS or row["shape"] or row["start"] is None:
+        if row["type"] not in NUMBERS or row["start"] is None:
             continue
         try:
-            value = float(row["start"]) * (row["scale"] or 1.0) + (row["offset"] or 0.0)
+            given = np.array(str(row["start"]).split() if row["shape"] else [row["start"]], dtype=float)
         except ValueError:
             outside.append(f"{row['name']} starts at {row['start']!r}")
             continue
         count += 1
+        values = given * (row["scale"] or 1.0) + (row["offset"] or 0.0)
         low, high = (
             np.inf * sign if row[side] is None else row[side] for side, sign in (("minimum", -1), ("maximum", 1))
         )
-        slack = 1e-9 * max(abs(value), 1e-300)
-        if not (np.isfinite(value) and low - slack <= value <= high + slack):
-            outside.append(f"{row['name']} = {value:g} outside [{low:g}, {high:g}]")
+        slack = 1e-9 * np.maximum(np.abs(values), 1e-300)
+        wrong = ~(np.isfinite(values) & (low - slack <= values) & (values <= high + slack))
+        if wrong.any():
+            outside.append(f"{row['name']} = {values[wrong][0]:g} outside [{low:g}, {high:g}]")
     came = "; ".join(outside[:LISTED]) if outside else f"{count} inside"
     return Finding(
         "start values", not outside, "real start values held against their min and max", came, float(len(outside))

@@ -76,9 +76,14 @@ class Vetting:
             f"{WORDS[one.passed]:<5}{one.name:<20} {printable(one.tried)}: {printable(one.came)}"
             for one in self.findings
         ]
+        return "\n".join([*lines, self.summary])
+
+    @property
+    def summary(self) -> str:
+        """How many checks passed and failed, in words."""
         failed = sum(one.passed is False for one in self.findings)
         passed = sum(one.passed is True for one in self.findings)
-        return "\n".join([*lines, f"{passed} passed, {failed} failed, {len(self.findings) - passed - failed} to know"])
+        return f"{passed} passed, {failed} failed, {len(self.findings) - passed - failed} to know"
 
     def _repr_html_(self) -> str:
         return self._parts()
@@ -90,7 +95,8 @@ class Vetting:
         return (
             f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(self.file.name)}</title>'
             f'<meta name="viewport" content="width=device-width"><style>{STYLE}'
-            "td{vertical-align:top;border-top:1px solid #8884}tr.FAIL td:first-child{color:#cc3311;font-weight:bold}"
+            "td{vertical-align:top;border-top:1px solid #8884}td:last-child{overflow-wrap:anywhere}"
+            "tr.FAIL td:first-child{color:#cc3311;font-weight:bold}"
             f"</style></head><body><h1>{escape(printable(self.file.name))}</h1>{self._parts()}</body></html>\n"
         )
 
@@ -112,7 +118,7 @@ class Vetting:
             from harness.plots import inlined
 
             parts.append(inlined(self.record.plot(), "the run under changing inputs"))
-        return page(self.title, *parts)
+        return page(f"{self.title}: {self.summary}", *parts)
 
 
 SHOWN = 24

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,17 @@ import numpy as np
 from harness import registry
 from harness.conformance.excitation import inputs_for
 from harness.cosim.convergence import halved
-from harness.errors import HarnessError, PlantError
+from harness.errors import HarnessError, InputError, PlantError
 from harness.signals import FloatArray, Trajectory
 from harness.supervision.guarded import guarded
 from harness.vetting import inside
 from harness.vetting.findings import Finding
+from harness.vetting.tubes import Tube
 
 __all__ = ["CHECKS", "Subject", "excited", "ran"]
 
-SAMPLES = 200
-"""Samples of a run."""
+SAMPLES, FEWEST = 200, 10
+"""Samples of a run: the most, and the fewest of an FMU whose own experiment is shorter or that ends a simulation."""
 HALVINGS = 3
 """Halvings of the step: two ratios of changes show whether an order is one."""
 CHANGES = 1e-2
@@ -42,6 +43,7 @@ class Subject:
     content: Mapping[str, Any]
     options: Mapping[str, Any]
     limit: float
+    samples: int = SAMPLES
 
     def plant(self, **more: Any) -> Any:
         """Return the FMU in a process of its own."""
@@ -63,17 +65,24 @@ class Subject:
 
 def excited(subject: Subject) -> tuple[list[Finding], Trajectory | None]:
     """Return the findings of the first run, and the run; None if there is nothing more to try."""
-    tried = f"{SAMPLES} samples under changing inputs"
+    tried = f"{subject.samples} samples under changing inputs"
     try:
         with subject.plant() as plant:
-            record = _run(plant, inputs_for(plant.spec, SAMPLES))
+            record = _run(plant, inputs_for(plant.spec, subject.samples))
             said = list(dict.fromkeys(plant.warnings))
-    except PlantError as error:  # an FMU may end a simulation: that is no fault, and nothing beyond it can be tried
-        ends = error.status == "terminated"
-        return [Finding("runs", None if ends else False, tried, f"{error.status}: {error}")], None
+    except PlantError as error:
+        if error.status != "terminated":
+            return [Finding("runs", False, tried, f"{error.status}: {error}")], None
+        # an FMU may end a simulation: that is no fault, and what comes before it can be tried
+        ends = [Finding("ends", None, tried, str(error))]
+        if subject.samples < 2 * FEWEST:
+            return ends, None
+        found, shorter = excited(replace(subject, samples=subject.samples // 2))
+        return (found if found[0].name == "ends" else ends + found), shorter
     found = [Finding("runs", True, tried, f"outputs up to {np.abs(record.y).max(initial=0.0):.3g}, all finite")]
     if not np.ptp(record.y, axis=0).any() and record.spec.ny:
-        found.append(Finding("moves", None, tried, "no output changes"))
+        found.append(Finding("moves", None, tried, "no output changes: checks that compare runs say little"))
+    said = [text for text in said if text not in subject.content["problems"]]
     if said:
         found.append(Finding("warnings", None, "what the FMU plant remarks", "; ".join(said)))
     return found, record
@@ -81,6 +90,7 @@ def excited(subject: Subject) -> tuple[list[Finding], Trajectory | None]:
 
 def ran(subject: Subject, record: Trajectory) -> list[Finding]:
     """Return the findings of all other runs."""
+    subject = replace(subject, samples=len(record))
     found: list[Finding] = []
     for name, check in CHECKS.items():
         try:
@@ -104,6 +114,8 @@ def _difference(one: FloatArray, other: FloatArray) -> float:
 def _own_experiment(subject: Subject, record: Trajectory) -> list[Finding]:
     """Run the default experiment to its end."""
     tried = "its default experiment, inputs at their start values"
+    if not any(value is not None for value in subject.content["experiment"].values()):
+        tried = "inputs at their start values (it has no default experiment)"
     more = {key: value for key, value in subject.options.items() if key not in ("path", "sample_time", "start_time")}
     tolerance = more.pop("tolerance", None)
     run = registry.load("tools", "fmu-as-is")(subject.path, timeout=subject.limit, tolerance=tolerance, **more)
@@ -112,7 +124,8 @@ def _own_experiment(subject: Subject, record: Trajectory) -> list[Finding]:
         return [Finding("own experiment", None if whole else False, tried, f"{run.ended.status}: {run.ended}")]
     said = [text for text in run.notes if "tolerance" in text]
     came = f"{len(run.trajectory)} samples to t = {run.trajectory.t[-1]:g} s" + "".join(f"; {text}" for text in said)
-    return [Finding("own experiment", False if said else True, tried, came)]
+    passed = True if not said else None if run.moved < CHANGES else False
+    return [Finding("own experiment", passed, tried, came, run.moved)]
 
 
 def _again(subject: Subject, record: Trajectory) -> list[Finding]:
@@ -125,7 +138,7 @@ def _again(subject: Subject, record: Trajectory) -> list[Finding]:
 
 def _probed(subject: Subject, record: Trajectory) -> list[Finding]:
     """Return what the probe of benchmarks finds about reset and states."""
-    result = subject.inside(inside.probed, SAMPLES)
+    result = subject.inside(inside.probed, subject.samples)
     tried = {
         "reset": "a second run after reset",
         "restore": "the state taken half way, a run on, the state set back, the run on again",
@@ -147,7 +160,7 @@ def _parameters(subject: Subject, record: Trajectory) -> list[Finding]:
     own = {one.key: one.start for one in variables if one.parameter and one.settable and one.start is not None}
     tried = f"{len(own)} real parameters set to their own start values"
     if not own:
-        return [Finding("parameters", None, "real parameters with start values", "there are none")]
+        return [Finding("parameters", None, "real parameters (but for arrays) with start values", "there are none")]
     try:
         with subject.plant() as plant:
             plant.preset(own)
@@ -166,7 +179,8 @@ def _halving(subject: Subject, record: Trajectory) -> list[Finding]:
     """Halve the communication step three times."""
     dt = record.spec.sample_time
     if subject.abilities.get("fixed internal step"):
-        return [Finding("step halving", None, "half the step", "the FMU has a fixed internal step")]
+        came = "the FMU has a fixed internal step, which no host can halve"
+        return [Finding("step halving", None, "half the step", came)]
     if "variable step" not in subject.abilities:
         return []  # model exchange: the solver chooses
 
@@ -183,6 +197,8 @@ def _halving(subject: Subject, record: Trajectory) -> list[Finding]:
     came = f"the first half changes {found.outputs[worst]} by {100 * shares[0]:.2g} % of its range"
     if shares[0] <= 1e-9:
         came = "nothing changes: the FMU steps inside as it likes"
+    elif len(known) and not (np.diff(shares) < 0).all():
+        came += f", then by {100 * shares[1]:.2g} % and {100 * shares[2]:.2g} %: it is not the step that errs"
     elif len(known):
         came += f", then by {100 * shares[1]:.2g} % and {100 * shares[2]:.2g} %: order {np.median(known):.1f}"
     return [
@@ -196,6 +212,38 @@ def _halving(subject: Subject, record: Trajectory) -> list[Finding]:
     ]
 
 
+def _binary(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Look at the library that was loaded."""
+    tried = "the functions that the standard demands, and what the library loads from this system"
+    lacks, loaded, glibc = subject.inside(inside.binary)
+    came = f"lacks {', '.join(lacks)}" if lacks else "complete"
+    came += f"; loads {', '.join(loaded)}" if loaded else "; loads nothing more than Python does"
+    came += f"; glibc {glibc} or later" if glibc else ""
+    return [Finding("binary", not lacks, tried, came, float(len(lacks)))]
+
+
+def _kinds(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Run the other interface under the same inputs."""
+    tried = "the same run by co-simulation and by model exchange with a solver of ours"
+    if len(subject.content["kinds"]) < 2 or not record.spec.ny:
+        return []
+    other = "cs" if subject.options.get("kind") == "me" else "me"
+    with subject.plant(kind=other) as plant:
+        y = _run(plant, record.u).y
+    near = Tube(time=record.spec.sample_time)  # a jump may come a sample later
+    shares = []
+    for k in range(record.spec.ny):
+        low, high = near.limits(record.t, record.y[:, k], record.t)
+        outside = float(np.maximum(y[:, k] - high, low - y[:, k]).max(initial=0.0))
+        shares.append(outside / max(float(np.ptp(record.y[:, k])), 1e-9 * float(np.abs(record.y[:, k]).max()), 1e-300))
+    worst = int(np.argmax(shares))
+    came = f"they differ in {record.spec.outputs[worst].name} by {100 * shares[worst]:.2g} % of its range"
+    came = came if shares[worst] > 1e-9 else "the same"
+    passed = True if shares[worst] < CHANGES else None if subject.content["event_indicators"] else False
+    came += "" if passed is not None else ": instants of events, which the two find otherwise, add up"
+    return [Finding("both interfaces", passed, tried, came, shares[worst])]
+
+
 def _beside(subject: Subject, record: Trajectory) -> list[Finding]:
     """Run two instances in one process."""
     tried = "two instances of one loaded library, stepped in turn under different inputs"
@@ -203,7 +251,7 @@ def _beside(subject: Subject, record: Trajectory) -> list[Finding]:
         return [Finding("two at once", None, tried, "tried for co-simulation of FMI 2.0 and 3.0 only")]
     if subject.abilities.get("once per process"):
         return [Finding("two at once", None, tried, "the FMU declares that there may be only one")]
-    off = subject.inside(inside.apart, SAMPLES // 2)
+    off = subject.inside(inside.apart, subject.samples // 2)
     came = "each as if it were alone" if off == 0.0 else f"the second changes the first by {off:.3g}"
     return [Finding("two at once", off == 0.0, tried, came, off)]
 
@@ -226,17 +274,24 @@ def _direct(subject: Subject, record: Trajectory) -> list[Finding]:
 def _slopes(subject: Subject, record: Trajectory) -> list[Finding]:
     """Compare directional derivatives with differences."""
     tried = "d outputs / d inputs against differences"
-    reals = all(channel.kind == "real" for channel in (*record.spec.inputs, *record.spec.outputs))
+    reals = [any(channel.kind == "real" for channel in group) for group in (record.spec.inputs, record.spec.outputs)]
+    found = []
     if not subject.abilities.get("directional derivatives"):
-        return [Finding("derivatives", None, tried, "the FMU offers none")]
-    if not (record.spec.nu and record.spec.ny and reals):
-        return [Finding("derivatives", None, tried, "no real inputs and outputs to compare")]
-    off, follows = subject.inside(inside.slopes)
-    if not follows:
-        return [
-            Finding("derivatives", None, tried, "outputs do not follow the inputs before a step: nothing to compare")
-        ]
-    return [Finding("derivatives", off < RETURNS, tried, f"off by {off:.2g} of the largest", off)]
+        found.append(Finding("derivatives", None, tried, "the FMU offers none"))
+    elif not all(reals):
+        found.append(Finding("derivatives", None, tried, "no real inputs and outputs to compare"))
+    else:
+        off, follows = subject.inside(inside.slopes)
+        silent = "outputs do not follow the inputs before a step: nothing to compare"
+        came = f"off by {off:.2g} of the largest" if follows else silent
+        found.append(Finding("derivatives", off < RETURNS if follows else None, tried, came, off if follows else None))
+    exchange = subject.content["kinds"].get("model exchange") or {}
+    if exchange.get("directional derivatives") and not str(subject.content["fmi"]).startswith("1"):
+        tried = "d derivatives / d states against differences (model exchange)"
+        off = subject.inside(inside.state_slopes)
+        came = "no real states to compare" if off is None else f"off by {off:.2g} of the largest"
+        found.append(Finding("state derivatives", None if off is None else off < RETURNS, tried, came, off))
+    return found
 
 
 def _serialised(subject: Subject, record: Trajectory) -> list[Finding]:
@@ -244,7 +299,10 @@ def _serialised(subject: Subject, record: Trajectory) -> list[Finding]:
     tried = "the state written as bytes half way, read back, the run on"
     if not (subject.abilities.get("serialise state") and subject.abilities.get("get and set state")):
         return [Finding("serialised state", None, tried, "the FMU offers none")]
-    size, off = subject.inside(inside.serialised, SAMPLES)
+    try:
+        size, off = subject.inside(inside.serialised, subject.samples)
+    except InputError as error:
+        return [Finding("serialised state", False, tried, error.got)]
     came = f"{size} bytes, " + ("the same run" if off == 0.0 else f"the run differs by {off:.3g}")
     return [Finding("serialised state", off == 0.0, tried, came, off)]
 
@@ -263,17 +321,19 @@ def _events(subject: Subject, record: Trajectory) -> list[Finding]:
 
 def _speed(subject: Subject, record: Trajectory) -> list[Finding]:
     """Take the time."""
-    found = subject.inside(inside.speed, SAMPLES)
+    found = subject.inside(inside.speed, subject.samples)
     times = found["sample_time"] / max(found["sample"], 1e-9)
     came = (
         f"{1e3 * found['make']:.0f} ms to load and instantiate, {1e3 * found['initialise']:.1f} ms to initialise, "
-        f"{1e6 * found['sample']:.1f} us a sample: {times:.3g} times real time; {found['threads']:.0f} threads"
+        f"{1e6 * found['sample']:.1f} us a sample: {times:.3g} times real time; "
+        f"{found['threads']:.0f} threads of its own"
     )
-    said, tried = found["said"], "what it prints by itself"
-    printed = "nothing" if not said else f"{said:.0f} bytes over {SAMPLES} samples: a host cannot turn that off"
+    said, tried = found["said"], "what it prints, and writes into the working folder, by itself"
+    told = [f"{said:.0f} bytes printed over {subject.samples} samples: a host cannot turn that off"] if said else []
+    told += [f"files: {', '.join(found['written'])}"] if found["written"] else []
     return [
-        Finding("timing", None, f"{SAMPLES} samples in one call", came, found["sample"]),
-        Finding("output", None if said else True, tried, printed, said),
+        Finding("timing", None, f"{subject.samples} samples in one call", came, found["sample"]),
+        Finding("output", None if told else True, tried, "; ".join(told) or "nothing", said),
     ]
 
 
@@ -295,10 +355,12 @@ def _leaks(subject: Subject, record: Trajectory) -> list[Finding]:
 
 CHECKS: Mapping[str, Callable[[Subject, Trajectory], list[Finding]]] = {
     "own experiment": _own_experiment,
+    "binary": _binary,
     "determinism": _again,
     "reset": _probed,
     "parameters": _parameters,
     "step halving": _halving,
+    "both interfaces": _kinds,
     "two at once": _beside,
     "dependencies": _direct,
     "derivatives": _slopes,

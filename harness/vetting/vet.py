@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import platform
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from harness.errors import HarnessError, InputError
 from harness.parts.files import describe_fmu
 from harness.vetting.described import NUMBERS, described
 from harness.vetting.findings import Finding, Vetting
-from harness.vetting.runs import Subject, excited, ran
+from harness.vetting.runs import FEWEST, SAMPLES, Subject, excited, ran
 
 __all__ = ["vet"]
 
@@ -21,7 +23,7 @@ STEPS = 500
 STEP = 0.01
 """Sample time [s] where nothing is suggested at all."""
 SHOWN = 50
-"""Local variables that are looked at where an FMU declares no outputs."""
+"""States, or local variables, that are looked at where an FMU declares no outputs."""
 
 
 def vet(
@@ -65,7 +67,8 @@ def vet(
     try:
         content = describe_fmu(path)
     except HarnessError as error:
-        return Vetting(path, path.name, (Finding("model description", False, "the file read as an FMU", str(error)),))
+        name = "interface" if "nothing to run" in str(error) else "model description"
+        return Vetting(path, path.name, (Finding(name, False, "the file read as an FMU", str(error)),))
     title = f"{path.name}: {content['model']}, FMI {content['fmi']}, {content['tool'] or 'tool not told'}"
     found = described(path, content)
     tell(0.1, "runs")
@@ -95,11 +98,14 @@ def _run(
     tell: Callable[[float, str], None],
 ) -> Vetting:
     """Run what can be run, and return all findings."""
-    subject = Subject(path, content, {"path": str(path), **_chosen(content), **options}, limit)
+    asked = bool(options)
+    options = {"path": str(path), **_chosen(content), **options}
+    subject = Subject(path, content, options, limit, samples_of(content, float(options["sample_time"])))
+    found.append(_setting(subject))
     try:
         first, record = excited(subject)
     except InputError as error:
-        if options:
+        if asked:
             raise
         first, record = [Finding("runs", False, "the FMU loaded and run", str(error))], None
     found += first
@@ -109,19 +115,40 @@ def _run(
     return Vetting(path, title, tuple(found), record)
 
 
+def _setting(subject: Subject) -> Finding:
+    """Say how, by what and where the FMU is run: a page is read long after it was made."""
+    from harness import __version__
+
+    kinds = {"cs": "co-simulation", "me": "model exchange"}
+    kind = kinds.get(str(subject.options.get("kind")), next(iter(subject.content["kinds"])))
+    step, start = float(subject.options["sample_time"]), float(subject.options["start_time"])
+    given = {key: value for key, value in subject.options.items() if key in ("parameters", "start", "tolerance")}
+    came = f"{kind}, {step:g} s a sample from {start:g} s" + "".join(f", {k} {v}" for k, v in given.items() if v)
+    came += f"; sysid-harness {__version__} on {platform.system()} {platform.machine()}, {date.today().isoformat()}"
+    return Finding("setting", None, "how it is run, by what and where", came, step)
+
+
+def samples_of(content: Mapping[str, Any], step: float) -> int:
+    """Return the samples of a run: none beyond the end of the FMU's own experiment."""
+    start, stop = content["experiment"]["startTime"] or 0.0, content["experiment"]["stopTime"]
+    own = SAMPLES if stop is None or not start < stop < SAMPLES * step + start else int((stop - start) / step + 1e-9)
+    return max(FEWEST, own)
+
+
 def _chosen(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that suit an FMU: its own step, its outputs or, without any, what moves inside."""
+    """Return the options that suit an FMU: its own step, its outputs or, without any, its states."""
     experiment = content["experiment"]
     start, stop, step = experiment["startTime"] or 0.0, experiment["stopTime"], experiment["stepSize"]
     if step is None or not 0 < step < float("inf"):
         ends = stop is not None and start < stop < float("inf")
         step = float(f"{(stop - start) / STEPS:.6g}") if ends else STEP
+        inner = next((kind.get("fixed internal step") for kind in content["kinds"].values()), None)
+        step = inner * max(1, round(step / inner)) if inner else step
     chosen: dict[str, Any] = {"sample_time": step, "start_time": start}
     if not any(row["causality"] == "output" for row in content["variables"]):
-        moving = [
-            row["name"]
-            for row in content["variables"]
-            if row["causality"] == "local" and row["variability"] == "continuous" and row["type"] in NUMBERS
-        ]
+        rows = [row for row in content["variables"] if row["type"] in NUMBERS and row["variability"] == "continuous"]
+        states = {row["derivative_of"] for row in rows}
+        moving = [row["name"] for row in rows if row["name"] in states]  # what tools add for themselves is no result
+        moving = moving or [row["name"] for row in rows if row["causality"] == "local"]
         chosen["outputs"] = moving[:SHOWN]
     return chosen

@@ -68,6 +68,16 @@ class FactoredModel:
             for channel, factor in zip(self.spec.outputs, self.factors, strict=True)
         }
 
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What each output depends on, and how many of its rows were never seen."""
+        said = []
+        for (name, parents), factor in zip(self.parents.items(), self.factors, strict=True):
+            never = int((factor.visits == 0).sum())
+            rows = f", {never} of {factor.visits.size} rows never seen" if never else ""
+            said.append(f"{name} depends on {', '.join(parents) or 'nothing'}{rows}")
+        return tuple(said)
+
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the distributions (nx,) that are certain of the first outputs."""
         same_language(self.spec, data)
@@ -172,7 +182,7 @@ class FactoredCounting:
                 f"{what} needs finite processes",
                 expected="category outputs and inputs",
                 got=str(spec),
-                remedy="quantise the signals into categories first, or use another identifier",
+                remedy="say categories = N of each signal in a dataset.toml (sysid new dataset drafts one)",
             )
         now = np.concatenate([np.hstack([record.y[:-1], record.u[:-1]]) for record in records]).astype(np.intp)
         later = np.concatenate([record.y[1:] for record in records]).astype(np.intp)

@@ -29,6 +29,8 @@ _SHORT = 20
 
 _KEPT = 2
 """Starts that go on."""
+SHOWN, LIKELY = 8, 0.1
+"""Hidden states that are described, and the least probability of an observation that is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,19 @@ class HmmModel:
     emission: FloatArray
     burn_in: int = 0
     notes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """How many hidden states, by what criterion, and what each of them shows most."""
+        count = len(self.initial)
+        tried = ", ".join(f"{states}: {value:.1f}" for states, value in self.notes.get("criterion", ()))
+        said = [f"{count} hidden state{'s' if count > 1 else ''}" + (f", by half the BIC ({tried})" if tried else "")]
+        for number, row in enumerate(self.emission[:SHOWN]):
+            most = [o for o in np.argsort(-row, kind="stable") if row[o] >= LIKELY]
+            stays = ", ".join(f"{p:.2f}" for p in self.transition[number, :, number])
+            shows = ", ".join(f"{o} ({row[o]:.2f})" for o in most)
+            said.append(f"state {number} shows {shows}; stays with {stays}" + (" by action" if self.spec.nu else ""))
+        return tuple(said)
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the distribution (S,) of the first hidden state, before any observation."""

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.models.distributions import Categories
-from harness.protocols import Hindsight
+from harness.protocols import Growth, Hindsight
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
@@ -26,6 +26,9 @@ __all__ = [
     "moved_beliefs",
     "weissman_bound",
 ]
+
+SHOWN = 6
+"""Pairs that were never tried that are named; the model has all."""
 
 
 def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:
@@ -108,6 +111,23 @@ class MdpModel:
     def bound(self) -> FloatArray:
         """Weissman bound (95 %) on the l1 error of every row (S, A)."""
         return weissman_bound(self.visits, self.transition.shape[0])
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """How well the rows are known, which are not known at all, and whether every state leads to every other."""
+        seen, never = self.visits[self.visits > 0], self.unvisited
+        said = [
+            f"{seen.size} pairs of state and action, tried {seen.min():.0f} to {seen.max():.0f} times: the worst row "
+            f"is off by at most {self.bound[self.visits > 0].max():.3g} (l1, 95 %)"
+        ]
+        if never:
+            shown = ", ".join(map(str, never[:SHOWN])) + (", ..." if len(never) > SHOWN else "")
+            said.append(
+                f"{len(never)} of {self.visits.size} pairs were never tried, of which nothing is known: {shown}"
+            )
+        if not self.ergodic():
+            said.append("not ergodic: some states are not reached from others, or only in cycles")
+        return tuple(said)
 
     def ergodic(self) -> bool:
         """Return True if every state can be reached from every other under random actions, without a cycle."""
@@ -238,7 +258,8 @@ class OnlineCounting:
         """Return the losses of the best fixed table of answers: the majority of each pair."""
         best = np.argmax(count_transitions(trajectories), axis=2)
         losses = [(best[s, a] != later).astype(float) for s, a, later in map(_transitions, trajectories)]
-        return Hindsight(np.concatenate(losses), exact=True)
+        growth = Growth("bounded", None, "each pair has one likeliest next state (de Rooij et al. 2014, JMLR 15:1281)")
+        return Hindsight(np.concatenate(losses), exact=True, growth=growth)
 
     def forecast(self, state: tuple[FloatArray, int], u: FloatArray) -> Categories:
         """Return the probabilities of the next state: counts plus a half for each state.
@@ -289,7 +310,7 @@ def finite_sizes(spec: PlantSpec, what: str) -> tuple[int, int]:
             f"{what} needs a finite process",
             expected="one category output and at most one category input",
             got=str(spec),
-            remedy="quantise the signals into categories first, or use another identifier",
+            remedy="say categories = N of each signal in a dataset.toml (sysid new dataset drafts one)",
         )
     try:
         return spec.outputs[0].categories, spec.inputs[0].categories if spec.nu else 1

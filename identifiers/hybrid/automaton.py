@@ -17,7 +17,7 @@ from harness.specs import spec_from_dict
 from identifiers.common.lag_state import LagModel, Scaling
 from identifiers.common.records import real_signals, usable
 from identifiers.hybrid.jumps import Jump, find_jumps
-from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel
+from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel, affine
 
 __all__ = ["HybridAutomaton", "HybridModel"]
 
@@ -61,6 +61,20 @@ class HybridModel(LagModel):
     def mode(self, rows: FloatArray) -> npt.NDArray[np.intp]:
         """Return the flow's mode (...) of regressors (..., p)."""
         return self.flow.mode(rows)
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Guard and reset as equations, and how well the guard tells the jumps."""
+        flow = self.flow.findings if len(self.flow.coefficients) > 1 else ()
+        if not self.notes.get("jumps"):
+            return flow
+        names = [channel.name for channel in self.spec.outputs]
+        said = [f"jumps where {affine(self.guard, names)} falls through 0"]
+        if np.any(self.within[:-1]):
+            said[0] += f" while {affine(self.within, names)} >= 0"
+        said += [f"after a jump {name} = {affine(row, names)}" for name, row in zip(names, self.reset, strict=True)]
+        told = 100 * self.notes["jumps told by the guard"]
+        return (*said, f"{self.notes['jumps']} jumps, {told:.0f} % of them told by the guard to the sample", *flow)
 
     def height(self, y: FloatArray) -> FloatArray:
         """Return how far states (..., ny) are above the guard."""

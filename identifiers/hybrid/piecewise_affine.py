@@ -73,6 +73,30 @@ class PiecewiseAffineModel(LagModel):
     variance: FloatArray
     tree: Tree | None = None
 
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """How many modes, by what choice, and where the second of two begins."""
+        counts = ", ".join(map(str, self.notes.get("samples", ())))
+        tried = self.notes.get("criteria", ())
+        key = "bic" if self.notes.get("chosen by") == "bic" else "held-out log score"
+        each = ", ".join("{}: {:.4g}".format(one["modes"], one[key]) for one in tried)
+        why = f", chosen by {key} ({each})" if tried else ""
+        said = [f"{len(self.coefficients)} modes{why}, in which {counts} samples lie"]
+        if len(self.regions) == 2 and self.tree is None:
+            apart = self.regions[1] - self.regions[0]
+            weights = apart[:-1] / self.scaling.x_std
+            whole = np.append(weights, apart[-1] - weights @ self.scaling.x_mean)
+            whole /= np.abs(weights[int(np.argmax(np.abs(apart[:-1])))])  # the one that decides most counts 1
+            said.append(f"the second where {affine(whole, self._regressors)} > 0")
+        return tuple(said)
+
+    @property
+    def _regressors(self) -> list[str]:
+        """Names of the regressors, as they stand in the rows."""
+        outputs, inputs = ([channel.name for channel in part] for part in (self.spec.outputs, self.spec.inputs))
+        lags = ["", *(f"[k-{lag}]" for lag in range(1, self.lags))]
+        return [name + lag for part in (outputs, inputs) for lag in lags for name in part]
+
     def mode(self, rows: FloatArray) -> Labels:
         """Return the mode (...) of regressors (..., p) in the units of the data."""
         scaled = self.scaling.rows(np.asarray(rows, dtype=float))
@@ -114,6 +138,25 @@ class PiecewiseAffineModel(LagModel):
             Tree(**{n: np.array(content["tree"][n], dtype=_TREE[n]) for n in _TREE}) if "tree" in content else None,
             notes=dict(content.get("notes", {})),
         )
+
+
+def affine(weights: FloatArray, names: Sequence[str]) -> str:
+    """Return ``weights @ [names, 1]`` in words, terms of weight 0 left out.
+
+    Examples
+    --------
+    >>> affine(np.array([0.0, -0.8, 0.001]), ["z", "z_rate"])
+    '-0.8 z_rate + 0.001'
+    >>> affine(np.array([1.0, -1.0, 0.0]), ["z", "u"])
+    'z - u'
+    """
+    terms = []
+    for value, name in zip(weights, [*names, ""], strict=True):
+        size = f"{abs(value):.4g}"
+        number = name if name and size == "1" else f"{size} {name}".rstrip()
+        terms += [f"{'-' if value < 0 else '+'} {number}"] if value != 0.0 else []
+    text = " ".join(terms).removeprefix("+ ")
+    return text.replace("- ", "-", 1) if text.startswith("- ") else text or "0"
 
 
 @dataclass(frozen=True)
@@ -176,20 +219,23 @@ class PiecewiseAffine:
         refuse_undetermined(records, what, self.least_excitation)
         rows, targets = regression_data(records, self.order)
         if self.modes is None:
-            modes, table = self._chosen(rows, targets, spec, rng)
-            model = replace(self, modes=modes)._of_rows(rows, targets, spec, rng)
+            model, table = self._chosen(rows, targets, spec, rng)
             return replace(model, notes={**model.notes, "criteria": table, "chosen by": self.choose})
         return self._of_rows(rows, targets, spec, rng)
 
     def _chosen(
         self, rows: FloatArray, targets: FloatArray, spec: PlantSpec, rng: np.random.Generator
-    ) -> tuple[int, list[dict[str, float]]]:
-        """Return the number of modes, and for each one tried its log score on held-out samples and its BIC."""
+    ) -> tuple[PiecewiseAffineModel, list[dict[str, float]]]:
+        """Return the model, and for each number of modes its log score on held-out samples and its BIC.
+
+        A number with which a mode is left without samples is none that was found.
+        """
         held = np.zeros(len(rows), dtype=bool)
         for low, high in edges(len(rows))[1::3]:
             held[low:high] = True
         table: list[dict[str, float]] = []
         scores: list[FloatArray] = []
+        models: list[PiecewiseAffineModel] = []
         best = 1
         for modes in range(1, _MOST + 1):
             one = replace(self, modes=modes)
@@ -200,6 +246,7 @@ class PiecewiseAffine:
                 if modes == 1:
                     raise
                 break
+            models.append(whole)
             scores.append(_log_density(part, rows[held], targets[held]))
             fitted = float(_log_density(whole, rows, targets).sum())
             free = whole.coefficients.size + (modes - 1) * (rows.shape[1] + 1)
@@ -208,11 +255,11 @@ class PiecewiseAffine:
             gain = scores[-1] - scores[best - 1]
             sure = 2.0 * float(gain.std()) / float(np.sqrt(len(gain)))
             better = gain.mean() > sure if self.choose == "held-out" else bic < table[best - 1]["bic"]
-            if modes > 1 and better:
+            if modes > 1 and better and min(whole.notes["samples"]) > 0:
                 best = modes
             elif modes > best + 1:  # two in a row that gain nothing: a single one may only lack a good start
                 break
-        return best, table
+        return models[best - 1], table
 
     def _of_rows(
         self, rows: FloatArray, targets: FloatArray, spec: PlantSpec, rng: np.random.Generator
@@ -249,12 +296,18 @@ class PiecewiseAffine:
         variance = np.array([_mean_square(wrong[chosen == j], wrong) for j in range(self.modes)])
         order = np.argsort([r[chosen == j, 0].mean() if (chosen == j).any() else np.inf for j in range(self.modes)])
         parts = [inside & (labels == j) for j in order] if self.modes > 1 else []
+        samples = [int((chosen == j).sum()) for j in order]
         notes = {
             "modes": self.modes,
-            "samples": [int((chosen == j).sum()) for j in order],
+            "samples": samples,
             "in none": float(1.0 - inside.mean()),
             **self._laws_in_modes(rows, targets, parts, spec),
         }
+        if 0 in samples:
+            notes["warning"] = (
+                f"no sample lies in {samples.count(0)} of {self.modes} modes: what switches was not found "
+                "(more starts, modes = null, or a record that switches more often)"
+            )
         return PiecewiseAffineModel(
             spec,
             self.order,

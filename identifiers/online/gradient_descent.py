@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from harness.errors import FitError
-from harness.protocols import Hindsight
+from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.records import moving, real_signals
 
@@ -153,7 +153,9 @@ class GradientDescent:
             waited += len(guesses)
             losses.append(residual(spec.outputs, record.y[1:], guesses) ** 2)
         each = np.concatenate(losses)
-        return Hindsight(each.sum(axis=1), exact=False, details={"burn_in": self.burn_in}, per_output=each)
+        details = {"burn_in": self.burn_in}
+        growth = Growth("root", None, "white inputs, poles in the convex set (Hardt, Ma & Recht 2018)")
+        return Hindsight(each.sum(axis=1), exact=False, details=details, per_output=each, growth=growth)
 
     def _stepped(self, state: GradientState, block: FloatArray, nu: int) -> GradientState:
         """Return the state after a step on a block."""

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError, InputError
-from harness.protocols import Hindsight, Identifier, Model
+from harness.models.estimate import estimate_of
+from harness.protocols import Growth, Hindsight, Identifier, Model
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.named import named
 from identifiers.common.records import real_signals
@@ -159,7 +160,15 @@ class FollowTheLeader:
             losses.append(residual(spec.outputs, record.y[1:], guesses) ** 2)
         each = np.concatenate(losses)
         details = {"burn_in": self.burn_in, "growth": self.growth, "prior": "none"}
-        return Hindsight(each.sum(axis=1), exact=False, details=details, per_output=each)
+        return Hindsight(each.sum(axis=1), exact=False, details=details, per_output=each, growth=self._rate(model))
+
+    def _rate(self, model: Model) -> Growth | None:
+        """Return how regret grows where the model has a fixed number of parameters; a fit that waits is older."""
+        estimate = estimate_of(model)
+        if estimate is None:  # a linear model without one has a fixed number of them all the same
+            return replace(Growth.of_least_squares(1.0), factor=None) if hasattr(model, "a_matrix") else None
+        waited = (self.growth - 1.0) / np.log(self.growth) if self.growth > 1.0 else 1.0
+        return Growth.of_least_squares(waited * len(estimate.names) / model.spec.ny)
 
     def _placed(self, state: LeaderState) -> LeaderState:
         """Return the state with the model's own state estimated anew while the record is young."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import FitError
-from harness.protocols import Hindsight
+from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.records import moving, real_signals
 from identifiers.common.scaling import sizes
@@ -288,7 +288,12 @@ class RecursivePolynomial(RecursiveOptions):
             losses.append(residual(spec.outputs, record.y[1:], guesses) ** 2)
         each = np.concatenate(losses)
         details = {"burn_in": waits, "polynomials": model.notes["polynomials"], "prior": PRIOR}
-        return Hindsight(each.sum(axis=1), exact=False, details=details, per_output=each)
+        # Pseudo-linear regression converges, but its covariance is not the least: the law holds, not the factor.
+        count = float(np.mean([_past(own) + sum(own.nb) + own.nc + 1 for own in orders]))
+        growth = Growth.of_least_squares(count, self.forgetting)
+        if self.method == "pseudo-linear" and self.structure != "arx":
+            growth = replace(growth, factor=None)
+        return Hindsight(each.sum(axis=1), exact=False, details=details, per_output=each, growth=growth)
 
     def _orders(self, spec: PlantSpec, what: str) -> tuple[Orders, ...]:
         """Return the orders of every output."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from harness.errors import FitError
-from harness.protocols import Hindsight
+from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.records import lagged, moving, real_signals
 from identifiers.online.rls_pass import Layout, learn, run
@@ -194,7 +194,8 @@ class RecursiveLeastSquares:
         # The loss of an angle is taken the short way round, which is not convex.
         exact = all(channel.period is None for channel in spec.outputs)
         details = {"coefficients": whole.tolist(), "prior": self.prior, "burn_in": burn_in + self.order - 1}
-        return Hindsight(each.sum(axis=1), exact=exact, details=details, per_output=each)
+        growth = Growth.of_least_squares(p, self.forgetting)
+        return Hindsight(each.sum(axis=1), exact=exact, details=details, per_output=each, growth=growth)
 
     def _parameters(self, spec: PlantSpec) -> int:
         """Return the number of parameters of each output."""

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from harness.errors import FitError
-from harness.protocols import Hindsight
+from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.records import moving, real_signals
 
@@ -185,7 +185,11 @@ class SpectralFiltering:
         guesses[late] = x @ best
         each = residual(spec.outputs, targets, guesses) ** 2
         exact = all(channel.period is None for channel in spec.outputs)
-        return Hindsight(each.sum(axis=1), exact=exact, details={"burn_in": self.burn_in}, per_output=each)
+        growth = Growth("root", None, "any bounded stream (Hazan, Singh & Zhang 2017)")
+        if self.update_by == "newton":
+            growth = Growth.of_least_squares(float(np.linalg.matrix_rank(x)))
+        details = {"burn_in": self.burn_in}
+        return Hindsight(each.sum(axis=1), exact=exact, details=details, per_output=each, growth=growth)
 
     def _size(self, squares: FloatArray) -> FloatArray:
         """Return the size (nu + ny,) of the signals in the burn-in."""

@@ -135,7 +135,7 @@ class Beyond:
             self.file,
             "a snapshot",
             "a state that the FMU keeps, as its description declares",
-            f"another continuation from it (off by {difference:.2g} of the signal)",
+            f"another continuation from it (off by {100 * difference:.3g} % of the signal)",
             "reset, and replay the inputs; this plant gives no more states",
         )
 

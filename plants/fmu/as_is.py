@@ -17,7 +17,7 @@ from harness.errors import InputError, PlantError
 from harness.options import meant_options
 from harness.signals import FloatArray
 from plants.fmu.archive import FmuFile, read_fmu
-from plants.fmu.options import default
+from plants.fmu.options import chosen_kind, default
 from plants.fmu.plant import FmuPlant
 from plants.fmu.variables import INTEGERS, REALS, states_of
 from plants.isolation.isolated import IsolatedPlant
@@ -78,13 +78,16 @@ def run_as_is(
     options = meant_options(f"the FMU {Path(path).name}", FmuPlant, options)
     file = read_fmu(path)
     suggested = {name: default(file, name) for name in ("startTime", "stopTime", "stepSize")}
+    inner = getattr(file.interface(chosen_kind(file, options.get("kind"))), "fixedInternalStepSize", None)
+    suggested["fixedInternalStepSize"] = None if inner is None else float(inner)
     span = window(suggested, start=start_time, stop=stop_time, step=sample_time, file=path, who="the FMU")
     wanted = tolerance if tolerance is not None else default(file, "tolerance")
     chosen = {"start_time": span.first, "sample_time": span.step, "tolerance": wanted, **options}
     notes = [*file.renamed, *_left_out(file)]
+    own = False
     if "outputs" not in chosen:
         chosen["outputs"], said = _shown(file)
-        notes += said
+        notes, own = notes + said, bool(said)
     asked = {"path": str(path), **chosen}
 
     def made(**more: Any) -> FmuPlant | IsolatedPlant:
@@ -98,7 +101,12 @@ def run_as_is(
         notes += [*plant.warnings]
     notes += found.notes
     if found.ended is None and tolerance is None and wanted is not None:
-        notes += _dominated(made, starts, found.trajectory.y, wanted)
+        columns = {channel.name: k for k, channel in enumerate(found.trajectory.spec.outputs)}
+        states = [one.variable.name for one in states_of(file) if one.variable.name in columns]
+        if own and states:  # what tools add for themselves is no result
+            columns = {name: columns[name] for name in states}
+        said, moved = _dominated(made, starts, found.trajectory.y, columns, wanted)
+        notes, found = notes + said, replace(found, moved=moved)
     return replace(found, notes=tuple(notes))
 
 
@@ -154,22 +162,29 @@ def _input_starts(file: FmuFile, chosen: dict[str, Any]) -> FloatArray:
 
 
 def _dominated(
-    made: Callable[..., FmuPlant | IsolatedPlant], u: FloatArray, rows: FloatArray, tolerance: float
-) -> list[str]:
-    """Say where the FMU's own tolerance makes an error that can be seen."""
+    made: Callable[..., FmuPlant | IsolatedPlant],
+    u: FloatArray,
+    rows: FloatArray,
+    columns: dict[str, int],
+    tolerance: float,
+) -> tuple[list[str], float]:
+    """Say where the FMU's own tolerance makes an error that can be seen, and its share of an output's range."""
     try:
         with made(tolerance=0.01 * tolerance) as plant:
             finer, _ = hold(plant, u, len(rows))
     except PlantError:
-        return []
+        return [], 0.0
     if finer.shape != rows.shape:
-        return [f"with a tolerance 100 times smaller than the FMU's {tolerance:g} the run ends elsewhere (--tolerance)"]
-    spread = np.ptp(rows, axis=0)
-    change = np.abs(finer - rows).max(axis=0)
-    worst = float((change / np.maximum(spread, 1e-300))[spread > 0].max(initial=0.0))
-    if worst < DOMINATES:
-        return []
+        said = f"with a tolerance 100 times smaller than the FMU's {tolerance:g} the run ends elsewhere (--tolerance)"
+        return [said], float("inf")
+    places = list(columns.values())
+    spread = np.ptp(rows[:, places], axis=0)
+    change = np.abs(finer - rows)[:, places].max(axis=0)
+    shares = np.where(spread > 0, change / np.maximum(spread, 1e-300), 0.0)
+    if shares.max(initial=0.0) < DOMINATES:
+        return [], float(shares.max(initial=0.0))
+    worst = int(shares.argmax())
     return [
-        f"the FMU's own tolerance {tolerance:g} moves an output by {100 * worst:.2g} % of its range: give a smaller "
-        "one (--tolerance)"
-    ]
+        f"the FMU's own tolerance {tolerance:g} moves {list(columns)[worst]} by {100 * shares[worst]:.3g} % of its "
+        "range: give a smaller one (--tolerance)"
+    ], float(shares[worst])

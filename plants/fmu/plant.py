@@ -235,7 +235,7 @@ class FmuPlant(Beyond):
         if found == "reset":
             return
         self._instance.resets = False
-        text = f"reset does not bring the FMU back (a second run differs by {difference:.2g} of the signal): "
+        text = f"reset does not bring the FMU back (a second run differs by {100 * difference:.3g} % of the signal): "
         text += "every run gets a fresh instance"
         if found == "process":
             text += ", which does not repeat the first run either: only a fresh process does, as an isolated plant has"

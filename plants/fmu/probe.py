@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from harness.errors import HarnessError
+from harness.errors import HarnessError, InputError
 from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec
 from plants.fmu.archive import Kind
@@ -198,7 +198,8 @@ def _repeat(plant: FmuPlant | IsolatedPlant, inputs: FloatArray, first: FloatArr
         miss = float(np.abs(again_on - went_on).max())
         return [*found, Finding("restore", miss == 0.0, miss, f"continuation differs by {miss:.3g}")]
     except HarnessError as error:
-        return [*found, Finding("restore", False, None, f"{error.status}: {error}")]
+        note = error.got if isinstance(error, InputError) else f"{error.status}: {error}"  # not the plant's advice
+        return [*found, Finding("restore", False, None, note)]
 
 
 def _refined(

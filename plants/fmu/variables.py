@@ -226,7 +226,7 @@ def feeds_through(file: FmuFile, inputs: Sequence[Port], outputs: Sequence[Port]
     given = {id(one.variable) for one in inputs}
     names = {one.variable.name for one in inputs}
     wanted = {one.variable.name for one in outputs}
-    told = True
+    told = file.version > 1 or not inputs  # DirectDependency of FMI 1.0 is not read; without, all may (sec. 3.3)
     for unknown_ in file.description.outputs:
         if unknown_.variable is None or unknown_.variable.name not in wanted:
             continue

@@ -18,6 +18,7 @@ scenarios = [{id = "multisine", options = {duration = 10.0, amplitude = 0.2, ban
 SCORE
 identifiers = [
   {id = "least-squares"}, {id = "arx", options = {order = 3}}, {id = "stlsq"}, {id = "edmdc", options = {degree = 3}},
+  {id = "hold"}, {id = "rls"},
 ]
 [[groups]]
 plants = [{id = "cart-pole-ode", options = {sample_time = 0.02}}]
@@ -48,17 +49,25 @@ def test_columns_of_control_are_filled_on_true_plants(tmp_path: Path) -> None:
     assert 0 < states.control_regret < 1000
     assert lags.control_regret is None, "its states are not measured"
     other = rows["pendulum-ode", "stlsq"]
-    assert (other.control_score, other.control_status[:28]) == (None, "not for control: SparseModel")
+    assert (other.control_score, other.control_status[:31]) == (None, "SparseModel is linear in no coo")
+    for row in (other, states):  # the states are measured, and the models hardly wrong: as good as the plant itself
+        assert row.predictive_cost == pytest.approx(1.0, abs=0.05)
+    assert rows["cart-pole-ode", "arx"].predictive_cost > 1.0, "two of four states are not measured"
+    still, online = rows["pendulum-ode", "hold"], rows["pendulum-ode", "rls"]
+    assert still.control_status == "not for control: HoldModel: no input moves it"
+    assert online.control_status.startswith("not for control: RecursiveLeastSquares")
+    assert still.predictive_cost is None
+    assert online.predictive_cost is None
     lifted = rows["pendulum-ode", "edmdc"]
     assert lifted.control_status == "ok"
     assert 1.0 - 1e-6 <= lifted.control_score < 1.5
     assert lifted.model_order == 9, "monomials of two states up to degree 3, without the constant"
     text = render(result, "markdown")
-    assert "| control score | control regret | model for control |" in text
+    assert "| control score | MPC cost | control regret | model for control |" in text
     assert "2 controllable and 2 observable of 2" in text
     assert "control_score_median" in render(result, "csv")
     (columns,) = [line for line in render(result, "latex").splitlines() if "begin{tabular}" in line]
-    assert columns.endswith("lll}")
+    assert columns.endswith("llll}")
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "control regret" in page
     kept = result.query("select control_score from results where identifier = 'least-squares'")

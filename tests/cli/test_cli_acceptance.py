@@ -136,15 +136,28 @@ def test_models_are_held_against_limits_too(tmp_path: Path, capsys: pytest.Captu
     assert run(["compare", model, log, *words, "--max-error", "y=20cm"], capsys)[0] == 0
 
 
+@pytest.mark.parametrize(
+    ("rms", "said"), [(1e-3, "0.001 rad"), (None, "diverges"), (float("inf"), "diverges"), (float("nan"), "diverges")]
+)
+def test_an_error_that_is_no_number_is_said_to_diverge(rms: float | None, said: str) -> None:
+    (check,) = Demands(max_error={"theta": "2mrad"}).of_errors("run", {"theta": (rms, "rad")})
+    assert check.passed == (said != "diverges")
+    assert f"error {said}, at most 2mrad" in check.text
+
+
 def test_junit_tells_failures_from_what_could_not_be_judged(tmp_path: Path) -> None:
     path = tmp_path / "junit.xml"
     write_junit(
         path,
         "close-loop",
-        [Check("a", "x", True), Check("b", "x", False, "2 > 1 \x00"), Check("c", "y", False, "no <file>", broken=True)],
+        [
+            *(Check("a", name, True) for name in "xyz"),
+            Check("b", "x", False, "2 > 1 \x00"),
+            Check("c", "y", False, "no <file>", broken=True),
+        ],
     )
     (suite,) = ElementTree.parse(path).getroot()
-    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "1", "1")
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("5", "1", "1")
     error = suite.find(".//error")
     assert error is not None
     assert error.get("message") == "no <file>"

@@ -39,3 +39,16 @@ def test_of_two_readings_neither_or_both_are_refused(unit: str, target: str) -> 
 def test_a_unit_is_a_scale_and_an_offset_from_si(unit: str, scale: float, offset: float) -> None:
     _, found_scale, found_offset = base_units(unit)
     assert (found_scale, found_offset) == (pytest.approx(scale), pytest.approx(offset))
+
+
+@pytest.mark.parametrize(("unit", "target"), [("1", "rad"), ("-", "rad"), ("1/s", "rad/s"), ("s^-1", "rad/s")])
+def test_a_plain_number_is_an_angle_in_radians(unit: str, target: str) -> None:
+    assert convert(np.array([2.0]), unit, target).tolist() == [2.0]
+
+
+@pytest.mark.parametrize(
+    ("unit", "target"), [("%", "rad"), ("count", "rad"), ("tick", "rad"), ("Hz", "rad/s"), ("1/min", "rad/s")]
+)
+def test_a_share_a_count_or_a_frequency_is_no_angle(unit: str, target: str) -> None:
+    with pytest.raises(InputError, match=r"unit does not fit|two readings"):
+        convert(np.ones(1), unit, target)

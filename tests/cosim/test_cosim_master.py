@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from harness.cosim import Connection, Coupled
+from harness.cosim.wiring import Shown
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
@@ -445,3 +446,40 @@ def test_an_offset_of_a_wire_is_added_in_si(unit: str, expected: float) -> None:
     coupled = Coupled({"law": law}, [wire], inputs={"push": Channel("push", unit)}, outputs=["law.y0"], loops="refuse")
     coupled.reset(rng=np.random.default_rng(0))
     assert coupled.output(np.array([300.0])) == pytest.approx(expected)
+
+
+def test_a_coupling_shows_its_own_inputs_beside_its_outputs() -> None:
+    line = Coupled(
+        {"law": gain(3.0), "held": integrator(x0=[5.0])},
+        [Connection("pull", "held.u0"), Connection("push", "law.u0")],
+        inputs={"pull": "held.u0", "push": "law.u0"},
+        outputs=[Shown("push", Channel("push")), "law.y0", Shown("pull", Channel("pull")), "held.y0"],
+    )
+    line.reset(rng=RNG)
+    assert line.output(np.array([2.0, 7.0])) == pytest.approx([7.0, 21.0, 2.0, 5.0])
+    assert line.spec.feedthrough
+
+
+def test_a_delayed_wire_between_parts_breaks_their_loop() -> None:
+    def ring(delay: int) -> Coupled:
+        return Coupled(
+            {"a": gain(0.5), "b": gain(1.0)},
+            [
+                Connection("a.y0", "b.u0", delay=delay),
+                Connection("b.y0", "a.u0", add=True),
+                Connection("push", "a.u0", add=True),
+            ],
+            inputs={"push": "a.u0"},
+            outputs=["a.y0"],
+            loops="refuse",
+        )
+
+    with pytest.raises(InputError, match="algebraic loop"):
+        ring(0)
+    line = ring(1)
+    assert line.reset(rng=RNG) == 0.0
+    got = [float(line.output(np.ones(1))[0])]
+    for _ in range(3):
+        line.step(np.ones(1))
+        got.append(float(line.output(np.ones(1))[0]))
+    assert got == pytest.approx([0.5, 0.75, 0.875, 0.9375])  # each answer comes back a step later, halved

@@ -15,6 +15,7 @@ from harness.cosim.structure import opened
 from harness.cosim.structure.conversion import Chain, Linear, Table, change_of_unit, unit_of
 from harness.cosim.structure.flat import FlatSystem
 from harness.cosim.structure.flatten import flatten
+from harness.cosim.structure.package import PROXIED
 from harness.errors import InputError
 from plants.mockups import mockup
 
@@ -285,6 +286,21 @@ def test_a_system_is_used_twice_by_its_id(tmp_path: Path) -> None:
         ("again.d", {"k": 2.0}),
         ("box.d", {"k": 1.0}),
     ]
+
+
+def test_a_system_that_shows_nothing_shows_the_outputs_of_all_its_parts(tmp_path: Path) -> None:
+    flat = read(tmp_path, system(part("one") + part("two"), wire("one.y", "two.u")))
+    shown = [one.name for one in flat.outputs]
+    assert {"one.y", "one.z", "two.y", "two.z", "two.d[3]"} <= set(shown)
+    assert len(shown) == len(set(shown))
+    for component in flat.components:  # what is shown is also what the FMU is asked for
+        assert sorted(component.outputs) == ["c", "d", "f", "j", "y", "z"]
+
+
+def test_only_of_what_a_proxy_of_this_machine_runs_is_it_said(tmp_path: Path) -> None:
+    assert PROXIED not in read(tmp_path, system(part("d"))).notes
+    proxied = part("d").replace("x.fmu", "proxyfmu://localhost?file=x.fmu")
+    assert list(read(tmp_path, system(proxied + proxied.replace('"d"', '"e"'))).notes).count(PROXIED) == 1
 
 
 def osp(tmp_path: Path, connections: str, more: str = "") -> Path:

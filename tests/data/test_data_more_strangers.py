@@ -486,3 +486,12 @@ def test_an_input_that_alternates_from_row_to_row_is_constant_in_every_second_on
     y = np.cumsum(u, axis=0) + 0.1 * RNG.normal(size=(400, 1))
     spec = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
     assert swapped_in_and_out(Trajectory(np.arange(400) * 0.1, u, y, spec)) == []
+
+
+@pytest.mark.parametrize(
+    ("title", "scale"),
+    [("y [mV/V]", 1e-3), ("y [um/m]", 1e-6), ("y [g/kg]", 1e-3), ("y (V·V⁻¹)", 1.0), ("y (m·s⁻¹)", 1.0)],
+)
+def test_a_share_of_like_units_and_raised_signs_are_read(tmp_path: Path, title: str, scale: float) -> None:
+    path = written(tmp_path / "log.csv", f"time [s],u [V],{title}\n" + rows(TIME, U, Y))
+    same(path, scale)

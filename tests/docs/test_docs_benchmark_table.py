@@ -27,7 +27,7 @@ def test_a_row_of_the_page_is_made_again(tmp_path: Path) -> None:
     (tmp_path / "again.toml").write_text(
         'name = "again"\nseeds = [0, 1, 2, 3, 4, 5]\n[[groups]]\nplants = [{ id = "linear-ode" }]\n'
         f'scenarios = [{{ id = "prbs", options = {{ {options} }} }}]\n'
-        'identifiers = [{ id = "dmdc", options = { delays = 6 } }]\n'
+        'identifiers = [{ id = "dmdc", options = { delays = 6 } }, { id = "rls", options = { order = 4 } }]\n'
     )
     again = maker.excerpt(bench(tmp_path / "again.toml", workers=1)).splitlines()[2]
     # alone in its table the line leads it, and rounding may differ by a last digit between processors

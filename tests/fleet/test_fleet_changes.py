@@ -6,6 +6,7 @@ from datetime import date, timedelta
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from harness.fleet.changes import changes, odd_machines
 from harness.fleet.page import fleet_page
@@ -71,6 +72,30 @@ def test_a_machine_that_is_not_as_the_others_stands_out() -> None:
     alone = [row(k, 0.1 if name == "E" else None, 0.01, name) for name in "ABCDEF" for k in range(6)]
     (odd,) = odd_machines(alone)
     assert (odd.machine, odd.what) == ("E", "in 6 of 6 records, of the others in 0 of 30")
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_from_four_on_one_stands_out(count: int) -> None:
+    names = "ABCD"[:count]
+    odd = odd_machines(fleet({name: np.full(5, 9.0 if name == "A" else 0.1) for name in names}, 1))
+    assert [one.machine for one in odd] == (["A"] if count == 4 else [])  # of three, two may agree by chance
+
+
+def test_a_machine_is_as_sure_as_the_intervals_of_its_records() -> None:
+    near = {name: np.full(5, 0.17 if name == "C" else 0.1) for name in "ABCDEFGH"}
+    assert [odd.machine for odd in odd_machines(fleet(near, 2))] == ["C"]  # sixteen standard errors of a mean of five
+    assert not odd_machines(fleet(near, 2, deviation=0.1))  # less than two
+
+
+@pytest.mark.parametrize(("unit", "shown"), [("N m", " to 0.2007 N m at A-6 "), ("1", " to 0.2007 at A-6 ")])
+def test_a_change_is_told_with_its_unit(unit: str, shown: str) -> None:
+    rows = [
+        replace(one, effects=tuple(replace(e, unit=unit, units=(unit,)) for e in one.effects))
+        for one in fleet({"A": STEP}, 0)
+    ]
+    (found,) = changes(rows)
+    assert "Fc on A steps from 0.1" in str(found)
+    assert shown in str(found)
 
 
 def test_what_is_new_lists_changes() -> None:

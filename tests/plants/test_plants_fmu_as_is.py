@@ -115,6 +115,17 @@ def test_a_tolerance_that_dominates_is_said(odd_fmu: Callable[..., Path], tmp_pa
                     '<DefaultExperiment stopTime="1.0" tolerance="0.05"/><ModelVariables>')  # fmt: skip
     notes = run_as_is(rough, kind="me", sample_time=0.1, isolated=False).notes
     assert any("--tolerance" in text for text in notes), notes
+    (said,) = (text for text in notes if "--tolerance" in text)
+    assert re.search(r"moves (h|v|height_mm) by \d", said), said
+
+
+def test_a_step_that_nobody_suggests_is_a_multiple_of_the_one_inside(tmp_path: Path) -> None:
+    path = changed(mockup("pendulum", 3), tmp_path / "inner.fmu", r' stepSize="[^"]*"', "")
+    path = changed(path, tmp_path / "fixed.fmu", "<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.03" ')
+    found = run_as_is(path, stop_time=0.3, isolated=False)
+    assert found.trajectory.spec.sample_time == pytest.approx(0.03)
+    assert any("a multiple of the step inside it, 0.03 s" in text for text in found.notes)
+    assert run_as_is(path, stop_time=30.0, isolated=False).trajectory.spec.sample_time == pytest.approx(0.06)
 
 
 def test_archives_of_windows_tools(tmp_path: Path) -> None:

@@ -36,6 +36,9 @@ def played(path: Path, text: str, spec: PlantSpec = ONE, **options: Any) -> list
         ("time,u\n0,0\n0.1,1\n0.1,5\n0.2,5\n", {"interpolation": "linear"}, [0, 5, 5]),
         ("time,u\n0,0\n0.13,1\n0.3,1\n", {"off_grid": "next"}, [0, 0, 1, 1]),
         ("time,u\n0,1\n0.13,1\n0.2,2\n", {}, [1, 1, 2]),  # a row that changes nothing may lie anywhere
+        # seconds since 1970, where a number is sure to 0.2 us only
+        ("time [s],u\n1700000000,1\n1700000000.3,2\n1700000000.4,2\n", {}, [1, 1, 1, 2, 2]),
+        ("time [s],u\n1700000000,1\n1700000000.3,2\n1700000000.4,2\n", {"off_grid": "next"}, [1, 1, 1, 2, 2]),
         ("u\n1\n2\n", {}, [1, 2]),  # inputs only: a row is a sample
         ("when,u\n0,1\n0.2,2\n", {"time": "when"}, [1, 1, 2]),
         ("time,u\n0,1\n0.2,2\n", {"samples": 2}, [1, 1]),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,17 +16,21 @@ import pytest
 from typer.testing import CliRunner
 
 from harness.cli.app import app
+from harness.cosim.free_run import FreeRun
 from harness.errors import InputError
 from harness.fmi import build
 from harness.parts.files import describe_fmu
-from harness.signals import Trajectory
+from harness.signals import Channel, PlantSpec, Trajectory
 from harness.vetting import vet
 from harness.vetting.described import described
 from harness.vetting.findings import Finding
-from harness.vetting.runs import CHECKS, Subject, excited
+from harness.vetting.runs import CHECKS, FEWEST, Subject, excited
+from harness.vetting.vet import samples_of
 from plants.mockups import mockup
 
-SOUND, EULER, LEAKS, SHARES, THROUGH, PRINTS, RANDOM = range(7)
+SOUND, EULER, LEAKS, SHARES, THROUGH, PRINTS, RANDOM, WRITES = range(8)
+TERMINATES = 8
+"""A mode of the hostile FMU."""
 
 
 @pytest.fixture(scope="session")
@@ -42,6 +48,15 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("no C compiler: install gcc")
     target = tmp_path_factory.mktemp("vetting") / "hostile.fmu"
     build.build_fmu(Path(__file__).parents[1] / "plants" / "fmus" / "hostile", 2, target)
+    return target
+
+
+@pytest.fixture(scope="session")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if build.compiler() is None:
+        pytest.skip("no C compiler: install gcc")
+    target = tmp_path_factory.mktemp("vetting") / "ball.fmu"
+    build.build_fmu(Path(__file__).parents[1] / "plants" / "fmus" / "ball", 2, target)
     return target
 
 
@@ -111,6 +126,103 @@ def test_what_it_prints_is_told_and_kept_from_the_terminal(
     assert "a step of" not in "".join(capfd.readouterr())
 
 
+def test_what_it_leaves_in_the_working_folder_is_told(tried: Callable[[int, str], list[Finding]]) -> None:
+    _, output = tried(WRITES, "timing")
+    assert (output.passed, output.came) == (None, "files: left.log")
+    timing, output = tried(SOUND, "timing")
+    assert (output.passed, output.came) == (True, "nothing")
+    assert timing.came.endswith("0 threads of its own")
+
+
+def test_what_a_library_lacks_and_needs_is_told(
+    faulty: Path, tmp_path: Path, tried: Callable[[int, str], list[Finding]]
+) -> None:
+    (sound,) = tried(SOUND, "binary")
+    assert sound.passed
+    assert sound.came.startswith("complete; loads nothing more")
+    command = build.compiler()
+    assert command is not None
+    (tmp_path / "bare.c").write_text("int fmi2GetVersion(void) { return 0; }\n")
+    subprocess.run([*command, "-shared", "-o", str(tmp_path / "bare.so"), str(tmp_path / "bare.c")], check=True)
+    bare = tmp_path / "bare.fmu"
+    with zipfile.ZipFile(faulty) as old, zipfile.ZipFile(bare, "w") as new:
+        for entry in old.infolist():
+            library = entry.filename.endswith(".so")
+            new.writestr(entry.filename, (tmp_path / "bare.so").read_bytes() if library else old.read(entry))
+    subject = Subject(bare, describe_fmu(bare), {"path": str(bare), "sample_time": 0.02}, 10.0)
+    spec = PlantSpec((), (Channel("y"),), 0.02)
+    (found,) = CHECKS["binary"](subject, Trajectory(np.zeros(1), np.zeros((1, 0)), np.zeros((1, 1)), spec))
+    assert found.passed is False
+    assert "fmi2DoStep" in found.came
+    assert "fmi2GetVersion" not in found.came
+    assert "fmi2GetDerivatives" not in found.came  # of model exchange, which it does not offer
+
+
+def test_what_ends_a_simulation_is_tried_up_to_there(hostile: Path) -> None:
+    content = describe_fmu(hostile)
+    options = {"path": str(hostile), "sample_time": 0.01, "parameters": {"mode": TERMINATES, "when": 0.6}}
+    ends, runs, *_ = (found := excited(Subject(hostile, content, options, 10.0)))[0]
+    assert (ends.name, ends.passed) == ("ends", None)
+    assert "t = 0.6 s" in ends.came
+    assert (runs.name, runs.passed, runs.tried) == ("runs", True, "50 samples under changing inputs")
+    assert found[1] is not None
+    assert len(found[1]) == 50
+
+
+def test_no_run_goes_beyond_the_own_experiment(tmp_path: Path) -> None:
+    path = changed(mockup("pendulum"), tmp_path / "short.fmu", ('stopTime="10"', 'stopTime="0.3"'))
+    content = describe_fmu(path)
+    assert samples_of(content, 0.01) == 30
+    assert samples_of(content, 0.1) == FEWEST
+    assert samples_of(describe_fmu(mockup("pendulum")), 0.01) == 200
+
+
+def test_derivatives_by_states_are_held_against_differences(ball: Path) -> None:
+    content = describe_fmu(ball)
+    subject = Subject(ball, content, {"path": str(ball), "sample_time": 0.02}, 10.0)
+    _, record = excited(replace(subject, samples=10))
+    assert record is not None
+    found = {one.name: one for one in CHECKS["derivatives"](subject, record)}["state derivatives"]
+    assert found.passed
+    assert found.figure is not None
+    assert found.figure < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("late", "factor", "events", "passed"),
+    [(0, 1.0, 0, True), (1, 1.0, 0, True), (0, 0.95, 0, False), (0, 0.95, 3, None)],
+)
+def test_two_interfaces_agree_but_for_an_instant(late: int, factor: float, events: int, passed: bool | None) -> None:
+    spec = PlantSpec((), (Channel("y"),), 0.1)
+    y = np.where(np.arange(50) < 20, 0.0, 4.0)[:, None]
+
+    class Other:
+        def __init__(self) -> None:
+            self.spec = spec
+
+        def __enter__(self) -> Other:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def reset(self, **_: Any) -> np.ndarray:
+            return factor * y[0]
+
+        def rollout(self, u: np.ndarray) -> np.ndarray:
+            return factor * np.roll(y, late, axis=0)[1 : len(u) + 1]
+
+    class Both(Subject):
+        def plant(self, **more: Any) -> Any:
+            assert more == {"kind": "me"}
+            return Other()
+
+    content = {"kinds": {"co-simulation": {}, "model exchange": {}}, "event_indicators": events}
+    record = Trajectory(0.1 * np.arange(50), np.zeros((50, 0)), y, spec)
+    (found,) = CHECKS["both interfaces"](Both(Path("x.fmu"), content, {}, 1.0), record)
+    assert found.passed is passed
+    assert found.figure == pytest.approx(1.0 - factor, abs=1e-12)
+
+
 @pytest.mark.slow
 def test_parameters_and_the_own_experiment(tried: Callable[[int, str], list[Finding]]) -> None:
     (parameters,) = tried(SOUND, "parameters")
@@ -119,6 +231,21 @@ def test_parameters_and_the_own_experiment(tried: Callable[[int, str], list[Find
     (own,) = tried(SOUND, "own experiment")
     assert own.passed
     assert "51 samples to t = 1 s" in own.came
+
+
+@pytest.mark.parametrize(("moved", "passed"), [(0.0, True), (0.004, None), (0.05, False)])
+def test_a_tolerance_fails_where_it_decides_the_result(
+    monkeypatch: pytest.MonkeyPatch, moved: float, passed: bool | None
+) -> None:
+    spec = PlantSpec((), (Channel("y"),), 0.1)
+    record = Trajectory(0.1 * np.arange(3), np.zeros((3, 0)), np.zeros((3, 1)), spec)
+    notes = (f"the FMU's own tolerance moves y by {100 * moved:g} %",) if moved else ()
+    monkeypatch.setattr("harness.registry.load", lambda *_: lambda *_, **__: FreeRun(record, notes, None, moved=moved))
+    experiment = {"stopTime": 0.2 if moved else None}
+    subject = Subject(Path("x.fmu"), {"experiment": experiment}, {}, 1.0)
+    (found,) = CHECKS["own experiment"](subject, record)
+    assert found.passed is passed
+    assert ("it has no default experiment" in found.tried) == (not moved)
 
 
 def changed(source: Path, target: Path, *pairs: tuple[str, str]) -> Path:
@@ -163,6 +290,7 @@ def test_a_crash_or_a_hang_is_one_line_within_its_limit(hostile: Path, mode: int
     assert [one.name for one in failed] == ["runs"]
     assert words in failed[0].came
     assert found.findings[-1] is failed[0]  # nothing is tried after that
+    assert "co-simulation, 0.0" in next(one.came for one in found.findings if one.name == "setting")
 
 
 def test_the_command_writes_all_its_forms(hostile: Path, tmp_path: Path) -> None:
@@ -200,6 +328,32 @@ def test_our_own_fmus_pass(name: str, version: int) -> None:
     assert found.record is not None
     assert np.isfinite(found.record.y).all()
     assert "<svg" in found.html() or "data:image/svg" in found.html()
+
+
+def test_complaints_of_one_kind_are_one_with_their_lines() -> None:
+    content = describe_fmu(mockup("pendulum"))
+    content["problems"] = [*(f"ERROR (line {k}, column 0): not allowed" for k in (3, 9)), "something else"]
+    found = {one.name: one for one in described(mockup("pendulum"), content)}["model description"]
+    assert (found.passed, found.came) == (False, "not allowed (lines 3, 9); something else")
+    assert "any number of instances in a process, runs by itself" in vet_line(content, "co-simulation")
+    content["kinds"]["co-simulation"]["needs its tool"] = True
+    assert vet_line(content, "co-simulation").endswith("any number of instances in a process, needs its tool")
+
+
+def vet_line(content: Any, name: str) -> str:
+    return {one.name: one for one in described(mockup("pendulum"), content)}[name].came
+
+
+def test_every_number_of_an_array_is_held_against_its_limits() -> None:
+    content = describe_fmu(mockup("pendulum"))
+    row = next(one for one in content["variables"] if one["name"] == "J")
+    row |= {"shape": [3], "start": "0.1 -0.2 0.3"}
+    assert vet_line(content, "start values") == "J = -0.2 outside [0, inf]"
+
+
+def test_scheduled_execution_is_no_fault_of_the_description(tmp_path: Path) -> None:
+    path = changed(mockup("pendulum", 3), tmp_path / "se.fmu", ("<CoSimulation", "<ScheduledExecution"))
+    assert [one.name for one in vet(path).findings] == ["interface"]
 
 
 def test_findings_as_text_and_page() -> None:

@@ -70,7 +70,7 @@ def _latex(result: BenchResult) -> str:
     lines = result.summary()
     control, more = _asked(lines), optional_scores(lines)
     head = " & ".join(map(latex_text, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
-    columns = f"lllrlllllll{'l' * len(more)}{'lll' * control}"
+    columns = f"lllrlllllll{'l' * len(more)}{'llll' * control}"
     words = (
         f"Suite {result.suite}: median [quartiles] over seeds of the NRMSE on held-out records. {pairs_in_words(lines)}"
     )
@@ -107,7 +107,7 @@ def _csv(result: BenchResult) -> str:
     scores = ["equation_error", "simulation_error", "noise_floor", "best_possible", "over_best", "least_equation_error"]
     scores += ["regret", "fit_seconds", "memory_mib"]
     control = _asked(lines)
-    scores += [*OPTIONAL, *["control_score", "control_regret"] * control]
+    scores += [*OPTIONAL, *["control_score", "predictive_cost", "control_regret"] * control]
     writer.writerow(
         ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
         + [f"{name}_{part}" for name in scores for part in ("median", "low", "high")]
@@ -152,7 +152,7 @@ def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[s
         f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",
     ]
     if control:
-        texts += [_score(line.control_score), _score(line.control_regret), line.control]
+        texts += [_score(line.control_score), _score(line.predictive_cost), _score(line.control_regret), line.control]
     cells = [quote(text) for text in texts]
     if line.leading:
         cells[5] = bold.format(cells[5])

@@ -105,7 +105,10 @@ def _error_panel(
 
 
 def regret_plot(rows: Sequence[Row]) -> str:
-    """Return the cumulative regrets over the stream: one panel a plant and scenario, one line a seed."""
+    """Return the cumulative regrets over the stream: one panel a plant and scenario, one line a seed.
+
+    What theory says of it is dashed: its rise where theory gives a factor, its shape alone where it does not.
+    """
     panels: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         if row.curve_steps:
@@ -126,6 +129,18 @@ def regret_plot(rows: Sequence[Row]) -> str:
                     alpha=0.8,
                     label=row.identifier if first else None,
                 )
+                if first and any(value is not None for value in row.curve_theory):
+                    law = {"log": "ln n", "root": "the root of n", "linear": "n", "bounded": "bounded"}[row.regret_law]
+                    known = "" if row.regret_over_theory is not None else ", its shape"
+                    theory = [np.nan if value is None else value for value in row.curve_theory]
+                    axis.plot(
+                        row.curve_steps,
+                        theory,
+                        color=LINES[number % len(LINES)],
+                        linewidth=1.0,
+                        linestyle=(0, (4, 2)),
+                        label=f"theory: {law}{known}",
+                    )
             axis.set_xscale("log")
             axis.grid(color=GRID, linewidth=0.7)
             axis.set_title(f"{plant}  ·  {scenario}", loc="left", fontsize=9.5, fontweight="bold")

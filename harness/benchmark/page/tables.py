@@ -88,7 +88,7 @@ class _Fitted:
 
 
 QUARTILES = "quartiles"
-_OF_CONTROL = ("control_score", "control_regret", "control")
+_OF_CONTROL = ("control_score", "predictive_cost", "control_regret", "control")
 
 
 @dataclass(frozen=True)

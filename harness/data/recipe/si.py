@@ -38,8 +38,8 @@ def si_unit(unit: str) -> str:
     --------
     >>> si_unit("deg"), si_unit("mV"), si_unit("rpm"), si_unit("tick/s"), si_unit("degC"), si_unit("%")
     ('rad', 'V', 'rad/s', 'tick/s', 'K', '1')
-    >>> si_unit("Hz"), si_unit("1/min"), si_unit("kHz")
-    ('Hz', '1/s', '1/s')
+    >>> si_unit("Hz"), si_unit("1/min"), si_unit("kHz"), si_unit("1/min^2"), si_unit("mV/V")
+    ('Hz', '1/s', '1/s', '1/s^2', '1')
     """
     text = unit.strip()
     if text in ("", "1", "-") or text in SI_UNITS:
@@ -52,8 +52,9 @@ def si_unit(unit: str) -> str:
             try:
                 zero, one = convert(np.array([0.0, 1.0]), text, candidate)
             except InputError:  # a count or a frequency, which is no angle
-                _, factor, _ = base_units(text)
-                return text if factor == 1.0 else "1/s"
+                powers, factor, _ = base_units(text)
+                times = -powers.get("s", 0)
+                return text if factor == 1.0 else "1/s" if times == 1 else f"1/s^{times}" if times else "1"
             return text if zero == 0.0 and one == 1.0 else candidate
     raise InputError(
         "unit without a known SI form",

@@ -40,7 +40,7 @@ _SPLIT = re.compile(
     r"[^\w*^×·]+|_+|(?<=\w)(?=[*^×·])|(?<=[a-zäöüéèß])(?=[A-Z])|(?<=[a-zA-Z\d])(?=[\u3040-\u9fff\uac00-\ud7af])"
     r"|(?<=[\u3040-\u9fff\uac00-\ud7af])(?=[a-zA-Zµμ\d])"
 )
-_UNIT = re.compile(r"[^\W_][\w\s°%/*^.·⋅•×∙²³\-\u2212]*|[°%][\w\s/]*")
+_UNIT = re.compile(r"[^\W_][\w\s°%/*^.·⋅•×∙²³\-\u2212⁻]*|[°%][\w\s/]*")
 _OF_DAY = re.compile(r"of[\s_\-.]*day", re.IGNORECASE)
 _NUMBERED = re.compile(r"(?P<word>[^\W\d]+?)\d{1,2}")
 _FACTOR = re.compile(r"[x*^×·]?\d.*|.*[*^×·].*")

@@ -1,0 +1,42 @@
+"""The page on the textbook's chapter: its figures are what its commands print."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def checker() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("check_chapter", ROOT / "docs" / "check_chapter.py")
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    return made
+
+
+def test_a_figure_that_no_command_printed_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check = checker()
+    assert check.figures("With 5 % it errs by 0.198, `-O x=0.3`, of 1500 ([a](b.md#c-0.5)).") == ["0.198", "1500"]
+    page = tmp_path / "page.md"
+    page.write_text("```sh\necho 0.01234 2000\n```\n\nIt errs by 12.3 mm, 1.23 % of 2.00 m.\n\n```sh\nexit 3\n```\n")
+    monkeypatch.setattr(check, "PAGE", page)
+    assert check.main() == 1
+    said = capsys.readouterr().out
+    assert "exit status 3" in said
+    assert "printed nowhere" not in said
+    page.write_text("```sh\necho 0.01234 2000\n```\n\nIt errs by 12.4 mm.\n")
+    assert check.main() == 1
+    assert "printed nowhere: 12.4" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_every_figure_of_the_page_is_what_was_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert checker().main() == 0, capsys.readouterr().out
