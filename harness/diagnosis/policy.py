@@ -616,7 +616,7 @@ class DataPolicy:
         "counts itself",
         "one kept reading in ten thousand",
     )
-    shaken: float = _number(
+    jump: float = _number(
         0.1,
         "share of the noise of a kept reading by which a jump of the acceleration may move it",
         "a bias of a tenth changes the chance of a reading by half a percent; averages over wider windows made the "

@@ -21,10 +21,8 @@ J, B, MGL, MORE_J, MORE_G = 0.1, 0.05, 1.0, 0.01, 0.15
 LAW = Placed(builtin()["payload_step"], "theta")
 
 
-def record(
-    seed: int, instant: float, *, moving: bool = False, force: float = 0.0, until: float = np.inf
-) -> Trajectory:
-    """Return a pendulum that picks up a load, or that a force pushes from an instant on, by Heun's method in fine steps.
+def record(seed: int, instant: float, *, moving: bool = False, force: float = 0.0, until: float = np.inf) -> Trajectory:
+    """Return a pendulum that picks up a load, or that a force pushes from an instant on, by Heun's method.
 
     It is pushed from time to time, or all the time.
     """

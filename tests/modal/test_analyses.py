@@ -53,6 +53,7 @@ def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
         "offset-bound",
         "record-length",
         "finite-sample",
+        "regret",
     }
     assert all(listed.values())
     for entry in entries("analyses"):
