@@ -16,11 +16,12 @@ from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
+from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise, overwhelmed
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
 from harness.diagnosis.records.controller_check import check_controller
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.starts import with_known_starts
+from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.rounding import with_rounding
 from harness.diagnosis.search.search import search
 from harness.diagnosis.second import second_opinion
@@ -56,6 +57,7 @@ def diagnose(
     dictionary: Sequence[Effect] | None = None,
     wanted: Wanted | None = None,
     policy: Policy = POLICY,
+    thorough: bool = False,
 ) -> Diagnosis:
     """Run the closed loop and return all that it found, without writing a report.
 
@@ -77,6 +79,9 @@ def diagnose(
         Which of them are given, tried and left out.
     policy : Policy
         The deciding numbers.
+    thorough : bool
+        Go on with a search by likelihood though an unmeasured force does most of what moves the model, with its
+        first effect as well; else free runs are asked first.
 
     Raises
     ------
@@ -106,15 +111,21 @@ def diagnose(
         given, candidates = ([], []) if wrong else (given, candidates)
         if simple is not None and candidates and form.latent and carried(form, nominal, policy, policy.large):
             remembered.proposed = functools.partial(simple.proposals, policy)
-        outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes, given=given)
+        ends = not (thorough or wrong or given) and form.latent and kind.by_free_runs() is not None
+        ends = ends and bool(overwhelmed(form, nominal, policy))
+
+        def lost(fit: Fit) -> bool:
+            return ends and bool(overwhelmed(form, fit, policy))
+
+        outcome = search(
+            remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes, given=given, lost=lost
+        )
         rival = ""
-        if not (wrong or given):
+        if not (wrong or given or lost(outcome.model)):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         share = np.array(thinned.noise)
         # grade what is left
-        outcome, runs, leftover, moved = what_free_runs_say(
-            kind, form, outcome, dataset, policy, say, simple, share=share
-        )
+        outcome, runs, leftover = what_free_runs_say(kind, form, outcome, dataset, policy, say, simple, share=share)
         rounded = with_rounding(
             remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
         )
@@ -136,7 +147,7 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*alarms, *cut, *moved, *beaten(rival), *faults],
+        [*alarms, *cut, *beaten(rival), *faults],
         time.monotonic() - began,
         apart,
         doubtful=bool(doubts or far),
@@ -157,6 +168,8 @@ def diagnose(
         other = second_opinion(diagnosis, kind, simple, lambda kind, data: ask(data, kind=kind, folder=folder))
         if other is not None:
             return replace(other, seconds=time.monotonic() - began)
+        if lost(outcome.model):  # nothing else has an answer
+            return replace(ask(dataset, kind=kind, folder=folder, thorough=True), seconds=time.monotonic() - began)
     _add_doubts(diagnosis, thinned.factor)
     return diagnosis
 

@@ -57,7 +57,8 @@ def second_opinion(
         names = " and ".join(str(one.placed) for one in first.outcome.withdrawn)
         why = f"what is likeliest beside an unmeasured force, {names}, runs further from the validation records"
         again = ask(other, first.dataset)
-        stands = again.verdict == "effects_found" and nearer(simple, again.final, first.final, policy)
+        found = again.verdict == "effects_found" or (first.misfit and not again.misfit)
+        stands = bool(found) and nearer(simple, again.final, first.final, policy)
     elif first.astray:
         why = (
             f"free runs of a model that lacks nothing err {first.runs.further:.2g} times as far on the validation "

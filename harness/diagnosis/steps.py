@@ -45,11 +45,6 @@ __all__ = [
 ]
 
 Progress = Callable[[float, str], None]
-STANDS = (
-    "Free runs of the validation records err more with the accepted effects than the nominal model at its nearest, and "
-    "less once the parameters are fitted to free runs as well: the effects stand, the parameters are those of the "
-    "likelihood."
-)
 
 
 class Say(Protocol):
@@ -130,25 +125,21 @@ def what_free_runs_say(
     simple: SimpleFits | None = None,
     *,
     share: FloatArray,
-) -> tuple[Outcome, FreeRuns, Leftover, list[str]]:
-    """Return the outcome that stands, free runs before and after, what is left of the final model, and warnings.
+) -> tuple[Outcome, FreeRuns, Leftover]:
+    """Return the outcome that stands, free runs before and after, and what is left of the final model.
 
     They are compared along all readings; the noise of those that the form judges is this ``share`` (ny,) of theirs.
-    Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back,
-    unless free runs would have them with other parameters.
+    Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back.
+    Where free runs are all that judges, they must come nearer.
     """
     runs = run_freely(kind, form, outcome, dataset, simple, share)
     say("what is left", 0.8)
     leftover = left_over(form, outcome.model, policy)
-    if not runs.worse(policy):
-        return outcome, runs, leftover, []
-    if leftover.best is None and simple is not None and simple.nearer(outcome.model, policy):
-        return outcome, runs, leftover, [STANDS]
-    if any(one.given for one in outcome.accepted):  # what is given is not taken back
-        return outcome, runs, leftover, []
+    denied = runs.worse(policy) or (runs.idle(policy) and not form.latent)
+    if not denied or any(one.given for one in outcome.accepted):  # what is given is not taken back
+        return outcome, runs, leftover
     outcome = outcome.taken_back()
-    runs = run_freely(kind, form, outcome, dataset, simple, share)
-    return outcome, runs, left_over(form, outcome.model, policy), []
+    return outcome, run_freely(kind, form, outcome, dataset, simple, share), left_over(form, outcome.model, policy)
 
 
 def run_freely(

@@ -132,7 +132,11 @@ def forces(share: float) -> dict[str, Any]:
     ("verdict", "more", "words"),
     [
         ("effects_found", {}, "pendulum lacks quadratic drag at theta; validation simulation error theta 0.1 -> 0.002"),
-        ("effects_found", {"tie_sets": [[1, 2]]}, "(tied with others, see below)"),
+        (
+            "effects_found",
+            {"tie_sets": [[{"name": name, "at": "theta"} for name in ("quadratic_drag", "cubic_drag", "thrust")]]},
+            "pendulum lacks quadratic drag or cubic drag or thrust at theta (these data cannot tell which); validation",
+        ),
         (
             "effects_found",
             {"stand_in": {"flagged": True, "reasons": ["two laws"]}},
@@ -141,7 +145,11 @@ def forces(share: float) -> dict[str, Any]:
         ),
         (
             "effects_found",
-            {"effects": [SPRING, PART], "stand_in": {"flagged": True, "reasons": ["a force is left"]}},
+            {
+                "effects": [SPRING, PART],
+                "tie_sets": [[SPRING], [PART]],
+                "stand_in": {"flagged": True, "reasons": ["a force is left"]},
+            },
             "cubic spring at theta stands in for what pendulum lacks, which the dictionary does not have (a force is "
             "left; quadratic drag at theta may be a part of what is left), and leaves a force of 0.001 %",
         ),

@@ -52,6 +52,16 @@ def test_a_law_that_stood_in_for_two_is_taken_back() -> None:
     assert sum(one.validation for one in outcome.accepted) == pytest.approx(whole.validation)
 
 
+def test_on_a_model_that_says_nothing_no_second_effect_is_built() -> None:
+    form = LinearForm(linear_records(9, {"linear_spring": 0.4, "quadratic_drag": 0.4}))
+    nominal = form.fit((), [], None)
+    whole, ended = (search(form, nominal, ALL, lost=lambda fit, lost=lost: lost) for lost in (False, True))
+    assert accepted(whole) == {"linear_spring", "quadratic_drag"}
+    assert len(ended.accepted) == len(ended.rounds) == 1
+    assert accepted(ended) < accepted(whole)
+    assert ended.model.effects == tuple(one.placed for one in ended.accepted)
+
+
 @pytest.mark.parametrize(("ahead", "taken"), [(4.0, False), (6.0, True)])
 def test_a_pair_in_the_place_of_one_law_brings_what_is_asked_of_an_effect(ahead: float, taken: bool) -> None:
     """A bent scale with an offset was as likely as a cyclic error, and took its place for a parameter less."""

@@ -119,6 +119,9 @@ def test_what_free_runs_take_back_is_looked_for_by_free_runs() -> None:
     assert asked == [DATA]
     assert opinion(first, Answer(verdict="effects_found", error=0.8))[0] is None, "it comes no nearer"
     assert opinion(first, Answer(verdict="nothing_missing", error=0.2))[0] is None, "something is missing"
+    astray = Answer(withdrawn=first.withdrawn, misfit=("leaves 80 %",))
+    assert opinion(astray, Answer(verdict="nothing_missing", error=0.2))[0] is not None, "free runs follow"
+    assert opinion(astray, Answer(misfit=("leaves 70 %",), error=0.2))[0] is None
 
 
 def test_where_the_validation_records_go_further_each_record_is_halved() -> None:

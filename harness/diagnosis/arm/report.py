@@ -40,7 +40,7 @@ from harness.diagnosis.report.estimates import effect_data, known
 from harness.diagnosis.report.experiments import separating
 from harness.diagnosis.report.keys import blank, numbers
 from harness.diagnosis.report.refusals import refusals_text
-from harness.diagnosis.report.words import change_text, standing_in
+from harness.diagnosis.report.words import change_text, named, standing_in
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.outcome import Outcome
@@ -306,11 +306,7 @@ def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
         return f"arm {data['model']} does not fit these data: {'; '.join(dict.fromkeys((first, last)))}"
     if data["verdict"] == "effects_found":
         ratio = [joint["before"][use] / joint["after"][use] for joint in judged if joint["after"][use]]
-        by_name: dict[str, list[str]] = {}
-        for effect in data["effects"]:
-            by_name.setdefault(effect["name"], []).append(effect["at"])
-        names = "; ".join(f"{name.replace('_', ' ')} at {', '.join(places)}" for name, places in by_name.items())
-        lacks = f"arm {data['model']} lacks {names}"
+        lacks = f"arm {data['model']} lacks {named(data['effects'], data['tie_sets'])}"
         if data["stand_in"]["flagged"]:
             lacks = standing_in(data, f"arm {data['model']}")
         if ratio and max(ratio) < POLICY.changed and min(ratio) < 1 / POLICY.changed:

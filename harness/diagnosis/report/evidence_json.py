@@ -466,9 +466,8 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
     ]
     beside = f" beside {' and '.join(forces)}" if forces else ""
     if data["verdict"] == "effects_found":
-        more = " (tied with others, see below)" if any(len(ties) > 1 for ties in data["tie_sets"]) else ""
         if data["stand_in"]["flagged"]:
-            text = f"{standing_in(data, data['model'], more)}{_still_left(data['noise']['after']['forces'])}"
+            text = f"{standing_in(data, data['model'])}{_still_left(data['noise']['after']['forces'])}"
         elif all(effect["name"] == "sensor_quantisation" for effect in data["effects"]):
             steps = " and ".join(f"{effect['at']} is read in steps of {_step(effect)}" for effect in data["effects"])
             return (
@@ -476,7 +475,7 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
                 f"validation simulation error {change}; {words}"
             )
         else:
-            text = f"{data['model']} lacks {named(data['effects'])}{more}"
+            text = f"{data['model']} lacks {named(data['effects'], data['tie_sets'])}"
         if worse := _grown(before, after):
             return f"the validation simulation error grows ({worse}), although the likelihood rises: {text}; {words}"
         return f"{text}; validation simulation error {change}; {words}"

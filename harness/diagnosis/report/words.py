@@ -10,6 +10,8 @@ from harness.diagnosis.policy import POLICY
 
 __all__ = ["change_text", "digits", "named", "shown", "standing_in"]
 
+SAID = 3
+"""Rivals that a sentence names; a list below it names all."""
 NOTHING = 1e-11
 """A value on a bound below this is 0: what is fitted through its logarithm cannot be."""
 
@@ -39,8 +41,11 @@ def digits(value: float, count: int = 4) -> str:
     return f"{float(f'{value:.{count}g}'):.0f}" if 10.0**count <= abs(value) < 1e7 else f"{value:.{count}g}"
 
 
-def named(effects: Sequence[Mapping[str, Any]]) -> str:
+def named(effects: Sequence[Mapping[str, Any]], ties: Sequence[Sequence[Mapping[str, Any]]] = ()) -> str:
     """Return the effects of a report and their places in words; many of them, of an arm say, law by law.
+
+    An effect that the data do not tell from others is named with them: ``ties`` holds what is tied with each, itself
+    first.
 
     Examples
     --------
@@ -48,16 +53,36 @@ def named(effects: Sequence[Mapping[str, Any]]) -> str:
     'quadratic drag at x and cogging at theta'
     >>> named([{"name": name, "at": at} for at in ("q1", "q2") for name in ("coulomb_friction", "viscous_friction")])
     'coulomb friction at q1, q2; viscous friction at q1, q2'
+    >>> drag, lag = {"name": "quadratic_drag", "at": "x"}, {"name": "actuator_lag", "at": "u"}
+    >>> named([drag, lag], [[drag], [lag, {"name": "input_delay", "at": "u"}]])
+    'quadratic drag at x and actuator lag or input delay at u (these data cannot tell which)'
     """
     places: dict[str, list[str]] = {}
     for effect in effects:
-        places.setdefault(effect["name"].replace("_", " "), []).append(effect["at"])
+        places.setdefault(_plain(effect), []).append(effect["at"])
     if len(effects) > POLICY.most:  # of an arm: every joint may have some
-        return "; ".join(f"{name} at {', '.join(at)}" for name, at in places.items())
-    return " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in effects)
+        more = " (some tied with others, see below)" if any(len(tie) > 1 for tie in ties) else ""
+        return "; ".join(f"{name} at {', '.join(at)}" for name, at in places.items()) + more
+    sets = [tie if len(tie) > 1 else [effect] for effect, tie in zip(effects, ties or [()] * len(effects), strict=True)]
+    return " and ".join(map(_either, sets))
 
 
-def standing_in(data: Mapping[str, Any], model: str, more: str = "") -> str:
+def _plain(effect: Mapping[str, Any]) -> str:
+    """Return the name of an effect in words."""
+    return str(effect["name"]).replace("_", " ")
+
+
+def _either(tie: Sequence[Mapping[str, Any]]) -> str:
+    """Return what is as likely as each other, the first few of many, with what that means."""
+    told, more = tie[:SAID], len(tie) - SAID
+    one_place = len({member["at"] for member in told}) == 1
+    names = [_plain(member) if one_place else f"{_plain(member)} at {member['at']}" for member in told]
+    names += [f"{more} other{'s' if more > 1 else ''} (see below)"] if more > 0 else []
+    text = " or ".join(names) + (f" at {told[0]['at']}" if one_place and more <= 0 else "")
+    return f"{text} (these data cannot tell which)" if len(tie) > 1 else text
+
+
+def standing_in(data: Mapping[str, Any], model: str) -> str:
     """Return which effects of a report stand in for something unknown, why, and which may be parts of it.
 
     Examples
@@ -65,19 +90,24 @@ def standing_in(data: Mapping[str, Any], model: str, more: str = "") -> str:
     >>> spring, drag = ({"name": name, "at": "x", "may_be_part_of": part}
     ...                 for name, part in (("cubic_spring", ""), ("quadratic_drag", "a force at x over u")))
     >>> reason = "what is left can still be predicted"
-    >>> standing_in({"effects": [spring, drag], "stand_in": {"reasons": [reason]}}, "cart")[-61:]
+    >>> data = {"effects": [spring, drag], "tie_sets": [[spring], [drag]], "stand_in": {"reasons": [reason]}}
+    >>> standing_in(data, "cart")[-61:]
     'predicted; quadratic drag at x may be a part of what is left)'
     """
-    sure, parts = (
-        [effect for effect in data["effects"] if bool(effect["may_be_part_of"]) is part] for part in (False, True)
-    )
+    pairs = list(zip(data["effects"], data["tie_sets"], strict=True))
+    sure, parts = ([pair for pair in pairs if bool(pair[0]["may_be_part_of"]) is part] for part in (False, True))
     reason = data["stand_in"]["reasons"][0]
     if parts:
-        reason += f"; {named(parts)} may be {'a part' if len(parts) == 1 else 'parts'} of what is left"
+        reason += f"; {_named_pairs(parts)} may be {'a part' if len(parts) == 1 else 'parts'} of what is left"
     return (
-        f"{named(sure)}{more} {'stands' if len(sure) == 1 else 'stand'} in for what {model} lacks, which the "
+        f"{_named_pairs(sure)} {'stands' if len(sure) == 1 else 'stand'} in for what {model} lacks, which the "
         f"dictionary does not have ({reason})"
     )
+
+
+def _named_pairs(pairs: Sequence[tuple[Mapping[str, Any], Sequence[Mapping[str, Any]]]]) -> str:
+    """Return effects with what is tied with each, in words."""
+    return named([effect for effect, _ in pairs], [tie for _, tie in pairs])
 
 
 def shown(entry: Mapping[str, Any]) -> dict[str, str]:

@@ -60,6 +60,11 @@ class FreeRuns:
         change, error = self._change(policy)
         return change > policy.tie_z * error
 
+    def idle(self, policy: Policy) -> bool:
+        """Return True if the final model does not run nearer to the validation records at all."""
+        known = self.before is not None and self.before.finite and self.after is not None and self.after.finite
+        return known and self.after is not self.before and self._change(policy)[0] >= 0.0
+
     @property
     def further(self) -> float:
         """Times as far as on the estimation records that the final model errs on the others, the worst output."""

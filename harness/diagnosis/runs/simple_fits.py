@@ -179,16 +179,6 @@ class SimpleFits:
         """Return a fit of the likelihood as the same free runs show it."""
         return seen_values(self._form, fit.effects, fit.values, fit.own)
 
-    def nearer(self, fit: Fit, policy: Policy) -> bool:
-        """Return True if the model of a fit, fitted to free runs, comes nearer to the validation records than without.
-
-        Without its effects the nominal model comes as near as it can.
-        """
-        again = None if self.nominal is None else self.refitted(fit)
-        return (
-            again is not None and self.nominal is not None and self.further(self.nominal.fitted, again.fitted, policy)
-        )
-
     def errors(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return the rms error of every output (ny,) of the estimation records with values of the nominal model."""
         names = self._form.nominal.parameter_names

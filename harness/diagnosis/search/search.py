@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Fit, Form
@@ -36,6 +36,7 @@ def search(
     sizes: Mapping[str, Mapping[str, float]] | None = None,
     begun: Outcome | None = None,
     given: Sequence[Placed] = (),
+    lost: Callable[[Fit], bool] = lambda fit: False,
 ) -> Outcome:
     """Find the effects that a model lacks.
 
@@ -54,6 +55,8 @@ def search(
         What was found before, to go on from.
     given : sequence of Placed
         Effects that are part of the answer, whatever their evidence.
+    lost : callable
+        True of a model on which nothing is built: the search ends with a first effect that leaves it so.
 
     Returns
     -------
@@ -66,6 +69,8 @@ def search(
         past = expanded(table, answer.model)
         answer = Answer(past.base, answer.accepted)
         better = _step(table, answer, past)
+        if lost((better or answer).model):
+            return Outcome(form, table.nominal, (better or answer).model, (better or answer).accepted, (past,))
         if better is not None and len(better.accepted) > 1:
             better = drop(table, exchange(table, better))
         if not paired and (better is None or len(table.rounds) > 1):
