@@ -12,8 +12,8 @@ from sysid_lab.plan import Task
 from sysid_lab.records import make_records
 
 from harness.diagnosis.algorithm import diagnose
-from harness.diagnosis.forms.coherence import in_parts, incoherence, without
-from harness.diagnosis.forms.directions import Direction
+from harness.diagnosis.directions.coherence import in_parts, incoherence, without
+from harness.diagnosis.directions.directions import Direction
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.fit import WAVE, Column, Linearised
 from harness.diagnosis.search.refusal import Kind

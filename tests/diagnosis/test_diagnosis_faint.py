@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.diagnosis.forms.changed import changed_share
-from harness.diagnosis.forms.lightened import lightened
-from harness.diagnosis.forms.trace import Trace
+from harness.diagnosis.directions.changed import changed_share
+from harness.diagnosis.directions.lightened import lightened
+from harness.diagnosis.directions.trace import Trace
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed

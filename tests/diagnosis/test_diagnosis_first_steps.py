@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.diagnosis.forms.likelihood_form import LikelihoodForm
+from harness.diagnosis.forms.first_steps import looked
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.policy import EFFORT
 from harness.diagnosis.search.compare import judged
@@ -58,14 +58,14 @@ class Slope:
 )
 def test_a_start_from_afar_goes_on_while_each_step_gains(gains: tuple[float, ...], steps: int, reached: float) -> None:
     slope = Slope()
-    first = LikelihoodForm._looked(LikelihoodForm, slope, [Valley(116.0, gains)], hope=10.0)[0]  # type: ignore[arg-type, type-var, misc]
+    first = looked(slope, [Valley(116.0, gains)], hope=10.0)[0]  # type: ignore[arg-type, list-item]
     assert slope.steps == steps
     assert first.nll == pytest.approx(reached)
 
 
 def test_without_a_hope_every_start_takes_its_first_steps_and_no_more() -> None:
     slope = Slope()
-    LikelihoodForm._looked(LikelihoodForm, slope, [Valley(116.0, (68.0,) * 30)], hope=-np.inf)  # type: ignore[arg-type, type-var, misc]
+    looked(slope, [Valley(116.0, (68.0,) * 30)], hope=-np.inf)  # type: ignore[arg-type, list-item]
     assert slope.steps == EFFORT.first_steps
 
 
@@ -73,7 +73,7 @@ def test_a_start_that_is_behind_goes_on_where_its_steps_may_bring_it_to_the_best
     """The best start after two looks led a play to a maximum 430 below that of the one that was left."""
     slope = Slope()
     best, behind, lost = (Valley(nll, (gain,) * 30) for nll, gain in ((100.0, 1.0), (200.0, 30.0), (200.0, 5.0)))
-    tried = LikelihoodForm._looked(LikelihoodForm, slope, [best, behind, lost])  # type: ignore[arg-type, type-var, list-item, misc]
+    tried = looked(slope, [best, behind, lost])  # type: ignore[arg-type, list-item]
     assert [fit.nll for fit in tried] == [200.0 - 5 * 30.0, 100.0 - 5 * 1.0, 200.0 - 2 * 5.0]
     assert slope.steps == 2 * EFFORT.first_steps + EFFORT.looks
 

@@ -14,7 +14,7 @@ from sysid_lab.truths.context import Context, Hidden
 
 from harness.diagnosis import diagnose
 from harness.diagnosis.dictionary import laws_of, placed
-from harness.diagnosis.forms.damping import damping_along
+from harness.diagnosis.directions.damping import damping_along
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit

@@ -11,10 +11,10 @@ from harness.blackbox.effects import fits_fmu, surround
 from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.blackbox.system import FmuSystem
+from harness.diagnosis.directions.directions import Direction
 from harness.diagnosis.fmu.passes import FreePass, Run
 from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_of
 from harness.diagnosis.fmu.pushes import Moved, pushes, test_pushes
-from harness.diagnosis.forms.directions import Direction
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
 from harness.diagnosis.forms.predictive import whitened

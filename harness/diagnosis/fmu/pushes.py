@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.blackbox.effects import surround
 from harness.blackbox.system import FmuSystem
-from harness.diagnosis.forms.directions import (
+from harness.diagnosis.directions.directions import (
     Direction,
     choices,
     drift_directions,

@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.forms.changed import changed_share
-from harness.diagnosis.forms.coherence import in_parts, incoherence, without
-from harness.diagnosis.forms.damping import damping_along
-from harness.diagnosis.forms.directions import Direction, directions, line_directions, test_functions
+from harness.diagnosis.directions.changed import changed_share
+from harness.diagnosis.directions.coherence import in_parts, incoherence, without
+from harness.diagnosis.directions.damping import damping_along
+from harness.diagnosis.directions.directions import Direction, directions, line_directions, test_functions
+from harness.diagnosis.directions.jumps import jumps
+from harness.diagnosis.directions.lightened import lightened
+from harness.diagnosis.directions.trace import Trace
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.innovations import answered
-from harness.diagnosis.forms.jumps import jumps
-from harness.diagnosis.forms.lightened import lightened
 from harness.diagnosis.forms.likelihood_form import USES, FirstSteps, LikelihoodForm
 from harness.diagnosis.forms.suspects import hidden
-from harness.diagnosis.forms.trace import Trace
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.search.fit import Begun, Column, Fit, Jump, Suspect

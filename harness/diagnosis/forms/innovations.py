@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from harness.diagnosis.forms.directions import Direction
+from harness.diagnosis.directions.directions import Direction
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.search.fit import Column, Fit, Linearised

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, cast
 import numpy as np
 
 from harness.diagnosis.forms.apart import Apart, apart
+from harness.diagnosis.forms.first_steps import from_instants, hopeful, in_sight, looked, stepped
 from harness.diagnosis.forms.fit_records import (
     LikelihoodDetail,
     fit_from_record,
@@ -19,6 +20,7 @@ from harness.diagnosis.forms.fit_records import (
 )
 from harness.diagnosis.forms.halves import judged_by_halves, told_by_halves
 from harness.diagnosis.forms.innovations import linearised
+from harness.diagnosis.forms.named import awake, known, nuisances, per_record, state_name, state_values, within
 from harness.diagnosis.forms.predictive import Predictive, predictive, spread_of
 from harness.diagnosis.forms.robust import coloured_deviations
 from harness.diagnosis.forms.suspects import lost_signs, piled_up
@@ -28,7 +30,6 @@ from harness.diagnosis.search.fit import Begun, Fit, InOneGo, Linearised, Suspec
 from harness.diagnosis.systems import AnySystem, SystemT
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
-from harness.effects.parameter import Role
 from harness.errors import FitError, HarnessError
 from harness.physics.compiled.kalman_pass import Filtered, Noise, Pass
 from harness.physics.compiled.smoother import Smoothed
@@ -119,7 +120,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         """See :class:`harness.diagnosis.search.fit.Form`."""
         try:
             system = self.composed(effects)
-            vectors = [_within(system, _awake(system, _known(system, start))) for start in starts]
+            vectors = [within(system, awake(system, known(system, start))) for start in starts]
             substeps = int(np.median([self.substeps(system, values) for values in vectors]))
             if base is not None and self._within_it(base, effects):
                 least = likelihood_detail(base).passes.substeps  # coarser ones would be compared with finer ones
@@ -127,7 +128,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
                 likelihood, points = self._to_start(system, passes, vectors, starts, effects, base)
-                tried = self._looked(likelihood, points, spare=base is not None, hope=hope)
+                tried = looked(likelihood, points, spare=base is not None, hope=hope)
                 if tried:
                     detail, first = FirstSteps(system, passes, likelihood, tried), tried[0]
                     return Begun(tuple(effects), -first.nll, first.parameters, detail, first.pace, system)
@@ -168,7 +169,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         """Return initial states with those that a start names."""
         names = passes.state_names
         return [
-            np.array([start.get(_state(number, name), value) for name, value in zip(names, state, strict=True)])
+            np.array([start.get(state_name(number, name), value) for name, value in zip(names, state, strict=True)])
             for number, state in enumerate(x0)
         ]
 
@@ -198,7 +199,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         best, least = point, likelihood.nll(point)
         enough = -base.log_likelihood("estimation")
         values = dict(zip(system.parameter_names, map(float, point.p), strict=True))
-        p = system.vector(_within(system, {**values, **_known(system, gone)}))
+        p = system.vector(within(system, {**values, **known(system, gone)}))
         x0 = self._starts(system, passes, p, "estimation", base)
         for part in EFFORT.parts:
             if least < enough:
@@ -209,78 +210,6 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             if value < least:
                 best, least = trial, value
         return best
-
-    def _looked(
-        self,
-        likelihood: Likelihood,
-        points: Sequence[Point],
-        *,
-        spare: bool = True,
-        free: Sequence[str] | None = None,
-        hope: float = -np.inf,
-    ) -> list[LikelihoodFit]:
-        """Return where first steps lead from some points, likeliest first; those that fall behind take fewer.
-
-        Everything stands on the nominal model: no step is spared there. What lies below the hope and gains so much
-        with a step that it may come to it goes on.
-        """
-        halved = spare and (len(points) > 1 or hope > -np.inf)
-        tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps, free)
-        near = _in_sight(tried) if halved else []
-        if any(_may_reach(fit, hope) for fit in near):
-            more = self._stepped(likelihood, near, EFFORT.first_steps - EFFORT.looks, free)
-            tried = sorted([*more, *tried[len(near) :]], key=lambda fit: fit.nll)
-        for _ in range(EFFORT.onward):  # from afar the first steps do not get there
-            first = tried[0] if tried else None
-            if first is None or -first.nll >= hope or not _may_reach(first, hope):
-                break
-            more = self._stepped(likelihood, [first], EFFORT.first_steps, free)
-            tried = sorted([*more, *tried[1:]], key=lambda fit: fit.nll)
-        return tried
-
-    def _instants(
-        self, likelihood: Likelihood, fit: LikelihoodFit, *, free: Sequence[str] | None = None, reach: float = np.inf
-    ) -> LikelihoodFit:
-        """Return a fit that goes on from a likelier instant of what happens once in a record, if there is one.
-
-        Along an instant the likelihood is a staircase, whose treads are where nothing moves: steps stop on any of them.
-        """
-        if fit.beyond:
-            return fit
-        longest = max(len(record) for record in likelihood.records) * self.dt
-        for name in set(_own(likelihood.system.effects, "instant")).intersection(fit.names):
-            k = likelihood.system.parameter_names.index(name)
-
-            def at(instant: float, k: int = k, near: Point = fit.point) -> Point:
-                p = near.p.copy()
-                p[k] = instant
-                return replace(near, p=p)
-
-            span = longest / EFFORT.instants
-            best = min(
-                (span * (number + 0.5) for number in range(EFFORT.instants)), key=lambda t: likelihood.nll(at(t))
-            )
-            while span > self.dt and likelihood.nll(at(best)) < fit.nll - POLICY.tie:
-                span /= EFFORT.closer
-                steps = span * np.arange(1 - EFFORT.closer, EFFORT.closer)
-                best = min(best + steps, key=lambda t: likelihood.nll(at(t)))
-            if likelihood.nll(at(best)) < fit.nll - POLICY.tie:
-                moved = likelihood.maximise(at(best), free=free, reach=reach, exact=False)
-                fit = moved if moved.nll < fit.nll else fit
-        return fit
-
-    @staticmethod
-    def _stepped(
-        likelihood: Likelihood, points: Sequence[Point | LikelihoodFit], most: int, free: Sequence[str] | None = None
-    ) -> list[LikelihoodFit]:
-        """Return where a few steps lead from each point, likeliest first; without those that cannot be simulated."""
-        fits: list[LikelihoodFit] = []
-        for point in points:
-            try:
-                fits.append(likelihood.maximise(point, most=most, free=free, exact=False))
-            except (FitError, ArithmeticError, np.linalg.LinAlgError):
-                continue
-        return sorted(fits, key=lambda fit: fit.nll)
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
@@ -293,11 +222,11 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         reach = EFFORT.margin - max((fit.log_likelihood("estimation") for fit in bars), default=-np.inf)
         close = np.inf if rival is None else EFFORT.close - rival.log_likelihood("estimation")
         try:
-            ends = [likelihood.maximise(fit, reach=reach, exact=False) for fit in _in_sight(tried)[:2]]
+            ends = [likelihood.maximise(fit, reach=reach, exact=False) for fit in in_sight(tried)[:2]]
             best = min(ends, key=lambda fit: fit.nll)
             best = best if best.converged or best.beyond else likelihood.maximise(best, reach=reach, exact=False)
             for _ in range(EFFORT.finer):  # coarse steps keep a fit from where its law is fast
-                needed = self.substeps(system, {**system.values(), **_known(system, best.parameters)})
+                needed = self.substeps(system, {**system.values(), **known(system, best.parameters)})
                 if needed <= passes.substeps or best.beyond:
                     break
                 finer = self.passes(system, needed)
@@ -306,8 +235,8 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
                 if followed.beyond:  # what the coarse ones seemed to gain was their own error
                     best = replace(best, converged=False, beyond=True)
                     break
-                best, passes = _hopeful(followed, least), finer
-            best = self._instants(likelihood, _hopeful(best, least), reach=reach)
+                best, passes = hopeful(followed, least), finer
+            best = from_instants(likelihood, hopeful(best, least), reach=reach)
             if best.nll < close and not best.beyond:  # elsewhere nothing is decided by what the last steps add
                 best = likelihood.maximise(best, reach=reach, near=best.converged)
             own, told, expected = self._validated(system, passes, best, base)
@@ -367,7 +296,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         factor e.
         """
         names = set(system.parameter_names)
-        idle = {*_states(passes, best.point), *_nuisances(effects, best)}
+        idle = {*state_values(passes, best.point), *nuisances(effects, best)}
         counted = [name for name in best.names if name not in idle]
         each = expected.price / sum(len(record) for record in self.records["validation"])
         fit = Fit(
@@ -395,7 +324,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             beyond=best.beyond,
             free_run=not self.latent,
         )
-        repeating = [placed for placed in effects if _own([placed], "phase")]
+        repeating = [placed for placed in effects if per_record([placed], "phase")]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit
         return replace(fit, incoherence={str(placed): self.incoherence_of(fit, placed) for placed in repeating})
@@ -439,15 +368,15 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         be judged as if there could be none in another, where a motion that amplifies small errors has to be followed.
         """
         likelihood = self._likelihood(system, "validation", passes)
-        own = [name for name in _own(system.effects) if not system.parameter(name).fixed]
-        turning = set(_own(system.effects, "phase"))
+        own = [name for name in per_record(system.effects) if not system.parameter(name).fixed]
+        turning = set(per_record(system.effects, "phase"))
         free = [name for name in likelihood.names if name not in system.parameter_names] + own
         points = self._outside_starts(likelihood, best, base, own, turning)
         enough = min(value for value, _ in points) + EFFORT.close
-        tried = self._looked(likelihood, [point for value, point in points if value <= enough], free=free)
+        tried = looked(likelihood, [point for value, point in points if value <= enough], free=free)
         before = -np.inf if base is None else base.log_likelihood("validation")
         if not tried or -tried[0].nll < before:  # worse than without what was added: a start may be the cause
-            others = self._looked(likelihood, [point for value, point in points if value > enough], free=free)
+            others = looked(likelihood, [point for value, point in points if value > enough], free=free)
             tried = sorted([*tried, *others], key=lambda fit: fit.nll)
         if not tried:
             raise FitError(
@@ -456,7 +385,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         chosen = tried[0]
         if not chosen.converged:
             chosen = likelihood.maximise(chosen, free=free, exact=False)
-        chosen = self._instants(likelihood, chosen, free=free)
+        chosen = from_instants(likelihood, chosen, free=free)
         shared = [name for name in best.names if name in system.parameter_names]
         expected = predictive(likelihood, chosen.point, shared, spread_of(best, shared, own))
         phases = [name for name in own if name in turning]
@@ -604,9 +533,9 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     def linearised(self, fit: Fit) -> Linearised:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        own = _own(fit.effects)
+        own = per_record(fit.effects)
         spread = spread_of(likelihood_detail(fit).best, fit.free, own)
-        states = _states(likelihood_detail(fit).passes, likelihood_detail(fit).points["estimation"])
+        states = state_values(likelihood_detail(fit).passes, likelihood_detail(fit).points["estimation"])
         return linearised(fit, {use: self.paths(fit, use)[0] for use in USES}, spread, states)
 
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
@@ -622,10 +551,10 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             system = self.composed([placed])
             passes = self.passes(system, self.substeps(system, {**system.values(), **plain.values, **start}))
             likelihood = self._likelihood(system, "estimation", passes)
-            p = system.vector(_within(system, {**system.values(), **plain.values, **start}))
+            p = system.vector(within(system, {**system.values(), **plain.values, **start}))
             x0 = self._starts(system, passes, p, "estimation", None)
             free = [name for name in likelihood.names if name not in self.nominal.parameter_names]
-            tried = self._stepped(likelihood, [Point(p, x0, noise) for noise in self._noises(None)], _LONG, free)
+            tried = stepped(likelihood, [Point(p, x0, noise) for noise in self._noises(None)], _LONG, free)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return None
         if not tried:
@@ -633,87 +562,3 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         held = tried[0]
         detail = FirstSteps(system, passes, likelihood, [replace(held, converged=False)])
         return self.finish(Begun((placed,), -held.nll, held.parameters, detail, held.pace, system), plain)
-
-
-def _state(number: int, name: str) -> str:
-    """Return the name of an initial state of a record, as :class:`Likelihood` has it."""
-    return f"x0[{number}].{name}"
-
-
-def _states(passes: Pass, point: Point) -> dict[str, float]:
-    """Return the initial states of all records by name."""
-    return {
-        _state(number, name): float(value)
-        for number, x0 in enumerate(point.x0)
-        for name, value in zip(passes.state_names, x0, strict=True)
-    }
-
-
-def _own(effects: Sequence[Placed], role: Role = "") -> list[str]:
-    """Return the names of the parameters of effects that belong to a record, of one role if it is given."""
-    return [
-        placed.name(parameter.name)
-        for placed in effects
-        for parameter in placed.effect.parameters
-        if parameter.per_record and role in ("", parameter.role)
-    ]
-
-
-def _nuisances(effects: Sequence[Placed], fit: LikelihoodFit) -> list[str]:
-    """Return the names of smoothing widths and the like of which the data say nothing."""
-    names = [
-        placed.name(parameter.name)
-        for placed in effects
-        for parameter in placed.effect.parameters
-        if parameter.nuisance
-    ]
-    return [name for name in names if _untold(name, fit)]
-
-
-def _untold(name: str, fit: LikelihoodFit) -> bool:
-    """Return True for a parameter that lies on its bound, or whose logarithm is not known well enough to be told."""
-    if name in fit.on_bound or name not in fit.names:
-        return name in fit.on_bound
-    return bool(fit.logarithmic[fit.names.index(name)]) and fit.deviation(name) > EFFORT.untold
-
-
-def _known(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values of parameters that the system has."""
-    names = set(system.parameter_names)
-    return {name: value for name, value in values.items() if name in names}
-
-
-def _awake(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values of all parameters, none that is fitted through its logarithm left at nothing.
-
-    No derivative brings it back from there, and another law may need it: a lag that is missing leaves no friction.
-    """
-    declared = system.values()
-    return {
-        parameter.name: max(value, EFFORT.awake * declared[parameter.name]) if parameter.positive else value
-        for parameter in system.parameters
-        for value in (values.get(parameter.name, declared[parameter.name]),)
-    }
-
-
-def _within(system: AnySystem, values: dict[str, float]) -> dict[str, float]:
-    """Return values within the bounds."""
-    return {
-        parameter.name: float(np.clip(values[parameter.name], parameter.minimum, parameter.maximum))
-        for parameter in system.parameters
-    }
-
-
-def _hopeful(fit: LikelihoodFit, least: float) -> LikelihoodFit:
-    """Return a fit, left on its way where its maximum is known and lies below a log-likelihood."""
-    return replace(fit, converged=False, beyond=True) if fit.converged and -fit.nll < least else fit
-
-
-def _in_sight(tried: Sequence[LikelihoodFit]) -> list[LikelihoodFit]:
-    """Return which fits, likeliest first, are near the first one or may come to where it is."""
-    return [fit for fit in tried if fit.nll < tried[0].nll + EFFORT.close or _may_reach(fit, -tried[0].nll)]
-
-
-def _may_reach(fit: LikelihoodFit, hope: float) -> bool:
-    """Return whether as many steps again, each as good as the last one, would come to a log-likelihood."""
-    return not fit.converged and -fit.nll + EFFORT.first_steps * fit.pace >= hope

@@ -324,6 +324,6 @@ class Form(Protocol):
     def damping(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate and the damping of all that brakes it there; None if unknown.
 
-        See :func:`harness.diagnosis.forms.damping.damping_along`.
+        See :func:`harness.diagnosis.directions.damping.damping_along`.
         """
         ...

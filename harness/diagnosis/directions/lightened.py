@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from harness.diagnosis.forms.changed import LOOKED_AT
-from harness.diagnosis.forms.directions import signals_of
-from harness.diagnosis.forms.trace import Trace
+from harness.diagnosis.directions.changed import LOOKED_AT
+from harness.diagnosis.directions.directions import signals_of
+from harness.diagnosis.directions.trace import Trace
 from harness.physics.compiled.system import System
 
 __all__ = ["lightened"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from harness.diagnosis.forms.trace import Trace
+from harness.diagnosis.directions.trace import Trace
 from harness.diagnosis.policy import EFFORT
 from harness.effects.effect import EffectParameter
 from harness.signals import FloatArray

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.stats import norm
 
-from harness.diagnosis.forms.trace import Trace
+from harness.diagnosis.directions.trace import Trace
 from harness.diagnosis.policy import EFFORT, Policy
 from harness.diagnosis.search.fit import Jump
 from harness.signals import FloatArray

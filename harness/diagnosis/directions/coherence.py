@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.forms.directions import Direction
+from harness.diagnosis.directions.directions import Direction
 from harness.diagnosis.search.fit import Column, Linearised
 from harness.diagnosis.search.leftover import largest_evidence
 from harness.diagnosis.search.scores import SINGULAR

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from harness.diagnosis.forms.jumps import instants
-from harness.diagnosis.forms.lines import frequencies, short_waves, waves
-from harness.diagnosis.forms.trace import Along, Trace
+from harness.diagnosis.directions.jumps import instants
+from harness.diagnosis.directions.lines import frequencies, short_waves, waves
+from harness.diagnosis.directions.trace import Along, Trace
 from harness.diagnosis.policy import EFFORT
 from harness.diagnosis.search.fit import WAVE, ColumnKind
 from harness.diagnosis.systems import AnySystem

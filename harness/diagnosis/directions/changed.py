@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from harness.diagnosis.forms.trace import Trace
+from harness.diagnosis.directions.trace import Trace
 from harness.physics.compiled.rollout_code import Functions
 from harness.physics.compiled.sampled import SampledBlocks
 from harness.physics.compiled.system import System
