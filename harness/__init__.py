@@ -26,10 +26,16 @@ def _check_siblings() -> None:
         found = _find_spec(name)
         places = [] if found is None else [_Path(place) for place in found.submodule_search_locations or ()]
         if not any((place / "_sysid_harness").is_file() for place in places):
-            got = f"the package at {places[0]}" if places else "nothing"
+            file = None if found is None else found.origin
+            got = f"the package at {places[0]}" if places else f"the file {file}" if file else "nothing"
+            remedy = (
+                f"rename that file, or start Python from another folder: it hides the package {name!r}"
+                if file and not places
+                else f"uninstall the other distribution that brings {name!r}, or use a fresh virtual environment"
+            )
             raise ImportError(
                 f"sysid-harness: the package {name!r}: expected the one installed with sysid-harness, got {got}; "
-                f"remedy: uninstall the other distribution that brings {name!r}, or use a fresh virtual environment"
+                f"remedy: {remedy}"
             )
 
 

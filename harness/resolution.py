@@ -11,6 +11,9 @@ from harness.signals import FloatArray
 
 __all__ = ["QuantisationTest", "quantisation_test", "resolution"]
 
+SMALLEST = 0.05
+"""Share of the gaps between distinct readings that are one step, at least: of gaps of chance, one in hundreds is."""
+
 
 @dataclass(frozen=True)
 class QuantisationTest:
@@ -62,10 +65,12 @@ def quantisation_test(y: FloatArray) -> QuantisationTest:
         return nothing
     steps = np.diff(values)
     steps = steps[steps > 1e-9 * (values[-1] - values[0])]  # the last bits of a decimal number are no steps
-    if steps.size < 2 or steps.size > 0.9 * len(y):
+    if steps.size < 2:
         return nothing
     step = float(steps.min())
     small = steps[steps < 1.5 * step]
+    if small.size < SMALLEST * steps.size:  # readings on no grid have gaps of all sizes
+        return nothing
     step = float(small.mean())
     for _ in range(2):  # a longer lever refines the step
         counts = np.round((values - values[0]) / step)

@@ -109,10 +109,16 @@ def diagnose(
         # search, unless the records are wrong
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
         given, candidates = ([], []) if wrong else (given, candidates)
-        if simple is not None and candidates and form.latent and carried(form, nominal, policy, policy.large):
+        second = kind.by_free_runs() is None
+        # what drifts in the free runs of a process is followed by any slow law: there they propose nothing
+        if (
+            simple is not None
+            and candidates
+            and (form.latent or second)
+            and carried(form, nominal, policy, policy.large)
+        ):
             remembered.proposed = functools.partial(simple.proposals, policy)
-        ends = not (thorough or wrong or given) and form.latent and kind.by_free_runs() is not None
-        ends = ends and bool(overwhelmed(form, nominal, policy))
+        ends = not (thorough or wrong or given or second) and form.latent and bool(overwhelmed(form, nominal, policy))
 
         def lost(fit: Fit) -> bool:
             return ends and bool(overwhelmed(form, fit, policy))

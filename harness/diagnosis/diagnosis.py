@@ -90,22 +90,27 @@ class Diagnosis:
         """See diagnosis: model_does_not_fit, effects_found, unexplained, nothing_missing."""
         if self.misfit:
             return "model_does_not_fit"
-        if self.outcome.accepted:
+        if self.found or (self.outcome.accepted and not self.incomplete):
             return "effects_found"
         return "unexplained" if self.incomplete else "nothing_missing"
+
+    @property
+    def found(self) -> bool:
+        """True where an effect was accepted that does something; that a sensor rounds stands in for nothing."""
+        return any(accepted.placed.effect.sampled != "quantise" for accepted in self.outcome.accepted)
 
     @property
     def incomplete(self) -> bool:
         """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.leftover.best is not None or self.latent_share > self.policy.large
-        refused = not self.outcome.accepted and self.outcome.promised(self.policy) is not None
+        refused = not self.found and self.outcome.promised(self.policy) is not None
         denied = bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
         return left or refused or denied or self.shaken
 
     @property
     def astray(self) -> bool:
         """True where the nominal model runs far further from the validation records than from the others."""
-        return not self.outcome.accepted and self.runs.further > self.policy.further
+        return not self.found and self.runs.further > self.policy.further
 
     @functools.cached_property
     def jumps(self) -> tuple[Jump, ...]:

@@ -15,8 +15,9 @@ from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.thinning import thinned_by
 from harness.diagnosis.store import data_fingerprint
 from harness.effects import builtin
+from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.resolution import resolution
+from harness.resolution import quantisation_test, resolution
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 DT, STEP = 0.01, 0.02
@@ -93,3 +94,24 @@ def test_free_runs_deny_no_rounding(seed: int) -> None:
     found = diagnose(data, load_model("pendulum"), dictionary=laws)
     assert [str(one.placed) for one in found.outcome.accepted] == ["sensor_quantisation@theta"]
     assert (found.verdict, found.grade) == ("effects_found", "explained")
+
+
+def test_a_wide_motion_on_a_grid_is_rounded_though_hardly_two_readings_are_equal() -> None:
+    rng = np.random.default_rng(3)
+    y = np.round(np.cumsum(rng.normal(size=1400)) * 5 / 0.01) * 0.01
+    assert len(np.unique(y)) > 0.9 * len(y)
+    assert quantisation_test(y).step == pytest.approx(0.01)
+    decimals = np.round(rng.normal(size=3000), 6)
+    assert not quantisation_test(decimals).quantised, "six decimals of a number are no sensor's step"
+
+
+def test_the_step_of_a_sensor_stays_what_it_is_on_the_way_back_to_the_base() -> None:
+    """A start a hair below its base was shortened with all that it holds: a step of 0.01 A was said to be 0.0003."""
+    form = Equations().form(load_model("pendulum"), DATA)
+    base = form.fit((), form.first_starts(), None)
+    assert base is not None
+    rounded = Placed(builtin()["sensor_quantisation"], "theta")
+    far = {**base.values, "J": 3 * base.values["J"], rounded.name("step"): 0.01}
+    begun = form.begin([rounded], [far], base)
+    assert begun is not None
+    assert begun.values[rounded.name("step")] == 0.01

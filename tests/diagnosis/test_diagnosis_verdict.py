@@ -71,7 +71,8 @@ def diagnosis(
         promised=lambda policy: SimpleNamespace(name=promised) if promised else None,
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
-    form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])), latent=True)
+    scale = SimpleNamespace(force_scale=np.array([2.0]))
+    form: Any = SimpleNamespace(noise_model=scale, latent=True, jumps=lambda fit: [])
     rest: dict[str, Any] = {
         "leftover": SimpleNamespace(best=best),
         "runs": SimpleNamespace(left=left, further=further, worse=lambda policy: worse, nearer=lambda policy: nearer),

@@ -16,7 +16,8 @@ from harness.signals import Dataset, FloatArray
 
 __all__ = ["Bench", "separate_with", "separating"]
 
-SHORTEST, LONGEST = 20.0, 60.0
+SHORTEST, LONGEST, ROWS = 20.0, 60.0, 500
+"""Seconds of an experiment at least and at most, and rows that it has at least, however slow the plant is."""
 PERIODS = 6
 
 
@@ -156,7 +157,7 @@ def _slow_triangle(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[s
             break
         peaks = 0.75 * peaks
     options = {**_amplitude(bench, peaks), "frequency": _two(frequency), "levels": 3}
-    return "triangle", {**options, "duration": _duration(PERIODS / frequency)}, None
+    return "triangle", {**options, "duration": _duration(bench, PERIODS / frequency)}, None
 
 
 def _chirp(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
@@ -174,7 +175,7 @@ def _chirp(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict
     tau = max([time for time in times if time > 0], default=2 * bench.sample_time)
     top = float(np.clip(5 / (2 * np.pi * tau), 2 * bench.resonance(), 0.4 / bench.sample_time))
     options = {**_amplitude(bench, 4 * bench.peaks), "band": [_two(0.1 * top), _two(top)], "law": "logarithmic"}
-    return "chirp", {**options, "duration": SHORTEST}, None
+    return "chirp", {**options, "duration": _duration(bench)}, None
 
 
 def _swing(target: float) -> _Plan:
@@ -186,13 +187,14 @@ def _swing(target: float) -> _Plan:
         wanted = np.where(angles, target, 2 * seen[0]) if angles.size else 2 * seen[0]
         centre, dt = bench.resonance(), bench.sample_time
         band = [_two(0.3 * centre), _two(1.5 * centre)]
-        t = np.arange(int(SHORTEST / dt)) * dt
-        sweep = np.sin(2 * np.pi * (band[0] * t + 0.5 * (band[1] - band[0]) / SHORTEST * t**2))
+        seconds = _duration(bench)
+        t = np.arange(round(seconds / dt)) * dt
+        sweep = np.sin(2 * np.pi * (band[0] * t + 0.5 * (band[1] - band[0]) / seconds * t**2))
         for factor in np.geomspace(0.5, PLAN_POLICY.stronger, 19):
             reached, _ = bench.moves(sweep[:, None] * factor * bench.peaks)
             if np.all(reached[0] >= wanted):
                 break
-        options = {**_amplitude(bench, factor * bench.peaks), "band": band, "duration": SHORTEST}
+        options = {**_amplitude(bench, factor * bench.peaks), "band": band, "duration": _duration(bench)}
         return "chirp", options, f"the swing must pass {np.degrees(target):.0f} deg" if angles.any() else None
 
     return plan
@@ -202,12 +204,16 @@ def _reversals(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, 
     """Plan small reversals: a triangle at a quarter of the resonance, a third of the data's amplitude at most."""
     frequency = bench.resonance() / 4
     options = {**_amplitude(bench, bench.peaks / 3), "frequency": _two(frequency), "levels": 3}
-    return "triangle", {**options, "duration": _duration(15 / frequency)}, "add a sensor on the load's side if you can"
+    return (
+        "triangle",
+        {**options, "duration": _duration(bench, 15 / frequency)},
+        "add a sensor on the load's side if you can",
+    )
 
 
 def _rest(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
     """Plan a run without excitation."""
-    return "free-swing", {"duration": SHORTEST, "spread": 0.0}, None
+    return "free-swing", {"duration": _duration(bench), "spread": 0.0}, None
 
 
 _RULES: tuple[tuple[str, str, _Plan | str], ...] = (
@@ -244,9 +250,10 @@ def _amplitude(bench: Bench, sizes: FloatArray) -> dict[str, Any]:
     return {"amplitude": {channel.name: size for channel, size in zip(channels, kept, strict=True)}}
 
 
-def _duration(seconds: float) -> float:
-    """Return whole seconds, between 20 and 60."""
-    return float(np.clip(np.ceil(seconds), SHORTEST, LONGEST))
+def _duration(bench: Bench, seconds: float = 0.0) -> float:
+    """Return whole seconds, between the shortest and the longest of a plant that is sampled so fast."""
+    least = max(SHORTEST, float(np.ceil(ROWS * bench.sample_time)))
+    return float(np.clip(np.ceil(seconds), least, max(LONGEST, 3 * least)))
 
 
 def _two(value: float) -> float:

@@ -94,7 +94,11 @@ def standing_in(data: Mapping[str, Any], model: str) -> str:
     >>> standing_in(data, "cart")[-61:]
     'predicted; quadratic drag at x may be a part of what is left)'
     """
-    pairs = list(zip(data["effects"], data["tie_sets"], strict=True))
+    pairs = [
+        (effect, tie)
+        for effect, tie in zip(data["effects"], data["tie_sets"], strict=True)
+        if effect["name"] != "sensor_quantisation"  # that a sensor rounds stands in for nothing
+    ]
     sure, parts = ([pair for pair in pairs if bool(pair[0]["may_be_part_of"]) is part] for part in (False, True))
     reason = data["stand_in"]["reasons"][0]
     if parts:

@@ -70,15 +70,18 @@ def expanded(table: Table, base: Fit) -> Round:
 
 
 def add(table: Table, answer: Answer, past: Round) -> tuple[Judged, Answer] | None:
-    """Return the best candidate beside an answer, or a simpler one that ties with it and is a special case of it."""
+    """Return the best candidate beside an answer, or the simplest that ties with it.
+
+    Of its special cases, and of the other laws of what it is the whole law of: dry friction at the same place.
+    """
     passed = [row for row in past.candidates if row.passed]
     if not passed:
         return None
     best = max(passed, key=total)
-    for row in sorted(passed, key=lambda row: row.fit.count if row.fit else 0):
-        if best.added[0].generalises(row.added[0]) and tied(best, row, table.policy):
-            best = row
-            break
+    for row in sorted(passed, key=lambda row: (row.fit.count if row.fit else 0, -total(row))):
+        first, other = best.added[0], row.added[0]
+        if (first.generalises(other) or same_whole(first, other)) and tied(best, row, table.policy):
+            return row, answer.added(row, len(table.rounds) - 1)
     return best, answer.added(best, len(table.rounds) - 1)
 
 

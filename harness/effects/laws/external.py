@@ -49,9 +49,9 @@ def periodic_disturbance(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
 
 
 @effect(
-    ("coordinate", "input"),
+    ("coordinate",),
     [par("F", "F", scale="0.1 F", neutral=0.0, main=True, linear=True, meaning="force that comes"), *CHANGE],
-    formula="F = F step((t - t0)/w) (at an input: u' = u + F step((t - t0)/w))",
+    formula="F = F step((t - t0)/w)",
     family=("force_bias", "payload_step", "sensor_drift"),
     same_as={"parameter": "if t0 lies outside the record: a constant force of the nominal"},
     limits={"force_bias": "where it is there from the beginning of every record"},

@@ -115,6 +115,8 @@ def hardening_elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, l
     family=("elasticity", "input_delay", "actuator_lag", "viscous_friction", "coulomb_friction"),
     limits={"parameter": "for large k: the two inertias add up to the nominal's",
             "elasticity": "without damping of either mass, below the antiresonance"},
+    # what does not swing is a lag of the drive, or a delay: it has no resonance that would tell a spring
+    requires={"the load swings on its spring: d lies below 2 sqrt(k J)": lambda p: p["d"] ** 2 < 4 * p["k"] * p["J"]},
     experiment="a chirp through the antiresonance and resonance of the two masses, with a sensor on each side",
     told_by=("chirp",),
 )  # fmt: skip
