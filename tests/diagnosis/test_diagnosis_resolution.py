@@ -114,4 +114,4 @@ def test_the_step_of_a_sensor_stays_what_it_is_on_the_way_back_to_the_base() -> 
     far = {**base.values, "J": 3 * base.values["J"], rounded.name("step"): 0.01}
     begun = form.begin([rounded], [far], base)
     assert begun is not None
-    assert begun.values[rounded.name("step")] == 0.01
+    assert begun.values[rounded.name("step")] == pytest.approx(0.01)

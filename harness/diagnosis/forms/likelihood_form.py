@@ -187,7 +187,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             for placed in fresh
             for parameter in placed.effect.parameters
             if parameter.neutral is not None
-            and parameter.role != "step"  # of a grid: no likelihood would bring it back
+            and parameter.role != "step"
         }
 
     def _back(
