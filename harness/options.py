@@ -91,9 +91,12 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
 
 def _meant(value: Any, hint: Any) -> Any:
     """Return a text as nothing, or as a list of one, where it can be nothing else."""
+    kinds = _alternatives(hint)
+    if isinstance(value, dict):
+        within = [parts[1] for kind in kinds if len(parts := typing.get_args(kind)) == 2 and _mapped(kind)]
+        return {key: _meant(one, within[0]) for key, one in value.items()} if within else value
     if not isinstance(value, str):
         return value
-    kinds = _alternatives(hint)
     if type(None) in kinds and (value == "None" or (value.lower() in ("none", "null") and str not in kinds)):
         literal = [
             text for kind in kinds if typing.get_origin(kind) is typing.Literal for text in typing.get_args(kind)
@@ -109,6 +112,12 @@ def _listed(kind: Any) -> bool:
     return (origin in (list, Sequence, Collection, Iterable) and len(parts) == 1) or (
         origin is tuple and len(parts) == 2 and parts[1] is ...
     )
+
+
+def _mapped(kind: Any) -> bool:
+    """Return True for a table of values by name."""
+    origin = typing.get_origin(kind)
+    return isinstance(origin, type) and issubclass(origin, Mapping)
 
 
 def options_of(made: Callable[..., Any], *without: str) -> Callable[[_Factory], _Factory]:
@@ -198,7 +207,8 @@ def _may_be(value: Any, hint: Any) -> bool:
         whole = hint is int and isinstance(value, float) and not value.is_integer()
         return not whole and not isinstance(origin, type)
     if isinstance(value, dict):
-        return not _listed(hint) and origin is not tuple
+        within = parts[1] if _mapped(hint) and len(parts) == 2 else Any
+        return not _listed(hint) and origin is not tuple and all(_may_be(one, within) for one in value.values())
     if isinstance(value, list | tuple):
         return _list_may_be(value, hint)
     return True
@@ -207,7 +217,7 @@ def _may_be(value: Any, hint: Any) -> bool:
 def _list_may_be(values: Sequence[Any], hint: Any) -> bool:
     """Return False if a list certainly is not what a type says."""
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
-    if isinstance(origin, type) and issubclass(origin, dict | Mapping):
+    if _mapped(hint):
         return False
     if _listed(hint):
         return all(_may_be(one, parts[0]) for one in values)
@@ -225,8 +235,9 @@ def _said(hint: Any) -> str:
         return "one of " + ", ".join(map(str, parts))
     if hint in _WORDS:
         return _WORDS[hint]
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        return "values by name (NAME.KEY=value)"
+    if _mapped(hint):
+        within = _said(parts[1]) if len(parts) == 2 and parts[1] in _WORDS else ""
+        return "values by name (NAME.KEY=value)" + (f", each {within}" if within else "")
     if _listed(hint) and parts[0] is str:
         return 'a list of names (["a", "b"])'
     if _listed(hint) and typing.get_origin(parts[0]) in (list, tuple, Sequence):

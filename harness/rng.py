@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.errors import InputError
+
 __all__ = ["Streams", "stream"]
 
 
@@ -25,6 +27,11 @@ def stream(*keys: str | int) -> np.random.Generator:
     numpy.random.Generator
         A PCG64 generator seeded with the SHA-256 digest of the keys.
 
+    Raises
+    ------
+    InputError
+        If a number is negative: seeds count from 0.
+
     Examples
     --------
     >>> float(stream("pendulum", 3).random()) == float(stream("pendulum", 3).random())
@@ -32,6 +39,9 @@ def stream(*keys: str | int) -> np.random.Generator:
     >>> float(stream("pendulum", 3).random()) == float(stream("pendulum", 4).random())
     False
     """
+    for key in keys:
+        if isinstance(key, int) and key < 0:
+            raise InputError("seed", expected="a whole number from 0", got=str(key), remedy="give one", place="seed")
     text = "\x1f".join(f"{type(key).__name__}:{key}" for key in keys)
     digest = hashlib.sha256(text.encode()).digest()
     return np.random.default_rng(np.random.SeedSequence(np.frombuffer(digest, dtype=np.uint32).tolist()))

@@ -69,6 +69,14 @@ class ReplayedInput(Conditions):
                 remedy="leave the scenario out" if not spec.inputs else "check the file",
                 file=self.file,
             )
+        if len(values) < 2:
+            raise InputError(
+                "a replayed input",
+                expected="two rows or more",
+                got="one row, which says nothing of its time",
+                remedy="check the file; a constant is two rows, at its beginning and its end",
+                file=self.file,
+            )
         title = self._clock(table, spec)
         excitation = values if title is None else self._played(_seconds(table, title), values, spec, table)
         if self.samples is not None or self.duration is not None:

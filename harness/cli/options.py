@@ -54,7 +54,7 @@ OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 Force = Annotated[bool, typer.Option("--force", help="overwrite")]
 Resume = Annotated[bool, typer.Option("--resume", help="continue what was interrupted")]
-Seed = Annotated[int, typer.Option(help="keys every random number")]
+Seed = Annotated[int, typer.Option(min=0, help="keys every random number")]
 ModelName = Annotated[
     str | None,
     typer.Option(

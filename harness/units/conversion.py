@@ -123,11 +123,15 @@ AMBIGUOUS = {
     "a.u.": ("astronomical_unit", "1"),
     "M": ("molar", "million"),
     "MM": ("megamolar", "millimeter"),
+    "pH": ("picohenry", "1"),
 }
 """Texts with two readings: one counts only where the other does not fit what is measured."""
 
 CYCLES = ("Hz", "kHz", "1/min", "min^-1", "cps")
 """What counts turns or events in a time: as a rate of an angle it may mean turns or radians."""
+
+STRAIGHT = 1e-9
+"""Part of a value by which a unit may miss a straight line: rounding (of decibels 0.04, of octaves 0.25)."""
 
 _EXPONENT = re.compile(r"(?<=[A-Za-z°µμΩ])([-\u2212]?[1-4])(?![\w.])")
 _INERTIA = re.compile(r"\b(k?g)([cm]?m)(?:\^?2|²)")
@@ -199,13 +203,31 @@ def _parse(unit: str, target: Any = None) -> Any:
     """Return the pint unit of a text such as ``N m``, ``rad/s``, ``1``; of two readings the one that fits a target."""
     readings = _readings(unit)
     if len(readings) == 1:
-        return _parsed(readings[0])
+        return _linear(readings[0])
     fitting = [
         text for text in readings if target is not None and _parsed(text).dimensionality == target.dimensionality
     ]
     if len(fitting) == 1:
         return _parsed(fitting[0])
     raise _two_readings(unit)
+
+
+@functools.cache
+def _linear(text: str) -> Any:
+    """Return the pint unit of a text with one reading; refuse one of a logarithm, whose reference texts leave open.
+
+    A decibel is ten times the logarithm of a power or twenty times that of an amplitude, dBu is of 1 uW or of 0.775 V.
+    """
+    parsed = _parsed(text)
+    zero, one, two = (float(_registry().Quantity(value, parsed).to_base_units().magnitude) for value in (0.0, 1.0, 2.0))
+    if abs(two - 2 * one + zero) > STRAIGHT * abs(two):
+        raise InputError(
+            f"the unit {text!r} counts a logarithm",
+            expected="a unit that is proportional to what is measured, such as 'W' or 'V'",
+            got=repr(text),
+            remedy="convert the values before, or declare unit = '1' to keep the numbers as they are",
+        )
+    return parsed
 
 
 def _two_readings(unit: str) -> InputError:

@@ -15,6 +15,7 @@ from harness.errors import InputError
 from harness.options import meant_options
 from harness.physics.definition.parameters import Parameter, said_far
 from harness.physics.models import linear
+from harness.rng import Streams
 
 
 def made(
@@ -107,3 +108,21 @@ def test_a_place_to_start_from_declares_no_size() -> None:
     assert said_far(black_box.parameters, values) is None
     given = black_box.with_parameters({"a1_1": 2.0})
     assert "a1_1 = 1e+06 is 5e+05 times the declared 2" in (said_far(given.parameters, values) or "")
+
+
+def test_values_of_a_table_are_what_it_holds() -> None:
+    assert meant_options("made", made, option_pairs(["sizes.u=2.0", "sizes.v=3"], "--option")) == {
+        "sizes": {"u": 2.0, "v": 3}
+    }
+    with pytest.raises(InputError, match=r"each a number, got \{'u': 'none'\}"):
+        meant_options("made", made, option_pairs(["sizes.u=none"], "--option"))
+
+
+@pytest.mark.parametrize("seed", ["-1", "-300"])
+def test_seeds_count_from_nought(seed: str) -> None:
+    ran = CliRunner().invoke(
+        app, ["simulate", "pendulum-ode", "--scenario", "multisine", "--seed", seed, "-o", "x.csv"]
+    )
+    assert "greater than or equal to 0" in f"{ran.output} {ran.exception}"
+    with pytest.raises(InputError, match="seed: expected a whole number from 0"):
+        Streams("pendulum-ode", "multisine", int(seed))("estimation/0")

@@ -133,3 +133,15 @@ def test_parentheses_are_nested_so_far_and_no_further() -> None:
     for deep in (DEEPEST + 1, DEEPEST + 8):
         with pytest.raises(ValueError, match="parentheses in parentheses"):
             factors("(" * deep + "m" + ")" * deep)
+
+
+@pytest.mark.parametrize("unit", ["dB", "dBm", "dBW", "dBu", "Np", "octave"])
+@pytest.mark.parametrize("use", [lambda unit: convert(np.ones(2), unit, "W"), base_units])
+def test_a_logarithm_is_refused_as_its_reference_is_open(unit: str, use: Callable[[str], Any]) -> None:
+    with pytest.raises(InputError, match=r"logarithm.*unit = '1'|unit does not fit"):
+        use(unit)
+
+
+def test_a_unit_with_another_zero_is_no_logarithm() -> None:
+    assert convert(np.array([20.0]), "degC", "K") == pytest.approx([293.15])
+    assert base_units("degF")[1:] == pytest.approx((5 / 9, 459.67 * 5 / 9))

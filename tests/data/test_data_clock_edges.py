@@ -337,3 +337,26 @@ def test_odd_readings_are_told_with_their_rows_sizes_and_units() -> None:
         assert (", ...)" in said) == (count == 12)
         word = _reads(THETA, 1.5, rows[:count], read[:count], told[:count], t)
         assert word.startswith(f"theta reads 1.5 rad in {count} rows (3, 7")
+
+
+@pytest.mark.parametrize("rate", [30, 48, 60, 75, 120, 144, 300])
+@pytest.mark.parametrize("rows", [60, 100, 700])
+@pytest.mark.parametrize("begin", [0, 6001])
+def test_stamps_of_whole_milliseconds_tell_the_rate_and_where_each_sample_was(rate: int, rows: int, begin: int) -> None:
+    instants = np.arange(begin, begin + rows) / rate
+    found, _ = pieces(np.round(instants, 3))
+    declared, _ = pieces(np.round(instants, 3), sample_time=1 / rate)
+    for one in (*found, *declared):
+        assert len(one.values) == rows
+        assert one.sample_time == pytest.approx(1 / rate, rel=1e-12)
+        assert one.start == pytest.approx(instants[0], abs=1e-9)
+
+
+def test_a_clock_that_no_whole_number_describes_keeps_the_rate_that_its_stamps_show() -> None:
+    found, _ = pieces(np.round(np.arange(3000) / 81.317, 3))
+    assert found[0].sample_time == pytest.approx(1 / 81.317, rel=1e-6)
+
+
+def test_a_clock_whose_stamps_are_no_multiples_of_it_begins_as_stamped() -> None:
+    found, _ = pieces(np.round(0.0017 + np.arange(80) / 120, 3), sample_time=1 / 120)
+    assert found[0].start == 0.002

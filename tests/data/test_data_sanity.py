@@ -168,3 +168,11 @@ def test_pieces_of_one_record_share_their_units_however_little_one_moves() -> No
     pieces = runs((a, "estimation"), (b * [1, 1e-3, 1e-3], "estimation"))
     assert check_runs(pieces, [0, 0]) == []
     assert any("wrong by 1000" in note for note in check_runs(pieces))
+
+
+@pytest.mark.parametrize(("factor", "said"), [(20000.0, True), (1.0, False)])
+def test_counts_of_a_converter_under_a_physical_unit_are_said(factor: float, said: bool) -> None:
+    columns = swing()
+    columns[:, 0] = np.round(factor * columns[:, 0])
+    notes = [note for note in check_run(record(columns), MEASURED) if "read as N m: if a converter counted" in note]
+    assert bool(notes) == said

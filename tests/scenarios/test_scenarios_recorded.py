@@ -84,3 +84,9 @@ def test_a_record_at_any_rate_and_in_any_unit_is_what_it_says(
     path = tmp_path_factory.getbasetemp() / "any.csv"
     expected = np.searchsorted(at, np.arange(at[-1] + 1), side="right") - 1
     assert played(path, f"time [{unit[0]}],u\n{rows}", spec) == expected.tolist()
+
+
+@pytest.mark.parametrize("text", ["u\n0.3\n", "time,u\n0.0,0.3\n"])
+def test_one_row_says_nothing_of_its_time(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match="expected two rows or more"):
+        played(tmp_path / "one.csv", text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Literal
 
 import numpy as np
@@ -12,7 +13,16 @@ from harness.data.sections import Gaps, ResampleSection
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["JITTER_ACCEPTED", "JITTER_UNNOTICED", "ROUGH", "TimeRules", "clock_of_rows", "sample_time_of", "tracked"]
+__all__ = [
+    "JITTER_ACCEPTED",
+    "JITTER_UNNOTICED",
+    "ROUGH",
+    "TimeRules",
+    "clock_of_rows",
+    "first_instant",
+    "sample_time_of",
+    "tracked",
+]
 
 JITTER_UNNOTICED = 1e-3
 """Deviation from the grid, in sample times, that recorded time stamps have anyway (rounding)."""
@@ -34,6 +44,12 @@ stamps at random it is 0.22 (1 / sqrt(20)), under jitter of 0.4 of a step either
 EXPLAINED = 0.2
 """Spread of stamps about the samples of a clock, in samples, below which no other clock is looked for: miscounted rows
 leave 0.29 and more."""
+
+DENOMINATORS = 6
+"""Digits of the denominator of a sample time that is told from rounded stamps: more than a rate in Hz ever has."""
+
+STAMPED = 4e-16
+"""Part of a stamp within which a number of 64 bits holds it, twice over."""
 
 FOLLOWED = 0.05
 """Part of each stamp's deviation by which the phase of a clock follows: clocks drift by 1e-4 at most, and jitter is
@@ -104,7 +120,7 @@ def clock_of_rows(
         return _rounded(time, rules, common, notes)
     n, coarse = len(time), max(_resolution(time), _tick(time))
     own = float((time[-1] - time[0]) / (n - 1))
-    if np.ptp(time - time[0] - np.arange(n) * own) <= 2 * JITTER_ACCEPTED * wanted and own > 0.5 * wanted:
+    if np.abs(time - time[0] - np.arange(n) * own).max() <= JITTER_ACCEPTED * wanted and own > 0.5 * wanted:
         return _agreed(own, n, rules, common), None
     if coarse > wanted:
         if np.ptp(time - time[0] - np.arange(n) * wanted) > coarse + 0.5 * wanted:
@@ -150,10 +166,44 @@ def _rounded(
         slope, offset = np.polyfit(index, time - time[0], 1)
         left = np.ptp(time - time[0] - offset - slope * index)
         if 2 * JITTER_UNNOTICED * typical < left <= ROUNDED * resolution:
-            dt = _agreed(float(f"{slope:.9g}"), len(time), rules, common)
+            dt = _agreed(_simplest(time, index, float(slope), resolution), len(time), rules, common)
             notes.append(f"the time stamps are rounded to {resolution:g} s: a clock of {dt:g} s explains them all")
             return dt, index
     return _agreed(sample_time_of(time), len(time), rules, common), None
+
+
+def _simplest(time: FloatArray, index: npt.NDArray[np.int64], slope: float, resolution: float) -> float:
+    """Return the sample time [s] with the smallest denominator that explains stamps rounded to a resolution [s].
+
+    Many do, and people choose whole numbers of milliseconds or of samples in a second.
+
+    Examples
+    --------
+    >>> time = np.round(np.arange(100) / 300, 3)
+    >>> 1 / _simplest(time, np.arange(100), 3.33309e-3, 1e-3)
+    300.0
+    """
+    for digits in range(1, DENOMINATORS + 1):
+        found = float(Fraction(slope).limit_denominator(10**digits))
+        if found > 0.0 and np.ptp(time - time[0] - found * index) <= resolution + STAMPED * float(np.abs(time).max()):
+            return found
+    return float(f"{slope:.9g}")
+
+
+def first_instant(time: FloatArray, index: npt.NDArray[np.int64], dt: float) -> float:
+    """Return when the sample of the first row was taken [s]: as stamped, but for what rounding took from it.
+
+    A clock that began at nought has samples at multiples of its sample time; where all stamps are those, rounded, the
+    first one is too.
+
+    Examples
+    --------
+    >>> round(first_instant(np.round(np.arange(6001, 6051) / 300, 3), np.arange(50), 1 / 300), 6)
+    20.003333
+    """
+    resolution, at = _resolution(time), round(float(time[0]) / dt) * dt
+    off = float(np.abs(time - at - index * dt).max())
+    return at if off <= resolution + STAMPED * float(np.abs(time).max()) else float(time[0])
 
 
 def _resolution(time: FloatArray) -> float:
@@ -166,7 +216,7 @@ def _resolution(time: FloatArray) -> float:
     """
     for digits in range(10):
         scaled = time * 10.0**digits
-        if (np.abs(scaled - np.round(scaled)) <= 1e-6 + 4e-16 * np.abs(scaled)).all():
+        if (np.abs(scaled - np.round(scaled)) <= 1e-6 + STAMPED * np.abs(scaled)).all():
             return float(10.0**-digits)
     return 0.0
 

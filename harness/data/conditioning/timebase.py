@@ -15,6 +15,7 @@ from harness.data.conditioning.clock import (
     ROUGH,
     TimeRules,
     clock_of_rows,
+    first_instant,
     tracked,
 )
 from harness.data.conditioning.decimation import EDGE, filtered, hold_means
@@ -170,7 +171,7 @@ def _pieces_within(
             time, values, rows = without_duplicates(index, time, values, rules, notes)
             where, index = _renamed(where, rows), index[rows]
         _check_order(time if index is None else index, time, where)
-        stamps = time if index is None else time[0] + index * dt
+        stamps = time if index is None else first_instant(time, index, dt) + dt * index.astype(np.float64)
     present: BoolArray = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
     if rules.resample is not None:
         return _resampled(run, stamps, values, present, dt)
@@ -403,7 +404,7 @@ def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], 
     drift = abs(own / dt - 1.0) * n
     if drift > 0.1:
         notes.append(f"the clock runs {own / dt - 1.0:+.1e} off: {drift:.2g} samples over the record, taken as uniform")
-    return Piece(float(time[0]), values, dt)
+    return Piece(first_instant(time, np.arange(n), dt), values, dt)
 
 
 def _is_clock(time: FloatArray, dt: float) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from harness.data.conditioning.suspicion import swapped_in_and_out, swapped_runs, units_between_runs
 from harness.data.conditioning.timebase import SHORTEST
 from harness.data.recipe.ports import Ports, rate_unit
+from harness.data.recipe.si import SI_UNITS
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Run, Trajectory
 
@@ -27,6 +28,10 @@ _FACTORS = (
     (1.0 / 60.0, "the rate is per minute"),
     (-1.0, "one has the wrong sign"),
 )
+
+COUNTED = 255.0
+"""Span of whole numbers in an SI unit from which they are said to look like a converter's: all that 8 bits tell apart.
+What people measure in these units they seldom round to ones."""
 
 
 def check_run(
@@ -86,13 +91,13 @@ def check_run(
         if still[i]:
             notes.append(f"output {channel.name} never moves ({trajectory.y[0, i]:g} {channel.unit})")
         elif channel.kind != "category":
-            notes += _out_of_range(channel, trajectory.y[:, i])
+            notes += _out_of_range(channel, trajectory.y[:, i]) + _raw(channel, trajectory.y[:, i])
     for i, channel in enumerate(spec.inputs):
         if not np.ptp(trajectory.u[:, i]):
             notes.append(
                 f"input {channel.name} is constant ({trajectory.u[0, i]:g} {channel.unit}): it excites nothing"
             )
-        notes += _out_of_range(channel, trajectory.u[:, i])
+        notes += _out_of_range(channel, trajectory.u[:, i]) + _raw(channel, trajectory.u[:, i])
     said, sure = _rates(trajectory, measured)
     notes += said
     for i, channel in enumerate(spec.outputs):
@@ -177,6 +182,17 @@ def _out_of_range(channel: Channel, values: FloatArray) -> list[str]:
     return [
         f"{channel.name} leaves its declared range [{channel.minimum:g}, {channel.maximum:g}] {channel.unit}: "
         f"{low:g} to {high:g}"
+    ]
+
+
+def _raw(channel: Channel, values: FloatArray) -> list[str]:
+    """Say that values in an SI unit look like the counts of a converter."""
+    seen = values[np.isfinite(values)]
+    if channel.unit not in SI_UNITS or np.ptp(seen) <= COUNTED or (seen != np.round(seen)).any():
+        return []
+    return [
+        f"{channel.name} holds whole numbers from {seen.min():g} to {seen.max():g}, read as {channel.unit}: if a "
+        "converter counted them, declare its scale (and offset) in a dataset.toml"
     ]
 
 

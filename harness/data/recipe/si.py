@@ -7,7 +7,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.units import base_units, convert, fits, refuse_two_readings
 
-__all__ = ["si_unit"]
+__all__ = ["SI_UNITS", "si_unit"]
 
 SI_UNITS = (
     *("rad", "rad/s", "rad/s^2", "m", "m/s", "m/s^2", "s", "kg", "N", "N m", "V", "A", "K", "Pa", "W", "J", "ohm"),
