@@ -9,12 +9,14 @@ import numpy as np
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["FORETOLD", "Feedback", "feedback_of", "granger", "unit_columns"]
+__all__ = ["FORETOLD", "Feedback", "feedback_of", "granger", "moves", "unit_columns"]
 
 # Of an input: what its own past leaves when it follows from it, as a multisine or a free motion does.
 FORETOLD = 1e-6
 # An input's own past: so many times what outputs have to say, and at most so many samples.
 _LONGER, _OWN = 4, 40
+# Mean fourth power of normal numbers, over the square of their mean square.
+_NORMAL = 3.0
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,15 @@ class Feedback:
         Of a share at least so large in open loop.
     unforeseen : float
         What the input's own past leaves of it, relative to its standard deviation.
+    moves : float
+        Samples in which an input does what its own past does not foretell (:func:`moves`), of the input where they are
+        fewest; infinite where the past foretells every input, as a sum of lines.
     """
 
     share: float
     probability: float
     unforeseen: float = 1.0
+    moves: float = np.inf
 
     @property
     def found(self) -> bool:
@@ -70,18 +76,23 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     """
     if records[0].spec.nu == 0:
         return Feedback(0.0, 1.0)
-    shares, chances, alone = granger(records, lags)
+    shares, chances, alone, counted = granger(records, lags)
     worst = int(np.argmax(shares))
-    return Feedback(float(shares[worst]), min(1.0, float(chances[worst]) * shares.size), float(alone[worst]))
+    chance = min(1.0, float(chances[worst]) * shares.size)
+    few = float(np.where(alone > FORETOLD, counted, np.inf).min())
+    return Feedback(float(shares[worst]), chance, float(alone[worst]), few)
 
 
-def granger(records: Sequence[Trajectory], lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return, of every input: share that outputs explain, its chance in open loop, and what the own past leaves."""
+def granger(records: Sequence[Trajectory], lags: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return, of every input: share that outputs explain, its chance in open loop, what the own past leaves, and moves.
+
+    Moves are the samples in which it leaves something, none counted where the records are too short to say.
+    """
     from scipy.stats import f
 
     spec = records[0].spec
     nu, ny = spec.nu, spec.ny
-    nothing = np.zeros(nu), np.ones(nu), np.ones(nu)
+    nothing = np.zeros(nu), np.ones(nu), np.ones(nu), np.full(nu, np.inf)
     rows = sum(map(len, records))
     past = min(lags + _LONGER * (lags + 1) * ny, _OWN)
     past = max(lags, min(past, (rows // 4 - (lags + 1) * ny) // max(nu, 1), min(map(len, records)) // 3))
@@ -109,11 +120,38 @@ def granger(records: Sequence[Trajectory], lags: int) -> tuple[FloatArray, Float
         lost.append((np.sum((wanted - q @ (q.T @ wanted)) ** 2, axis=0), q.shape[1]))
     (alone, fewer), (helped, many) = lost
     power = rows * np.concatenate([record.u for record in long]).var(axis=0)
+    ahead = np.linalg.lstsq(triangle[:, : few.shape[1]], triangle[:, -nu:], rcond=1e-10)[0]
+    counted = moves(np.concatenate(target) - unit_columns(few) @ ahead)
     floor = FORETOLD**2 * power  # an input that its own past foretells needs no feedback
     shares = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)
-    added, remaining = max(many - fewer, 1), max(rows - many, 1)
+    added, remaining = max(many - fewer, 1), np.maximum(counted * (1.0 - many / rows), 1.0)
     ratio = (shares / added) / np.maximum((1.0 - shares) / remaining, 1e-300)
-    return shares, f.sf(ratio, added, remaining), np.sqrt(alone / np.where(power > 0, power, 1.0))
+    left = np.sqrt(alone / np.where(power > 0, power, 1.0))
+    return shares, f.sf(ratio, added, remaining), left, counted
+
+
+def moves(departures: FloatArray) -> FloatArray:
+    """Return how many samples (n,) of each column of departures (N, n) from what was foretold tell something.
+
+    All of them where they are normal. A staircase departs at its steps: what is counted there is steps, of which chance
+    makes more than of samples (the effective size of weights, Kish 1965, *Survey Sampling*, sec. 11.7, of squares).
+
+    Parameters
+    ----------
+    departures : array (N, n)
+
+    Examples
+    --------
+    >>> once = np.zeros((1000, 1))
+    >>> once[300] = 1.0
+    >>> moves(once).tolist(), bool(moves(np.random.default_rng(0).normal(size=(1000, 1)))[0] > 900)
+    ([3.0], True)
+    """
+    size = np.abs(departures).max(axis=0, initial=0.0)
+    square = (departures / np.where(size > 0, size, 1.0)) ** 2
+    fourth = np.sum(square**2, axis=0)
+    counted = _NORMAL * np.sum(square, axis=0) ** 2 / np.where(fourth > 0, fourth, 1.0)
+    return np.asarray(np.minimum(counted, len(departures)), dtype=np.float64)
 
 
 def unit_columns(columns: FloatArray) -> FloatArray:

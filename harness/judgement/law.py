@@ -127,7 +127,7 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
         return None
     some = first_rows(records)
     some = _seen_through_few(some)
-    shares, chances, alone = granger(some, 4)
+    shares, chances, alone, _ = granger(some, 4)
     for column in range(spec.nu):
         if not np.ptp(np.concatenate([record.u[:, column] for record in some])) > 0:
             continue  # a constant is no answer

@@ -17,6 +17,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.hysteresis_fit import Pair, Point, descended, started
 from identifiers.blocks.hysteresis_pass import Layout, Run, played
+from identifiers.common.judge.told import told
 from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import centred
@@ -244,6 +245,7 @@ class PrandtlIshlinskii:
     least_excitation: float = 2.0
     expected_failures: ClassVar[Mapping[str, str]] = {}
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> PrandtlIshlinskiiModel:
         """Return the model; what draws its hystereses, their weights and amplitudes stand in its notes."""
         what = "prandtl-ishlinskii"

@@ -19,7 +19,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.curve import Knots
 from identifiers.blocks.wiener_hammerstein_fit import Blocks, descended, shared_out
-from identifiers.common.loops.judge import loop_told
+from identifiers.common.judge.told import told
 from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.linear.prediction_error import PredictionError
@@ -237,7 +237,7 @@ class WienerHammerstein:
         "beats_trivial": "systems of the survey with one input and one output bend in a loop, where it has no curve",
     }
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> WienerHammersteinModel:
         """Return the model; where the records determine the linear model that it starts from stands in its notes."""
         what = "wiener-hammerstein"

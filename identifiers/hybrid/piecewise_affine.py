@@ -14,8 +14,8 @@ from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.common.excitation import Columns, law_of_part
+from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
-from identifiers.common.loops.judge import loop_told
 from identifiers.common.neighbours import edges
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.trees import Tree, grow_tree
@@ -198,7 +198,7 @@ class PiecewiseAffine:
     region_weight: float = 1.0
     least_excitation: float = 2.0
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> PiecewiseAffineModel:
         """Return the model; share of samples in each mode and of those in none stand in its notes."""
         what = "piecewise-affine"

@@ -20,7 +20,7 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.excitation import Columns, refuse_feedback
-from identifiers.common.loops.judge import loop_told
+from identifiers.common.judge.told import told
 from identifiers.common.neighbours import LARGEST, coefficients_without, spread_of
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import lifted_estimate
@@ -333,7 +333,7 @@ class Edmdc:
     ridge: float = 1e-10
     least_excitation: float = 2.0
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> KoopmanModel:
         """Return the lifted linear model."""
         what = "edmdc"

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.told import told
 from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.lag_training import lag_task
@@ -100,6 +101,7 @@ class AttentionNetwork(Excited, Trained):
     _: KW_ONLY
     steps: int = 1500
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> AttentionEnsemble:
         """Return the ensemble; held-out losses stand in its notes."""
         what = "attention-network"

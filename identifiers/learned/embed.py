@@ -12,6 +12,7 @@ from harness.errors import FitError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.judge.told import told
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains
 from identifiers.common.scaling import centred
 from identifiers.learned.state_network import StateNetwork
@@ -190,6 +191,7 @@ class EmbedToControl(Excited, Trained):
     rate: float = 3e-3
     batch: int = 96
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LatentModel:
         """Return the model; held-out losses stand in its notes."""
         what = "embed-to-control"

@@ -13,6 +13,7 @@ from harness.errors import FitError, InputError
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.common.bands import Bands, held_out_folds, held_out_runs
+from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.learned.training import Excited
 
@@ -206,6 +207,7 @@ class GaussianProcess(Excited):
     inducing: int = 200
     affine: bool = False
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GaussianProcessModel:
         """Return the model; lengths and noise stand in its notes, in the units of the data."""
         what = "gaussian-process"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.told import told
 from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_network import LagNetwork
 from identifiers.learned.lag_training import lag_task
@@ -83,6 +84,7 @@ class NeuralNetwork(Excited, Trained):
     _: KW_ONLY
     batch: int = 256
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> EnsembleModel:
         """Return the ensemble; held-out losses stand in its notes."""
         what = "neural-network"

@@ -12,6 +12,7 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.bands import Bands, banded, refuse_share
+from identifiers.common.judge.told import told
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains
 from identifiers.common.scaling import centred
 from identifiers.learned.state_network import BandedNetwork
@@ -148,6 +149,7 @@ class NeuralStateSpace(Excited, Trained):
     _: KW_ONLY
     rate: float = 3e-3
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> NeuralStateModel:
         """Return the model; held-out losses stand in its notes."""
         what = "neural-state-space"

@@ -9,6 +9,7 @@ import numpy as np
 
 from harness.errors import FitError, InputError
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.judge.told import told
 from identifiers.learned.polynomial_pass import Polynomials
 from identifiers.learned.recurrent_fit import Fitted, Problem, cascade, descend_from, subspace_start
 from identifiers.learned.recurrent_model import RecurrentEnsemble, own_member, vouched
@@ -99,6 +100,7 @@ class PolynomialStateSpace(Excited):
     ridge: float = 1e-3
     iterations: int = 100
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
         """Return the model; order, degree and held-out error stand in its notes."""
         what = "polynomial-state-space"

@@ -14,6 +14,7 @@ from harness.data.whole_files import whole_file
 from harness.errors import FitError, InputError
 from harness.signals import Trajectory
 from identifiers.common.bands import refuse_share
+from identifiers.common.judge.told import told
 from identifiers.learned.recurrent_fit import Fitted, Problem, descend
 from identifiers.learned.recurrent_model import RecurrentEnsemble, RecurrentModel, vouched
 from identifiers.learned.recurrent_pass import Integrating, Layout
@@ -77,6 +78,7 @@ class NeuralOutputError(Excited):
     held_out: float = 0.2
     integrated: bool = False
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
         """Return the ensemble; the held-out errors of its members stand in its notes."""
         what = "neural-output-error"

@@ -14,6 +14,7 @@ from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
+from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.training import Excited
@@ -228,6 +229,7 @@ class RandomForest(Excited):
     leaf: int = 5
     increments: bool = True
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> ForestModel:
         """Return the model; its errors come from the samples that a tree did not see."""
         what = "random-forest"

@@ -15,6 +15,7 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.excitation import excited_lags
+from identifiers.common.judge.told import told
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.training import Excited
 
@@ -148,6 +149,7 @@ class Volterra(Excited):
     memory: int = 20
     order: int = 2
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> VolterraModel:
         """Return the model."""
         what = "volterra"

@@ -16,8 +16,8 @@ from harness.models.estimate import Estimate
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import Columns, excited_lags, refuse_feedback
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.loops.judge import loop_told
 from identifiers.common.neighbours import BIAS, LARGEST, coefficients_without, spread_of
 from identifiers.common.one_step_estimate import foretold_output, least_squares_estimate
 from identifiers.common.records import lagged, lagged_blocks, missing_notes, moving, real_signals, snapshot_sums, usable
@@ -77,7 +77,7 @@ class Arx:
     nb: Counts | None = None
     nk: Counts | Literal["auto"] | None = None
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a model whose state is the past outputs and inputs."""
         what = "arx"

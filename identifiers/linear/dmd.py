@@ -16,8 +16,8 @@ from harness.models.spread import Matrices
 from harness.scoring import predict
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import Columns, refuse_feedback
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.loops.judge import loop_told
 from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.one_step_estimate import least_squares_estimate
 from identifiers.common.records import missing_notes, moving, real_signals, usable
@@ -99,7 +99,7 @@ class Dmdc:
     ridge: float = 0.0
     least_excitation: float = 2.0
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a linear model in the coordinates of the principal directions."""
         what = "dmdc"

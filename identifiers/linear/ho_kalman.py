@@ -17,8 +17,8 @@ from harness.models.spread import Matrices
 from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.loops.judge import loop_told
 from identifiers.common.neighbours import coefficients_without, spread_of
 from identifiers.common.normal import scaled_equations, solved
 from identifiers.common.observers import stationary_gain
@@ -44,6 +44,8 @@ __all__ = ["HoKalman", "markov_parameters", "realize"]
 
 # Singular values that fall by so much from one to the next end there.
 _CLEAR = 1e3
+# A response beyond this grows without bound.
+_BEYOND = 1e12
 # Outputs are not told apart by noise below this fraction of their size.
 _QUIET = 1e-6
 # Memories of the observer that are tried.
@@ -222,7 +224,7 @@ class HoKalman:
     stable: bool = False
     least_excitation: float = 2.0
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a balanced model; in innovation form with ``observer``, else in output-error form."""
         what = "ho-kalman"
@@ -312,7 +314,8 @@ class HoKalman:
                 _observer(records, memory, offset=offset, direct=direct),
             )
             near = [] if found is None else [one.T for one in found[0]]
-            return [_expanded(one, memory, self.markov, ny, nu, direct)[0] for one in near]
+            grown = [_expanded(one, memory, self.markov, ny, nu, direct)[0] for one in near]
+            return grown if all((np.abs(one) < _BEYOND).all() for one in grown) else []
         if self.markov * nu > _MOST_UNKNOWNS:
             return []
         responses = []
@@ -433,11 +436,11 @@ def observer_markov(
     solution = _observer(records, lags, offset=offset, direct=direct)
     theta = solution.coefficients.T
     response, innovation = _expanded(theta, lags, length, ny, nu, direct)
-    if not (np.abs(response) < 1e12).all() or not np.isfinite(innovation).all():
+    if not (np.abs(response) < _BEYOND).all() or not np.isfinite(innovation).all():
         raise FitError(
             f"{what}: the observer's model grows without bound",
             expected="Markov parameters that stay finite",
-            got=f"above 1e12 within {length} samples",
+            got=f"above {_BEYOND:g} within {length} samples",
             remedy="use direct=True if an output depends on the input of the same sample, or another observer",
         )
     level = np.zeros(ny)

@@ -15,8 +15,8 @@ from harness.models.estimate import Estimate
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import Columns, Dependence, nearly_dependent, refuse_feedback
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.loops.judge import loop_told
 from identifiers.common.neighbours import GROUPS, along_covariance, spread_of
 from identifiers.common.one_step_estimate import jackknife_estimate, least_squares_estimate
 from identifiers.common.records import missing_notes, moving, real_signals, usable
@@ -90,7 +90,7 @@ class StateLeastSquares:
     least_excitation: float = 2.0
     intervals: int | None = None
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a model whose state is the output."""
         what = "least-squares"

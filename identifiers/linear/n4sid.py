@@ -16,8 +16,8 @@ from harness.models.spread import Matrices
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.loops.judge import loop_told
 from identifiers.common.neighbours import spread_of
 from identifiers.common.records import missing_notes, moving, real_signals, usable
 from identifiers.common.scaling import Scaling, scaled
@@ -119,7 +119,7 @@ class Subspace:
     stable: bool = False
     least_excitation: float = 2.0
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form."""
         if self.past is not None:

@@ -17,8 +17,9 @@ from harness.models.lqr import spectral_radius
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records, unexcited
+from identifiers.common.judge.loops import ANSWERED, COLOURED
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.loops.judge import ANSWERED, COLOURED, loop_told
 from identifiers.common.neighbours import spread_of, steps_without
 from identifiers.common.observers import innovation_form
 from identifiers.common.one_step_estimate import whiteness
@@ -126,7 +127,7 @@ class PredictionError:
     nf: Counts | None = None
     nk: Counts | Literal["auto"] | None = None
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form; one with white noise on the outputs has no filter gain."""
         what = "prediction-error"

@@ -14,9 +14,9 @@ from harness.judgement import refuse_undetermined
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import refuse_feedback_of_records
+from identifiers.common.judge.told import told
 from identifiers.common.lag_state import Scaling
 from identifiers.common.library import Library
-from identifiers.common.loops.judge import loop_told
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL, quotient
 from identifiers.common.records import lagged, missing_notes, moving, real_signals, usable
@@ -97,7 +97,7 @@ class Narx:
     noise: int = 0
     least_excitation: float = 2.0
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> NarxModel:
         """Return the model; its equations, error reduction ratios and free-run errors stand in its notes."""
         what = "narx"

@@ -15,8 +15,8 @@ from harness.judgement import refuse_law
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import refuse_feedback_of_records
+from identifiers.common.judge.told import told
 from identifiers.common.library import Library
-from identifiers.common.loops.judge import loop_told
 from identifiers.common.normal import NormalEquations, scaled_equations, solved
 from identifiers.common.observers import alpha_beta_gains, best_gain
 from identifiers.common.one_step_estimate import DEPENDENT, LARGEST, quotient
@@ -215,7 +215,7 @@ class Stlsq:
     iterations: int = 20
     least_excitation: float = 2.0
 
-    @loop_told
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> SparseModel:
         """Return the sparse model; its equations and what was dropped stand in its notes."""
         what = "stlsq"

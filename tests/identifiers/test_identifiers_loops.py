@@ -13,7 +13,7 @@ from harness.judgement import feedback_of
 from harness.models.spread import gains
 from harness.registry import create
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.common.loops.judge import doubt_of_loop
+from identifiers.common.judge.loops import doubt_of_loop
 
 SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
 FULL = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 0.1)

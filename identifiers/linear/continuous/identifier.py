@@ -13,6 +13,7 @@ from harness.frequency import FrequencyResponse
 from harness.judgement import feedback_of, refuse_undetermined
 from harness.models.determined import KEY, determined_bands
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import GROUPS, steps_without
 from identifiers.common.records import moving, real_signals, usable
@@ -77,6 +78,7 @@ class ContinuousTransferFunction:
     offset: bool = True
     least_excitation: float = 2.0
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model between samples; ``notes["transfer_function"]`` holds that in continuous time."""
         what = "transfer-function"

@@ -13,6 +13,7 @@ from harness.judgement import feedback_of, refuse_undetermined
 from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.one_step_estimate import LARGEST, quotient, whiteness
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable
@@ -102,6 +103,7 @@ class ImpulseResponse:
     offset: bool = True
     least_excitation: float = 2.0
 
+    @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a model whose state is the past inputs.
 

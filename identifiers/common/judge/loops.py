@@ -1,27 +1,24 @@
-"""One judge of fits to a loop: what is wrong with the answer where outputs foretell inputs."""
+"""Fits to a loop: what is wrong with the answer where outputs foretell inputs."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 
 from harness.errors import FitError, HarnessError
-from harness.judgement import Feedback, feedback_of
-from harness.models.determined import KEY
+from harness.judgement import Feedback
 from harness.models.spread import Matrices, steps
 from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
-from identifiers.common.excitation import unexcited
 from identifiers.common.neighbours import coefficients_without
 from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import lagged_blocks
 from identifiers.common.regression import solve
 
-__all__ = ["ANSWERED", "COLOURED", "doubt_of_loop", "loop_told"]
+__all__ = ["ANSWERED", "COLOURED", "doubt_of_loop", "percent"]
 
 ANSWERED = 0.05
 """Share of an input's unpredictable part that past outputs explain, from which on what is left of them biases it."""
@@ -41,40 +38,10 @@ UNCERTAIN = 0.35
 and more with a probability of 0.15. TAKEN and this were chosen on 147 records of benchmarks/feedback_judge.py (bases
 100 and 300): some 30 of 2499 fits err by half and more and say nothing, 157 of 986 that do not are warned of; with
 0.42 it would be 40 and 113."""
-ASKED = 4
-"""Lags of the inputs that a model of two states asks for: fewer tell no model that does not say its frequencies."""
 FIRST = 4
 """Answers that are looked at: what later ones hold a controller, or a filter that sees outputs, makes up for."""
-CHECKED = 5_000
-"""Samples that are looked at."""
 LAGS = 4
 """Samples by which an input may reach an output, and that outputs' past is long, in the tests of errors."""
-
-Fit = TypeVar("Fit", bound=Callable[..., Any])
-
-
-def loop_told(fit: Fit) -> Fit:
-    """Return a ``fit`` whose model warns where the records come from a loop and it cannot be what the inputs do.
-
-    So does one that does not say its frequencies where the inputs excite too little.
-
-    Nothing is asked where the identifier's ``least_excitation`` is 0, or the fit warns already.
-    """
-
-    @functools.wraps(fit)
-    def told(self: Any, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Any:
-        model = fit(self, trajectories, rng=rng)
-        notes = model.notes
-        if self.least_excitation <= 0 or notes.get("warning") or notes.get("warnings"):
-            return model
-        records = _some(trajectories)
-        if not records or records[0].spec.nu == 0:
-            return model
-        doubt = "" if notes.get(KEY) is not None else unexcited(records, ASKED)
-        doubt = doubt or doubt_of_loop(model, records, feedback_of(records))
-        return replace(model, notes={**notes, "warning": doubt}) if doubt else model
-
-    return cast(Fit, told)
 
 
 def doubt_of_loop(model: Any, records: Sequence[Trajectory], feedback: Feedback) -> str:
@@ -114,13 +81,13 @@ def doubt_of_loop(model: Any, records: Sequence[Trajectory], feedback: Feedback)
     if told.any() and (taken := float(_taken_back(model, kept, errors, first)[told].max())) > TAKEN:
         return (
             f"residuals are correlated in time (probability {chances.min():.1g} by chance), which in a loop (past "
-            f"outputs foretell the input) biases what the inputs do, by {_percent(taken)} of it: raise the order, "
+            f"outputs foretell the input) biases what the inputs do, by {percent(taken)} of it: raise the order, "
             "model the noise (prediction-error), or move the set-point more"
         )
     mistaken, chance = _mistaken(kept, errors, ahead, first)
     if mistaken > MISTAKEN:
         return (
-            f"what moves the inputs beside the controller explains residuals of {_percent(mistaken)} of what the "
+            f"what moves the inputs beside the controller explains residuals of {percent(mistaken)} of what the "
             f"inputs do (probability {chance:.1g} by chance): the model takes something else for it; use another "
             "method, or move the set-point more"
         )
@@ -128,12 +95,12 @@ def doubt_of_loop(model: Any, records: Sequence[Trajectory], feedback: Feedback)
     if scatter > UNCERTAIN:
         return (
             "the inputs answer the outputs (feedback), and what else moves them hardly shows in the load: the first "
-            f"answers to an input are uncertain by {_percent(scatter)}; move the set-point more, or longer"
+            f"answers to an input are uncertain by {percent(scatter)}; move the set-point more, or longer"
         )
     return ""
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     """Return a share in words."""
     return f"{100 * share:.0f} %" if np.isfinite(share) and share < 10 else "more than ten times"
 
@@ -268,13 +235,3 @@ def _unforeseen(records: Sequence[Trajectory], first: int) -> list[FloatArray]:
     x = x / np.where(length > 0, length, 1.0)
     left = u - x @ np.linalg.lstsq(x, u, rcond=1e-10)[0]
     return np.split(left, np.cumsum([len(one) for one in now])[:-1])
-
-
-def _some(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-    """Return records without holes, up to so many samples in all."""
-    some, left = [], CHECKED
-    for record in trajectories:
-        if left > 0 and record.missing is None:
-            some.append(record[:left])
-            left -= len(record)
-    return some

@@ -1,0 +1,127 @@
+"""What records do not determine of a model, said in its notes: asked once, of every fit that learns what inputs do."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from harness.errors import HarnessError
+from harness.judgement import Feedback, feedback_of
+from harness.models.determined import KEY
+from harness.scoring import predict
+from harness.signals import Dataset, Run, Trajectory
+from identifiers.common.excitation import excited_lags, unexcited
+from identifiers.common.judge.loops import doubt_of_loop
+from identifiers.common.judge.own_record import doubt_of_own_record
+
+__all__ = ["told"]
+
+ASKED = 4
+"""Lags of the inputs that a linear model of two states asks for: fewer tell no model that does not say its
+frequencies."""
+MOVED = 10
+"""Lags, or moves that the past does not foretell, that such a model asks for as well: of one step, or a line or two, it
+has the answer to these alone. Four steps of a size are 12 moves, five lines 10 lags."""
+GUESSED, GUESSES = 0.25, 500
+"""What a model bends by over what two levels of an input do, from which on it is said, and samples asked for that."""
+CHECKED = 5_000
+"""Samples that are looked at."""
+
+Fit = TypeVar("Fit", bound=Callable[..., Any])
+
+
+def told(fit: Fit) -> Fit:
+    """Return a ``fit`` whose model warns of what its records do not determine.
+
+    Readings that are none, inputs that move too little for a model that does not say its frequencies, a loop that hides
+    the plant, and a model that its own records contradict. Nothing is asked where the identifier's ``least_excitation``
+    is 0, or the fit warns already.
+    """
+
+    @functools.wraps(fit)
+    def judged(self: Any, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Any:
+        model = fit(self, trajectories, rng=rng)
+        if self.least_excitation <= 0 or model.notes.get("warning") or model.notes.get("warnings"):
+            return model
+        records = _some(trajectories)
+        if not records or records[0].spec.nu == 0:
+            return model
+        feedback = feedback_of(records)
+        doubt = _odd(records) or _unmoved(model, records, feedback)
+        doubt = doubt or doubt_of_loop(model, records, feedback) or doubt_of_own_record(model, records, feedback)
+        return replace(model, notes={**model.notes, "warning": doubt}) if doubt else model
+
+    return cast(Fit, judged)
+
+
+def _odd(records: Sequence[Trajectory]) -> str:
+    """Return what is no reading in records, in words: what ``sysid check-data`` says, and commands leave out."""
+    from harness.data.oddities import examined, lines  # SciPy's statistics take a second to load
+
+    said = lines(examined(Dataset("records", tuple(map(Run, records)))).oddities or ())
+    if not said:
+        return ""
+    more = f" (and {len(said) - 1} more)" if len(said) > 1 else ""
+    return f"the records hold readings that are none: {said[0]}{more}; load_dataset and examined leave them out"
+
+
+def _unmoved(model: Any, records: Sequence[Trajectory], feedback: Feedback) -> str:
+    """Return what is wrong where the inputs move too little for a model that no frequencies say enough of."""
+    if model.notes.get(KEY) is not None and getattr(model, "matrices", None) is not None:
+        return ""
+    if poor := unexcited(records, ASKED):
+        return poor
+    lags = excited_lags(records, MOVED)
+    if min(lags, feedback.moves) >= MOVED:
+        return _guessed(model, records)
+    moved = f"{feedback.moves:.0f} moves" if feedback.moves < lags else f"{lags} lags"
+    return (
+        f"the inputs excite no more than {moved}, from which a model without an order knows the answers to such inputs "
+        "alone; use a richer input (more steps, lines, noise), or a linear model of low order"
+    )
+
+
+def _guessed(model: Any, records: Sequence[Trajectory]) -> str:
+    """Return what is wrong where a model bends between the only two levels of an input, or beyond them.
+
+    Two levels tell no curve: half way between them, and half a step beyond, an affine model predicts what its answers
+    to both foretell, and another one a guess (Ljung 1999, sec. 13.3).
+    """
+    record, u = records[0][:GUESSES], np.concatenate([one.u for one in records])
+    for column, channel in enumerate(record.spec.inputs):
+        levels = np.unique(u[:, column])
+        if levels.size != 2 or channel.kind != "real":
+            continue
+        given = [np.where(np.arange(u.shape[1]) == column, level, record.u) for level in _beside(*levels)]
+        try:
+            with np.errstate(all="ignore"):
+                ahead = [predict(model, replace(record, u=one), 1)[int(model.burn_in) + 1 :] for one in given]
+        except HarnessError:  # a model that predicts nothing of these records says so elsewhere
+            return ""
+        low, high, between, beyond = ahead
+        bent = [np.mean((between - 0.5 * (low + high)) ** 2), np.mean((beyond - 1.5 * high + 0.5 * low) ** 2)]
+        if max(bent) > GUESSED**2 * np.mean((high - low) ** 2):
+            return (
+                f"{channel.name} takes two levels, and the model bends between them or beyond: what it answers to "
+                "others is a guess; use an input of more levels, or a model that is linear in it"
+            )
+    return ""
+
+
+def _beside(low: float, high: float) -> tuple[float, float, float, float]:
+    """Return two levels, half way between them and half their distance beyond."""
+    return low, high, 0.5 * (low + high), high + 0.5 * (high - low)
+
+
+def _some(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return records without holes, up to so many samples in all."""
+    some, left = [], CHECKED
+    for record in trajectories:
+        if left > 0 and record.missing is None:
+            some.append(record[:left])
+            left -= len(record)
+    return some
