@@ -109,15 +109,9 @@ def diagnose(
         # search, unless the records are wrong
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
         given, candidates = ([], []) if wrong else (given, candidates)
-        second = kind.by_free_runs() is None
-        # what drifts in the free runs of a process is followed by any slow law: there they propose nothing
-        if (
-            simple is not None
-            and candidates
-            and (form.latent or second)
-            and carried(form, nominal, policy, policy.large)
-        ):
+        if simple is not None and candidates and form.latent and carried(form, nominal, policy, policy.large):
             remembered.proposed = functools.partial(simple.proposals, policy)
+        second = kind.by_free_runs() is None
         ends = not (thorough or wrong or given or second) and form.latent and bool(overwhelmed(form, nominal, policy))
 
         def lost(fit: Fit) -> bool:
@@ -127,7 +121,8 @@ def diagnose(
             remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes, given=given, lost=lost
         )
         rival = ""
-        if not (wrong or given or lost(outcome.model)):
+        # what drifts in the free runs of a process is followed by any slow law: there no other fit denies an answer
+        if (form.latent or second) and not (wrong or given or lost(outcome.model)):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         share = np.array(thinned.noise)
         # grade what is left

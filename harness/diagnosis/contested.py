@@ -97,7 +97,7 @@ def uncontested(
     """Return an answer that does not lose, in free runs of the validation records, to the best fit with one effect.
 
     Where it does, that effect takes its place if the likelihood accepts it, and the search goes on from there as long
-    as that is not lost again.
+    as that is not lost again. Where free runs are all that judges, it only denies the answer.
 
     Returns
     -------
@@ -107,13 +107,13 @@ def uncontested(
         that does not lose; else empty.
     """
     form = remembered.form
-    if simple is None or simple.nominal is None or not form.latent or not carried(form, outcome.model, policy):
+    if simple is None or simple.nominal is None or not carried(form, outcome.model, policy):
         return outcome, ""
     say("against simple fits")
     best = _rival(simple, outcome.model, policy)
     if best is None:
         return outcome, ""
-    replaced = _with_rival(remembered, outcome, simple, policy)
+    replaced = _with_rival(remembered, outcome, simple, policy) if form.latent else None
     if replaced is None:  # of many simple fits to a disturbed record some run a little nearer by chance
         clear = simple.further(simple.seen(outcome.model), best.fitted, policy, policy.proxy)
         return outcome, best.name if clear else ""

@@ -188,6 +188,7 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
             "records show nothing of it; excite it in both",
         ),
         ({"rival": (60.0, 40.0)}, "by 60 in log-likelihood, but its fit did not converge"),
+        ({"beaten": "elastic_load@q"}, "elastic load at q alone would in free runs, and is not accepted"),
         ({"disagree": True}, "the validation records want other parameters"),
         (
             {"jumps": (("estimation", 8.0), ("validation", 12.0))},
@@ -206,6 +207,7 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
             withdrawn=[SimpleNamespace(placed=DRAG)] if "withdrawn" in more else [], promised=lambda policy: row
         ),
         policy=POLICY,
+        rival=more.get("beaten", ""),
         disagree=more.get("disagree", False),
         shaken="jumps" in more,
         jumps=tuple(Jump("theta", use, 0, time, 20.0, 0.2) for use, time in more.get("jumps", ())),

@@ -186,8 +186,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             placed.name(parameter.name): parameter.neutral
             for placed in fresh
             for parameter in placed.effect.parameters
-            if parameter.neutral is not None
-            and parameter.role != "step"
+            if parameter.neutral is not None and parameter.role != "step"
         }
 
     def _back(

@@ -510,6 +510,8 @@ def _cause(found: Diagnosis) -> str:
         if refused.comparison.validation < refused.comparison.error:
             return f"{gain}, and the validation records show nothing of it; excite it in both"
         return f"{gain}, but {refusals_text(refused.refusals)}"
+    if found.rival:
+        return f"{found.rival.replace('_', ' ').replace('@', ' at ')} alone would in free runs, and is not accepted"
     if found.disagree:
         return "the validation records want other parameters than the estimation records"
     if found.shaken:
