@@ -10,21 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.diagnosis.contested import at_optimum, carried, simple_fits_of, uncontested
+from harness.diagnosis.contested import at_optimum, proposals_of, simple_fits_of, uncontested
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise, overwhelmed
+from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
 from harness.diagnosis.records.controller_check import check_controller
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.starts import with_known_starts
-from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.rounding import with_rounding
 from harness.diagnosis.search.search import search
-from harness.diagnosis.second import second_opinion
+from harness.diagnosis.second import halved, searched_unless_carried, second_opinion
 from harness.diagnosis.steps import (
     Progress,
     again_by_free_runs,
@@ -57,7 +56,6 @@ def diagnose(
     dictionary: Sequence[Effect] | None = None,
     wanted: Wanted | None = None,
     policy: Policy = POLICY,
-    thorough: bool = False,
 ) -> Diagnosis:
     """Run the closed loop and return all that it found, without writing a report.
 
@@ -79,9 +77,6 @@ def diagnose(
         Which of them are given, tried and left out.
     policy : Policy
         The deciding numbers.
-    thorough : bool
-        Go on with a search by likelihood though an unmeasured force does most of what moves the model, with its
-        first effect as well; else free runs are asked first.
 
     Raises
     ------
@@ -109,20 +104,31 @@ def diagnose(
         # search, unless the records are wrong
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
         given, candidates = ([], []) if wrong else (given, candidates)
-        if simple is not None and candidates and form.latent and carried(form, nominal, policy, policy.large):
-            remembered.proposed = functools.partial(simple.proposals, policy)
-        second = kind.by_free_runs() is None
-        ends = not (thorough or wrong or given or second) and form.latent and bool(overwhelmed(form, nominal, policy))
+        remembered.proposed = proposals_of(form, nominal, simple, candidates, policy)
+        looking, rival, other = not (wrong or given), "", kind.by_free_runs()
 
-        def lost(fit: Fit) -> bool:
-            return ends and bool(overwhelmed(form, fit, policy))
+        @functools.cache
+        def again(*, halves: bool = False) -> Diagnosis:
+            return diagnose(
+                halved(dataset) if halves else dataset,
+                system,
+                kind=other,
+                progress=again_by_free_runs(progress),
+                folder=folder,
+                dictionary=dictionary,
+                wanted=wanted,
+                policy=policy,
+            )
 
-        outcome = search(
-            remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes, given=given, lost=lost
+        asked = again if looking and form.latent and other is not None else None
+        searched = functools.partial(
+            search, remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes, given=given
         )
-        rival = ""
+        outcome, instead = searched_unless_carried(form, nominal, policy, searched, asked)
+        if instead is not None:
+            return replace(instead, seconds=time.monotonic() - began)
         # what drifts in the free runs of a process is followed by any slow law: there no other fit denies an answer
-        if (form.latent or second) and not (wrong or given or lost(outcome.model)):
+        if looking and (form.latent or other is None):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         share = np.array(thinned.noise)
         # grade what is left
@@ -131,8 +137,8 @@ def diagnose(
             remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
         )
         if rounded is not outcome:  # named last: a rounded prediction errs by its own rounding, which denies nothing
-            outcome, again = rounded, run_freely(kind, form, rounded, dataset, simple, share)
-            runs = runs if again.worse(policy) else again
+            outcome, finer = rounded, run_freely(kind, form, rounded, dataset, simple, share)
+            runs = runs if finer.worse(policy) else finer
         outcome = widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)
         apart = form.apart(outcome.model)
@@ -157,20 +163,9 @@ def diagnose(
         thinned=thinned,
         wanted=wanted or Wanted(),
     )
-    if not (wrong or given):
-        ask = functools.partial(
-            diagnose,
-            system=system,
-            progress=again_by_free_runs(progress),
-            dictionary=dictionary,
-            wanted=wanted,
-            policy=policy,
-        )
-        other = second_opinion(diagnosis, kind, simple, lambda kind, data: ask(data, kind=kind, folder=folder))
-        if other is not None:
-            return replace(other, seconds=time.monotonic() - began)
-        if lost(outcome.model):  # nothing else has an answer
-            return replace(ask(dataset, kind=kind, folder=folder, thorough=True), seconds=time.monotonic() - began)
+    instead = None if asked is None else second_opinion(diagnosis, simple, asked)
+    if instead is not None:
+        return replace(instead, seconds=time.monotonic() - began)
     _add_doubts(diagnosis, thinned.factor)
     return diagnosis
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -15,7 +16,7 @@ from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.runs.simple_fits import SimpleFit, SimpleFits
 from harness.diagnosis.search.compare import Judged, judged
-from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.fit import Fit, Suspect
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted
@@ -23,7 +24,7 @@ from harness.diagnosis.search.ties import tie_set, total
 from harness.effects.effect import Placed
 from harness.physics.fitting.likelihood_fit import sensor_noise
 
-__all__ = ["at_optimum", "carried", "follows_whole", "nearer", "simple_fits_of", "uncontested"]
+__all__ = ["at_optimum", "carried", "follows_whole", "nearer", "proposals_of", "simple_fits_of", "uncontested"]
 
 
 def simple_fits_of(
@@ -83,6 +84,15 @@ def at_optimum(
         if fit is not None and fit.penalised > best.penalised + policy.tie:
             best = fit
     return best
+
+
+def proposals_of(
+    form: WholeForm, nominal: Fit, simple: SimpleFits | None, candidates: Sequence[Placed], policy: Policy
+) -> Callable[[], list[Suspect]]:
+    """Return what tells what free runs propose to a search: nothing where no latent force may carry a missing law."""
+    if simple is None or not candidates or not form.latent or not carried(form, nominal, policy, policy.large):
+        return list
+    return functools.partial(simple.proposals, policy)
 
 
 def uncontested(

@@ -2,24 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Protocol
 
 from harness.diagnosis.contested import nearer
 from harness.diagnosis.diagnosis import Diagnosis
-from harness.diagnosis.kinds import Kind
+from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.misfit import overwhelmed
+from harness.diagnosis.policy import Policy
 from harness.diagnosis.runs.simple_fits import SimpleFits
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.outcome import Outcome
 from harness.signals import Dataset
 
-__all__ = ["halved", "second_opinion"]
+__all__ = ["halved", "searched_unless_carried", "second_opinion"]
 
 JUDGED = "so the model is judged by its free runs: what they do not show is not looked for"
 
 
-def second_opinion(
-    first: Diagnosis, kind: Kind, simple: SimpleFits | None, ask: Callable[[Kind, Dataset], Diagnosis]
-) -> Diagnosis | None:
+class Again(Protocol):
+    """Makes the diagnosis of the same data by free runs, once; or of the halves of every record."""
+
+    def __call__(self, *, halves: bool = False) -> Diagnosis:
+        """Return it."""
+
+
+def searched_unless_carried(
+    form: WholeForm, nominal: Fit, policy: Policy, searched: Callable[..., Outcome], again: Again | None
+) -> tuple[Outcome, Diagnosis | None]:
+    """Return what a search by likelihood finds, and a diagnosis by free runs that takes its place, or None.
+
+    Where an unmeasured force does most of what moves the nominal model, and what a first effect makes of it, nothing is
+    built on that effect before free runs were asked; where these do not follow either, the search goes on.
+
+    Parameters
+    ----------
+    form : WholeForm
+    nominal : Fit
+    policy : Policy
+    searched : callable
+        The search; takes ``lost`` and ``begun``, see :func:`harness.diagnosis.search.search.search`.
+    again : callable or None
+        None where nothing judges by free runs.
+    """
+    if again is None or not overwhelmed(form, nominal, policy):
+        return searched(), None
+    outcome = searched(lost=lambda fit: bool(overwhelmed(form, fit, policy)))
+    weak = overwhelmed(form, outcome.model, policy)
+    if not weak:
+        return outcome, None
+    return (outcome, _told(again(), _carried(weak))) if not again().misfit else (searched(begun=outcome), None)
+
+
+def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) -> Diagnosis | None:
     """Return the diagnosis by free runs that takes the place of a first one, or None where the first one stands.
 
     A likelihood with an unmeasured force may be carried by that force: where it would do most of what moves a mass,
@@ -30,46 +66,47 @@ def second_opinion(
     Parameters
     ----------
     first : Diagnosis
-    kind : Kind
-        That the first one was made with.
     simple : SimpleFits or None
         What compares the two in free runs.
-    ask : callable
-        Makes a diagnosis of data with a kind.
+    again : callable
     """
-    other = kind.by_free_runs() if first.form.latent else None
-    if other is None:
-        return None
     policy, weak = first.policy, overwhelmed(first.form, first.final, first.policy)
     if weak:
-        forces = " and ".join(f"{100 * share:.0f} % of what moves {port}" for port, share in weak.items())
-        why = f"an unmeasured force of {forces} would explain these readings whatever the model is"
-        again = ask(other, first.dataset)
-        stands = not again.misfit
-    elif first.rival:
-        why = (
-            "what is likeliest beside an unmeasured force runs further from the validation records than "
-            f"{first.rival} alone"
+        return None if again().misfit else _told(again(), _carried(weak))
+    if first.rival:
+        other = again()
+        able, why = (
+            not other.misfit,
+            (
+                "what is likeliest beside an unmeasured force runs further from the validation records than "
+                f"{first.rival} alone"
+            ),
         )
-        again = ask(other, first.dataset)
-        stands = not again.misfit and nearer(simple, again.final, first.final, policy)
     elif first.outcome.withdrawn:
         names = " and ".join(str(one.placed) for one in first.outcome.withdrawn)
         why = f"what is likeliest beside an unmeasured force, {names}, runs further from the validation records"
-        again = ask(other, first.dataset)
-        found = again.verdict == "effects_found" or (first.misfit and not again.misfit)
-        stands = bool(found) and nearer(simple, again.final, first.final, policy)
+        other = again()
+        able = other.verdict == "effects_found" or bool(first.misfit and not other.misfit)
     elif first.astray:
         why = (
             f"free runs of a model that lacks nothing err {first.runs.further:.2g} times as far on the validation "
             "records as on the others: every record is halved, the first parts to fit and the others to validate"
         )
-        again = ask(other, halved(first.dataset))
-        stands = again.verdict == "effects_found" and nearer(simple, again.final, first.final, policy)
+        other = again(halves=True)
+        able = other.verdict == "effects_found"
     else:
         return None
-    if not stands:
-        return None
+    return _told(other, why) if able and nearer(simple, other.final, first.final, policy) else None
+
+
+def _carried(weak: Mapping[str, float]) -> str:
+    """Return why a likelihood says nothing where unmeasured forces do these shares of what moves ports."""
+    forces = " and ".join(f"{100 * share:.0f} % of what moves {port}" for port, share in weak.items())
+    return f"an unmeasured force of {forces} would explain these readings whatever the model is"
+
+
+def _told(again: Diagnosis, why: str) -> Diagnosis:
+    """Return a diagnosis by free runs that says first why it takes another's place."""
     words = f"{why}, {JUDGED}"
     return replace(again, alarms=(words, *again.alarms), warnings=[words, *again.warnings])
 

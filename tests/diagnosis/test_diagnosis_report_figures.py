@@ -108,7 +108,7 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
         when: {"simulation_error": {"validation": {"theta": {"rms": rms, "unit": "rad"}}}}
         for when, rms in (("before", 0.1), ("after", 0.002))
     }
-    effect = {"name": "quadratic_drag", "at": "theta", "may_be_part_of": ""}
+    effect = {"name": "quadratic_drag", "at": "theta", "may_be_part_of": "", "rounds": False}
     return {
         "verdict": verdict, "model": "pendulum", "misfit": ["the sign is wrong"], "errors": errors,
         "explained_share": 0.99996, "effects": [effect], "tie_sets": [[effect]],
@@ -116,10 +116,10 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-SPRING = {"name": "cubic_spring", "at": "theta", "may_be_part_of": ""}
-PART = {"name": "quadratic_drag", "at": "theta", "may_be_part_of": "a force at theta over u"}
+SPRING = {"name": "cubic_spring", "at": "theta", "may_be_part_of": "", "rounds": False}
+PART = {"name": "quadratic_drag", "at": "theta", "may_be_part_of": "a force at theta over u", "rounds": False}
 ROUNDING = {"name": "sensor_quantisation", "at": "theta", "parameters": {"step": {"value": 1.534e-3, "unit": "rad"}},
-            "may_be_part_of": ""}  # fmt: skip
+            "may_be_part_of": "", "rounds": True}  # fmt: skip
 
 
 def forces(share: float) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,7 +12,7 @@ import pytest
 
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.second import halved, second_opinion
+from harness.diagnosis.second import halved, searched_unless_carried, second_opinion
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 SPEC = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), 0.5)
@@ -71,29 +72,52 @@ def plain_details(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("harness.diagnosis.misfit.likelihood_detail", lambda fit: fit.detail)
 
 
-def opinion(first: Answer, again: Answer, *, able: bool = True) -> tuple[Any, list[Dataset]]:
-    """Return what stands in the place of a first diagnosis, and the data that were asked."""
-    asked: list[Dataset] = []
+def opinion(first: Answer, again: Answer) -> tuple[Any, list[str]]:
+    """Return what stands in the place of a first diagnosis, and of what another was asked."""
+    asked: list[str] = []
 
-    def ask(kind: Any, data: Dataset) -> Diagnosis:
-        asked.append(data)
+    def ask(*, halves: bool = False) -> Diagnosis:
+        asked.append("halves" if halves else "whole")
         return cast(Diagnosis, again)
 
-    kind = cast(Any, SimpleNamespace(by_free_runs=lambda: "free runs" if able else None))
-    found = second_opinion(cast(Diagnosis, first), kind, cast(Any, Runs()), ask)
-    return found, asked
+    return second_opinion(cast(Diagnosis, first), cast(Any, Runs()), ask), sorted(set(asked))
+
+
+def test_nothing_is_asked_again_without_a_reason() -> None:
+    assert opinion(Answer(), Answer()) == (None, [])
 
 
 @pytest.mark.parametrize(
-    ("first", "able"),
+    ("nominal", "first", "again", "calls", "instead"),
     [
-        (Answer(), True),  # nothing denies it
-        (Answer(force=2.0, latent=False), True),  # it was judged by free runs
-        (Answer(force=2.0), False),  # nothing else judges such a model
+        (0.1, 2.0, Answer(), ["whole search"], False),  # no force carries the nominal model
+        (2.0, 0.1, Answer(), ["until lost"], False),  # its first effect takes the force away
+        (2.0, 2.0, Answer(), ["until lost", "free runs"], True),
+        (2.0, 2.0, Answer(misfit=("leaves 90 %",)), ["until lost", "free runs", "goes on"], False),
     ],
 )
-def test_nothing_is_asked_again_without_a_reason_or_a_way(first: Answer, able: bool) -> None:
-    assert opinion(first, Answer(), able=able) == (None, [])
+def test_nothing_is_built_on_a_model_that_a_force_carries_before_free_runs_were_asked(
+    nominal: float, first: float, again: Answer, calls: list[str], instead: bool
+) -> None:
+    done: list[str] = []
+
+    def searched(lost: Any = None, begun: Any = None) -> Any:
+        done.append("goes on" if begun else "until lost" if lost else "whole search")
+        assert lost is None or lost(Answer(force=2.0).final)
+        return SimpleNamespace(model=Answer(force=first).final)
+
+    def asked() -> Any:
+        done.append("free runs")
+        return again
+
+    form = Answer().form
+    outcome, other = searched_unless_carried(
+        form, Answer(force=nominal).final, POLICY, searched, cast(Any, cache(asked))
+    )
+    assert done == calls
+    assert outcome is not None
+    assert (other is not None) == instead
+    assert not instead or "200 % of what moves q" in other.warnings[0]
 
 
 def test_a_force_that_explains_everything_gives_way_to_free_runs_that_follow() -> None:
@@ -101,7 +125,7 @@ def test_a_force_that_explains_everything_gives_way_to_free_runs_that_follow() -
     assert found.verdict == "nothing_missing"
     assert "200 % of what moves q" in found.warnings[0]
     assert found.alarms[0] == found.warnings[0], "the page says so first"
-    assert asked == [DATA]
+    assert asked == ["whole"]
     assert opinion(Answer(force=2.0), Answer(misfit=("leaves 90 %",)))[0] is None
 
 
@@ -116,7 +140,7 @@ def test_what_free_runs_take_back_is_looked_for_by_free_runs() -> None:
     first = Answer(withdrawn=("elasticity@q", "sensor_cyclic_error@q"))
     found, asked = opinion(first, Answer(verdict="effects_found", error=0.2))
     assert "elasticity@q and sensor_cyclic_error@q, runs further" in found.warnings[0]
-    assert asked == [DATA]
+    assert asked == ["whole"]
     assert opinion(first, Answer(verdict="effects_found", error=0.8))[0] is None, "it comes no nearer"
     assert opinion(first, Answer(verdict="nothing_missing", error=0.2))[0] is None, "something is missing"
     astray = Answer(withdrawn=first.withdrawn, misfit=("leaves 80 %",))
@@ -125,16 +149,17 @@ def test_what_free_runs_take_back_is_looked_for_by_free_runs() -> None:
 
 
 def test_where_the_validation_records_go_further_each_record_is_halved() -> None:
-    found, (data,) = opinion(Answer(astray=True), Answer(verdict="effects_found", error=0.2))
+    found, asked = opinion(Answer(astray=True), Answer(verdict="effects_found", error=0.2))
     assert "7 times as far" in found.warnings[0]
-    assert [run.use for run in data.runs] == ["estimation", "estimation", "validation", "validation", "test"]
-    np.testing.assert_array_equal(data.runs[0].trajectory.y[:, 0], [0, 1, 2, 3])
-    np.testing.assert_array_equal(data.runs[3].trajectory.y[:, 0], [4, 5, 6, 7])
+    assert asked == ["halves"]
     assert opinion(Answer(astray=True), Answer(error=0.2))[0] is None  # it explains nothing either
 
 
 def test_halves_hold_every_sample_once() -> None:
     parts = halved(DATA).runs
+    assert [run.use for run in parts] == ["estimation", "estimation", "validation", "validation", "test"]
+    np.testing.assert_array_equal(parts[0].trajectory.y[:, 0], [0, 1, 2, 3])
+    np.testing.assert_array_equal(parts[3].trajectory.y[:, 0], [4, 5, 6, 7])
     kept = np.concatenate([parts[0].trajectory.y, parts[2].trajectory.y])
     np.testing.assert_array_equal(kept, RECORD.y)
     assert parts[-1].trajectory is RECORD

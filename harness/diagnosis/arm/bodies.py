@@ -132,7 +132,9 @@ def bodies_of_joints(
         rows = form.whitened([j for _, j in parts], "estimation", errors)
         free = [k for k, name in enumerate(names) if name in form.regression.own]
         residual = form.whitened([r for r, _ in parts], "estimation", errors)
-        beside = [names.index(CLOCK), *(k for k, name in enumerate(names) if name.startswith(f"{ROTOR}@"))]
+        rotors = [placed for placed in fit.effects if placed.effect.name == ROTOR]
+        turning = [names.index(placed.name(one)) for placed in rotors for one in placed.effect.parameter_names]
+        beside = [names.index(CLOCK), *turning]
         blocks.append((rows[:, free], rows[:, beside], -residual))
     return _estimated(arm, chosen, blocks)
 

@@ -116,7 +116,7 @@ def repaired_urdf(found: ArmDiagnosis, data: dict[str, Any]) -> str:
             if dynamics is None:
                 dynamics = ElementTree.SubElement(element, "dynamics")
             dynamics.set(key[0], f"{float(dynamics.get(key[0], '0')) + values[key[1]]:.9g}")
-        elif effect["name"].startswith("payload") and values["m"] > 0:
+        elif values.get("m", 0.0) > 0:  # a mass at the flange
             _hang(root, joints[found.arm.arm.moving[-1].name], values)
         elif effect["name"] == "link_inertia":
             _turn(root, joints[effect["at"].removeprefix("link of ")], values["I"])

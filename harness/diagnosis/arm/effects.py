@@ -5,8 +5,9 @@ All of them are linear in their parameters once the motion is measured.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ __all__ = ["GAIN", "Wide", "wide_effects"]
 
 STEP = 1e-4
 GAIN = "input_gain"
+BODIES = MappingProxyType({"parameter": "inertial parameters that the URDF gives the same link"})
+"""What the data tell no body's effect from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +55,16 @@ def _on_several(signal: Any, states: Any, parameters: Any, q: Any, v: Any) -> An
 
 
 def _effect(
-    name: str, parameters: Sequence[EffectParameter], words: Sequence[str], nests: tuple[str, ...] = ()
+    name: str,
+    parameters: Sequence[EffectParameter],
+    words: Sequence[str],
+    nests: tuple[str, ...] = (),
+    same_as: Mapping[str, str] = MappingProxyType({}),
 ) -> Effect:
     """Return an effect with summary, formula and experiment; its first parameter decides."""
     summary, formula, experiment = words
     return Effect(name, ("base",), tuple(parameters), (), _on_several, summary=summary, formula=formula,
-                  experiment=experiment, nests=nests)  # fmt: skip
+                  experiment=experiment, nests=nests, same_as=same_as)  # fmt: skip
 
 
 def _par(
@@ -101,11 +108,15 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
     load = [body(tip, k) for k in range(4)]
     heavier = "the same motion with a known mass in addition: the scale of the torque tells a payload from a gain"
     formula = f"tau = ID(q, v, a) + m ID_unit mass at {frame}"
-    add(_effect("payload", [mass], ("A point mass at the end of the arm.", formula, heavier)), "flange", load[0])
+    add(
+        _effect("payload", [mass], ("A point mass at the end of the arm.", formula, heavier), same_as=BODIES),
+        "flange",
+        load[0],
+    )
     beside = "A mass at the end of the arm, its centre beside the frame of the last link."
     add(
         _effect("payload_off_centre", [mass, *moments], (beside, f"{formula} + (m c) ID_unit moment", heavier),
-                ("payload",)),
+                ("payload",), BODIES),
         "flange",
         lambda run: np.concatenate([column(run) for column in load], axis=2),
     )  # fmt: skip
@@ -145,7 +156,7 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
                 "mass and inertia of the link times (1 + scale)",
                 heavier,
             )
-            add(_effect("link_mass", [scale], words), f"link of {joint.name}", _link(arm, number))
+            add(_effect("link_mass", [scale], words, same_as=BODIES), f"link of {joint.name}", _link(arm, number))
             if not joint.inertia.any():
                 add(_tensor(joint), f"link of {joint.name}", _turning(arm, number))
     for k, channel in enumerate(arm.inputs):
@@ -164,7 +175,7 @@ def _tensor(joint: Joint) -> Effect:
     moment = _par("I", "kg m^2", "moment of inertia about every axis", joint.mass * ARM_POLICY.gyration**2, sign="+")
     faster = "the same path at several speeds: what a tensor needs grows with the square of the speed, gravity stays"
     words = "The URDF gives this link no inertia tensor.", "inertia I about the centre of mass, as of a ball", faster
-    return _effect("link_inertia", [moment], words)
+    return _effect("link_inertia", [moment], words, same_as=BODIES)
 
 
 def _turning(arm: ArmModel, number: int) -> Callable[[ArmRun], FloatArray]:

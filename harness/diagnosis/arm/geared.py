@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.joint import JointRegression
 from harness.diagnosis.arm.regression import RegressionForm
@@ -80,14 +78,8 @@ def with_rivals(form: RegressionForm, outcome: Outcome, candidates: Sequence[Pla
     for gone in (*([one] for one in friction), *([one, other] for one in friction for other in drags)):
         kept = [one for one in outcome.model.effects if one not in [known.placed for known in gone]]
         for law in dry:
-            if all((law,) in known.tie for known in gone):
-                continue
-            starts = _begun(form, outcome.model.values, [law])
-            fits = _fits(form, [*kept, law], starts, (outcome.model,))
-            lawful = [fit for fit in fits if not any(impossible(form, one, fit) for one in fit.effects)]
-            fit = max(lawful, key=value, default=None)
-            gap = np.inf if fit is None else value(outcome.model) - value(fit)
-            if fit is not None and undecided(form, outcome.model, gone[0].placed, fit, (law,), gap, policy):
+            asked = not all((law,) in known.tie for known in gone)
+            if asked and _does_the_same(form, outcome.model, gone[0].placed, kept, law, policy):
                 for known in gone:
                     found.setdefault(str(known.placed), []).append((law,))
     accepted = tuple(
@@ -95,6 +87,16 @@ def with_rivals(form: RegressionForm, outcome: Outcome, candidates: Sequence[Pla
         for known in outcome.accepted
     )
     return replace(outcome, accepted=accepted)
+
+
+def _does_the_same(
+    form: RegressionForm, model: Fit, placed: Placed, kept: Sequence[Placed], law: Placed, policy: Policy
+) -> bool:
+    """Return True if a law beside what is kept of an answer cannot be told from one of its effects."""
+    fits = _fits(form, [*kept, law], _begun(form, model.values, [law]), (model,))
+    lawful = [fit for fit in fits if not any(impossible(form, one, fit) for one in fit.effects)]
+    fit = max(lawful, key=value, default=None)
+    return fit is not None and undecided(form, model, placed, fit, (law,), value(model) - value(fit), policy)
 
 
 def rotor_or_gain(form: Form, outcome: Outcome, candidates: Sequence[Placed], policy: Policy) -> Outcome:
@@ -172,7 +174,8 @@ def _begun(form: RegressionForm, known: Mapping[str, float], laws: Sequence[Plac
     """Return where laws of dry friction begin: as Coulomb's of a level that was fitted, at their other parameters."""
     assert isinstance(form.regression, JointRegression)
     new = laws[-1]
-    levels = [known[name] for name in known if name.startswith(PLAIN) and name.endswith(".Fc")]
+    level = f"{PLAIN}@{new.at}.Fc"
+    levels = [known[level]] if level in known else []
     own = {
         new.name(parameter.name): levels[0]
         for parameter in new.effect.parameters

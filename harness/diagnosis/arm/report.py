@@ -166,8 +166,7 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
     for accepted in found.wide.accepted:
         effects.append(effect_data(found.wide.fit, accepted))
         members = _members(accepted)
-        if accepted.placed.effect.name.startswith(("payload", "link_")):
-            members.append({"name": "parameter", "at": "inertial parameters that the URDF gives the same link"})
+        members += [{"name": name, "at": at} for name, at in accepted.placed.effect.same_as.items()]
         ties.append(members)
         apart.append(separating([placed for group in accepted.tie for placed in group]))
     for joint in found.joints:

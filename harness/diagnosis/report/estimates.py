@@ -58,6 +58,7 @@ def effect_data(fit: Fit, accepted: Accepted, together: Sequence[str] = ()) -> d
         "summary": effect.summary,
         "may_be_part_of": accepted.part_of and f"a force at {accepted.part_of}",
         "given": accepted.given,
+        "rounds": effect.sampled == "quantise",
     }
 
 

@@ -468,7 +468,7 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
     if data["verdict"] == "effects_found":
         if data["stand_in"]["flagged"]:
             text = f"{standing_in(data, data['model'])}{_still_left(data['noise']['after']['forces'])}"
-        elif all(effect["name"] == "sensor_quantisation" for effect in data["effects"]):
+        elif all(effect["rounds"] for effect in data["effects"]):
             steps = " and ".join(f"{effect['at']} is read in steps of {_step(effect)}" for effect in data["effects"])
             return (
                 f"nothing is missing in {data['model']}{beside} but that {steps}; "

@@ -87,7 +87,7 @@ def standing_in(data: Mapping[str, Any], model: str) -> str:
 
     Examples
     --------
-    >>> spring, drag = ({"name": name, "at": "x", "may_be_part_of": part}
+    >>> spring, drag = ({"name": name, "at": "x", "may_be_part_of": part, "rounds": False}
     ...                 for name, part in (("cubic_spring", ""), ("quadratic_drag", "a force at x over u")))
     >>> reason = "what is left can still be predicted"
     >>> data = {"effects": [spring, drag], "tie_sets": [[spring], [drag]], "stand_in": {"reasons": [reason]}}
@@ -97,7 +97,7 @@ def standing_in(data: Mapping[str, Any], model: str) -> str:
     pairs = [
         (effect, tie)
         for effect, tie in zip(data["effects"], data["tie_sets"], strict=True)
-        if effect["name"] != "sensor_quantisation"  # that a sensor rounds stands in for nothing
+        if not effect["rounds"]  # it stands in for nothing
     ]
     sure, parts = ([pair for pair in pairs if bool(pair[0]["may_be_part_of"]) is part] for part in (False, True))
     reason = data["stand_in"]["reasons"][0]

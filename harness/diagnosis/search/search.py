@@ -70,7 +70,8 @@ def search(
         answer = Answer(past.base, answer.accepted)
         better = _step(table, answer, past)
         if lost((better or answer).model):
-            return Outcome(form, table.nominal, (better or answer).model, (better or answer).accepted, (past,))
+            ended = better or answer
+            return Outcome(form, table.nominal, ended.model, ended.accepted, tuple(table.rounds))
         if better is not None and len(better.accepted) > 1:
             better = drop(table, exchange(table, better))
         if not paired and (better is None or len(table.rounds) > 1):
