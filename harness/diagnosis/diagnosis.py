@@ -134,7 +134,7 @@ class Diagnosis:
             return "does_not_fit"
         if self.incomplete or self.runs.left > self.policy.proxy:
             return "proxy_or_incomplete"
-        quiet = self.latent_share <= self.policy.disturbed and not self.runs.worse(self.policy)
+        quiet = max(self.latent_share, self.lasting) <= self.policy.disturbed and not self.runs.worse(self.policy)
         good = quiet and self.runs.left <= self.policy.explained and not (self.stand_in or self.doubtful)
         return "explained" if good else "mostly_explained"
 
@@ -147,6 +147,11 @@ class Diagnosis:
     def latent_share(self) -> float:
         """Size of the latent force of the final model over the typical force, the largest of all ports."""
         return float(self._latent_shares(self.final).max(initial=0.0))
+
+    @property
+    def lasting(self) -> float:
+        """Size of what free runs leave of the motion, noise taken off, where no latent force takes it up; else 0."""
+        return 0.0 if self.form.latent else float(np.sqrt(self.runs.left))
 
     def _latent_shares(self, fit: Fit) -> FloatArray:
         """Return the sizes of the latent forces of a fit (nl,), each over the typical force of its port."""

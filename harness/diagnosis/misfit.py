@@ -11,9 +11,8 @@ from harness.diagnosis.forms.fit_records import likelihood_detail, reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.records.columns_check import DEGREE, SAMPLES
-from harness.diagnosis.runs.compare import FreeRuns
+from harness.diagnosis.runs.compare import FreeRuns, told_noise
 from harness.diagnosis.search.fit import Fit
-from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise", "overwhelmed"]
@@ -43,11 +42,11 @@ def misfit_reasons(
     if wrong:  # it says what is to be done
         return tuple(wrong)
     reasons = []
-    left, noisy = _left(form, runs)
-    if not left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy, factor):
-        if noisy:  # a fit to noise is none, and says nothing about the model
-            return (noisy,)
-        share = "diverges" if not np.isfinite(left) else f"leaves {100 * np.sqrt(left):.0f} % of the motion"
+    if not runs.left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy, factor):
+        shares = runs.noise / np.maximum(runs.motion, 1e-300)
+        if runs.worst is not None and shares[runs.worst] > policy.mostly:
+            return (_noisy(form, shares),)  # a fit to noise is none, and says nothing about the model
+        share = "diverges" if not np.isfinite(runs.left) else f"leaves {100 * np.sqrt(runs.left):.0f} % of the motion"
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
     for port, size in overwhelmed(form, final, policy).items():
         least = "at least " if f"s@{port}" in final.on_bound else ""
@@ -115,14 +114,9 @@ def mostly_noise(form: WholeForm, nominal: Fit, policy: Policy) -> list[str]:
     They are where the motion is less than the share of what is read that a model which fits may leave.
     """
     deviation = reading_noise(nominal)
-    shares = _told_noise(deviation, form.records["estimation"]) / form.noise_model.output_scale**2
+    shares = told_noise(deviation, form.records["estimation"]) / form.noise_model.output_scale**2
     noisy = shares.size > 0 and bool((1.0 - shares <= policy.misfit_nrmse**2).all())
     return [_noisy(form, shares)] if noisy else []
-
-
-def _told_noise(deviation: FloatArray, records: Sequence[Trajectory]) -> FloatArray:
-    """Return the variance of the sensor noise (ny,): what a model leaves is noise only as far as neighbours differ."""
-    return np.asarray(np.minimum(deviation, sensor_noise(records)) ** 2)
 
 
 def _noisy(form: WholeForm, shares: FloatArray) -> str:
@@ -132,27 +126,6 @@ def _noisy(form: WholeForm, shares: FloatArray) -> str:
     names = " and ".join(outputs)
     share = f"{100 * min(outputs.values()):.0f} % of the variance"
     return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
-
-
-def _left(form: WholeForm, runs: FreeRuns) -> tuple[float, str]:
-    """Return the share of the motion's variance that free runs leave, noise taken off, and whether readings are noise.
-
-    Returns
-    -------
-    left : float
-        Of the worst output, on the validation records; not finite where the runs diverge.
-    noisy : str
-        Words where more than half of what the worst output reads is noise; else empty.
-    """
-    if runs.after is None or not np.isfinite(runs.left):
-        return runs.left, ""
-    noise = _told_noise(np.asarray(runs.output.weights, dtype=float), runs.output.records["estimation"])
-    error = np.concatenate(list(runs.after.validation)) * runs.output.weights
-    moved = np.maximum(runs.motion, 1e-300)
-    left = np.maximum(np.mean(error**2, axis=0) - noise, 0.0) / moved
-    worst = int(np.argmax(left))
-    shares = noise / moved
-    return float(left[worst]), _noisy(form, shares) if shares[worst] > POLICY.mostly else ""
 
 
 def _length(runs: FreeRuns) -> str:

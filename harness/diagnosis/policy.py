@@ -188,6 +188,12 @@ class Policy:
         "at most 1.9 in 18 records with nothing missing, 3.2 where a drive tires; at most 1.5 in 16 of base 450000",
         "study base 440000, every 7th without an effect",
     )
+    once: float = _number(
+        0.5,
+        "share of the lasting errors of free runs that a law of one event may leave",
+        "what goes on as much as the event has done is no matter of an instant",
+        "an oven under a draught: 0.9 and more on one of both uses; a tank whose inflow drops: 0.001",
+    )
     shaken: float = _number(
         8.0,
         "standard deviations by which a force that nobody measured changes within a sample, from which on something "

@@ -445,7 +445,7 @@ def port_units(kind: str, unit: str, force_unit: str = "") -> dict[str, str]:
         force = force_unit or ("N m" if unit == "rad" else "N")
         return {"q": unit, "v": rate, "a": rate_unit(rate), "F": force}
     if kind == "process":
-        return {"x": unit}
+        return {"x": unit, "F": rate_unit(unit)}
     if kind == "mass":
         return {"M": unit}
     return {"u": unit, "F": unit} if kind == "input" else {"y": unit}

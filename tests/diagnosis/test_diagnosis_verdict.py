@@ -18,7 +18,8 @@ from harness.diagnosis.forms.fit_records import LikelihoodDetail
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.misfit import _shifted, misfit_reasons, mistakes
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.records.horizon import choose_horizon
+from harness.diagnosis.records.horizon import Horizon, choose_horizon
+from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.runs.errors import figures
 from harness.diagnosis.store import Store, data_fingerprint
 from harness.effects import builtin
@@ -51,6 +52,7 @@ def diagnosis(
     worse: bool = False,
     apart: float = 0.0,
     promised: str = "",
+    force: bool = True,
     nearer: bool = True,
     further: float = 1.0,
     before: float | None = None,
@@ -72,7 +74,7 @@ def diagnosis(
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
     scale = SimpleNamespace(force_scale=np.array([2.0]))
-    form: Any = SimpleNamespace(noise_model=scale, latent=True, jumps=lambda fit: [])
+    form: Any = SimpleNamespace(noise_model=scale, latent=force, jumps=lambda fit: [])
     rest: dict[str, Any] = {
         "leftover": SimpleNamespace(best=best),
         "runs": SimpleNamespace(left=left, further=further, worse=lambda policy: worse, nearer=lambda policy: nearer),
@@ -125,6 +127,8 @@ def test_explained_is_said_of_a_model_that_leaves_little_and_nothing_to_predict(
     assert diagnosis().grade == "explained"
     assert diagnosis(left=0.04).grade == "explained"
     assert diagnosis(left=0.06).grade == "mostly_explained"
+    assert diagnosis(left=0.04, force=False).grade == "mostly_explained", "nothing took up a fifth of the motion"
+    assert diagnosis(left=0.002, force=False).grade == "explained"
     assert diagnosis(latent=0.06).grade == "mostly_explained"
     assert diagnosis(accepted=True, worse=True).grade == "mostly_explained"
     assert diagnosis(accepted=True, rival="coulomb_friction@theta").grade == "mostly_explained", "a stand-in"
@@ -192,15 +196,11 @@ def doubted(
     )
     deviation = np.maximum(noises.r, 1e-3)
     error = np.sqrt(left * y.var(axis=0)) / deviation * np.ones((len(y), 1))
-    runs: Any = SimpleNamespace(
-        left=left,
-        motion=y.var(axis=0),
-        horizon=SimpleNamespace(seconds=None),
-        after=SimpleNamespace(validation=(error,)),
-        output=SimpleNamespace(
-            weights=deviation, records={use: dataset().using(use) for use in ("estimation", "validation")}
-        ),
+    after: Any = SimpleNamespace(validation=(error,), finite=bool(np.isfinite(left)))
+    output: Any = SimpleNamespace(
+        weights=deviation, records={use: dataset().using(use) for use in ("estimation", "validation")}
     )
+    runs = FreeRuns.of(Horizon(None, "whole records"), output, None, after)
     return misfit_reasons(form, final, runs, POLICY, doubts)
 
 
@@ -242,7 +242,7 @@ def test_repairs_that_do_as_well_are_named_together() -> None:
 def test_noise_of_the_sensor_is_no_misfit() -> None:
     """Readings that are all noise were "leaves 100 % of the motion"."""
     assert doubted(0.5, 0.0, noise=0.4) == ()
-    assert "leaves 55 % of the motion" in doubted(0.7, 0.0, noise=0.4)[0]
+    assert "leaves 71 % of the motion" in doubted(0.7, 0.0, noise=0.4)[0]
     (reason,) = doubted(1.0, 0.0, noise=0.7, repaired=900.0)
     assert "the readings of theta are mostly noise (70 % of the variance)" in reason
 

@@ -24,7 +24,7 @@ def shown(*validation: np.ndarray[Any, Any]) -> Any:
 
 
 def runs(before: Any, after: Any) -> FreeRuns:
-    return FreeRuns(cast(Any, None), cast(Any, None), before, after, 0.0, np.ones(1))
+    return FreeRuns(cast(Any, None), cast(Any, None), before, after, 0.0, np.ones(1), np.zeros(1), 0)
 
 
 @pytest.mark.parametrize("seed", range(5))

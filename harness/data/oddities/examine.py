@@ -183,20 +183,21 @@ class _Look:
             self.uneven[column] = held.every is None
             self._add("held", channel, rows, words, used=True)
             return
-        for words in stuck(channel, self.record.y[:, column], self.spec.sample_time):
-            found = stuck_rows(self.record.y[:, column])
-            assert found is not None
-            first, length = found
+        found = stuck_rows(self.record.y[:, column])
+        if not found:
+            return
+        typical = float(np.median(np.abs(np.diff(plain))))
+        fresh = np.ones(self.n, dtype=bool)
+        for first, length in found:
+            self.resting[first : first + length, column] = True
             after = abs(plain[first + length] - plain[first])
-            typical = float(np.median(np.abs(np.diff(plain))))
-            rows = np.arange(first, first + length)
-            self.resting[rows, column] = True
-            caught = after > ODD.catch_up * length * typical  # a plant that stands still starts slowly
-            if caught:
-                fresh = np.ones(self.n, dtype=bool)
+            if after > ODD.catch_up * length * typical:  # a plant that stands still starts slowly
                 fresh[first + 1 : first + length] = False
-                self._leave(column, fresh, plain)
-            self._add("stuck", channel, rows, words, used=bool(caught))
+        if not fresh.all():
+            self._leave(column, fresh, plain)
+        rows = np.concatenate([np.arange(first, first + length) for first, length in found])
+        for words in stuck(channel, self.record.y[:, column], self.spec.sample_time):
+            self._add("stuck", channel, rows, words, used=not fresh.all())
 
     def _spikes(self, column: int, channel: Channel, plain: FloatArray, fresh: npt.NDArray[np.bool_]) -> None:
         """Find readings that their neighbours contradict."""

@@ -20,6 +20,8 @@ _ALL = 0.99
 """Share of the differences that must be such multiples."""
 _NEAR = 3.5
 """Steps within which changes are counted: as many of every size up to there, and none among them."""
+_BEFORE = 5
+"""Moves before a stretch of which one at least was as usual, if the signal was on its way."""
 _FAINT = 0.05
 """Part of the typical change of a signal that a reading must have been behind to count."""
 
@@ -137,22 +139,41 @@ def held_readings(y: FloatArray, u: FloatArray) -> Held | None:
     return Held(None, fresh)
 
 
-def stuck_rows(y: FloatArray) -> tuple[int, int] | None:
-    """Return first row and length of a stretch in which a sensor stood still while it otherwise never does.
+def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
+    """Return first row and length of every stretch in which a sensor stood still while it otherwise never does.
+
+    Such stretches are exceptions: far longer than all others (ten times, or fifty times their mean), and less than half
+    of the rows. The signal was on its way before each, as one that settles or sticks is not, and went on by more than a
+    few steps of its readings, as an encoder at rest does not.
 
     Parameters
     ----------
     y : array (N,)
+
+    Examples
+    --------
+    >>> y = np.sin(0.05 * np.arange(600.0))
+    >>> y[100:130], y[310:420] = y[100], y[310]
+    >>> stuck_rows(y), stuck_rows(np.round(y))
+    ([(100, 30), (310, 110)], [])
     """
     starts, lengths = runs_of_equal(y)
-    longest = int(np.argmax(lengths))
-    first, length = int(starts[longest]), int(lengths[longest])
-    others = np.delete(lengths, longest)
+    moves = np.abs(np.diff(y[starts]))
+    if not moves.size:
+        return []
+    usual, step = float(np.median(moves)), step_of(y)
+    ends = starts + lengths
     # a plant at rest before its first and after its last excitation is no fault
-    inside = first > 0 and first + length < len(y)
-    extreme = y[first] in (y.min(), y.max())
-    if not (inside and others.size and length >= max(ODD.still, 0.01 * len(y)) and not extreme):
-        return None
-    if length < 10 * int(others.max()) and length < 50 * float(np.mean(others)):
-        return None
-    return first, length
+    longest = (starts > 0) & (ends < len(y)) & (lengths >= max(ODD.still, 0.01 * len(y)))
+    longest &= (y[starts] != y.max()) & (y[starts] != y.min())
+    for k in np.flatnonzero(longest):
+        arrived = moves[max(k - _BEFORE, 0) : k].max()
+        longest[k] = arrived >= ODD.on_its_way * usual and moves[k] > ODD.above_step * step
+    places = np.flatnonzero(longest)
+    places = places[np.argsort(-lengths[places], kind="stable")]
+    for count in range(len(places), 0, -1):
+        others = np.delete(lengths, places[:count])
+        least = int(lengths[places[count - 1]])
+        if 2 * others.sum() > len(y) and (least >= 10 * int(others.max()) or least >= 50 * float(np.mean(others))):
+            return [(int(starts[k]), int(lengths[k])) for k in np.sort(places[:count])]
+    return []

@@ -14,13 +14,17 @@ __all__ = ["coarse_step", "saturated", "stuck"]
 def stuck(channel: Channel, values: FloatArray, dt: float, kind: str = "output") -> list[str]:
     """Say that a sensor stood still while it otherwise never does."""
     found = stuck_rows(values)
-    if found is None:
+    if not found:
         return []
-    first, length = found
-    _, lengths = runs_of_equal(values)
+    starts, lengths = runs_of_equal(values)
+    first, length = found[0]
+    elsewhere = int(lengths[~np.isin(starts, [row for row, _ in found])].max())
+    where = f"at {values[first]:g} {channel.unit} for {length} samples from sample {first} ({length * dt:g} s)"
+    if len(found) > 1:
+        spans = [rows for _, rows in found]
+        where = f"in {len(found)} places for {min(spans)} to {max(spans)} samples, first {where}"
     return [
-        f"{kind} {channel.name} stands still at {values[first]:g} {channel.unit} for {length} samples from sample "
-        f"{first} ({length * dt:g} s) while elsewhere it does not for more than {int(np.sort(lengths)[-2])}: a stuck "
+        f"{kind} {channel.name} stands still {where} while elsewhere it does not for more than {elsewhere}: a stuck "
         "sensor or a drop-out?"
     ]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -196,13 +196,18 @@ def _blocks(
     return directions
 
 
-def choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, float], tuple[str, ...]]]:
-    """Return choices of the nonlinear parameters, with the names of the linear ones."""
+def choices(
+    placed: Placed, at: Mapping[str, float], known: Mapping[str, float] | None = None
+) -> list[tuple[dict[str, float], tuple[str, ...]]]:
+    """Return choices of the nonlinear parameters, known ones as they are, with the names of the linear ones."""
+    known = known or {}
     linear = tuple(parameter.name for parameter in placed.effect.parameters if parameter.linear and not parameter.fixed)
     nonlinear = [
         parameter for parameter in placed.effect.parameters if parameter.name not in linear and not parameter.fixed
     ]
-    grids = [parameter.starts(at) for parameter in nonlinear]
+    grids = [
+        [known[parameter.name]] if parameter.name in known else list(parameter.starts(at)) for parameter in nonlinear
+    ]
     return [
         (dict(zip((parameter.name for parameter in nonlinear), choice, strict=True)), linear)
         for choice in itertools.islice(itertools.product(*grids), EFFORT.choices)
@@ -290,39 +295,61 @@ def _rates(
 ) -> list[Direction]:
     """Return the directions of an effect in a system of plain rates: what it changes in them."""
     at = sizes.get(placed.at, {})
+    change = _rate_changes(nominal, known, placed, at)
+    frequency, phase = (placed.effect.parameter_of(role) for role in ("frequency", "phase"))
+    lines = [] if frequency is None else frequencies(traces["estimation"], nominal)
+    settled = [{frequency.name: omega} for omega in lines] if frequency is not None else [{}]
+    turns = [{}] if phase is None else [{phase.name: angle} for angle in (0.0, 0.5 * np.pi)]
+    directions = []
+    for wave in settled:
+        for given, linear in choices(placed, at, {**wave, **turns[0]}):
+            forces = {
+                use: [
+                    np.concatenate([change(trace, {**given, **turn}, linear) for turn in turns], axis=2)
+                    for trace in parts
+                ]
+                for use, parts in traces.items()
+            }
+            names = linear or ("effect",)
+            kind: ColumnKind = "linear"
+            if phase is not None:  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
+                given.pop(phase.name)
+                names, kind = WAVE, "wave"
+            directions.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, len(names)), kind))
+    return directions
+
+
+def _rate_changes(
+    nominal: System, known: Mapping[str, float], placed: Placed, at: Mapping[str, float]
+) -> Callable[[Trace, Mapping[str, float], Sequence[str]], FloatArray]:
+    """Return what an effect adds to the rates along a record (K, nx, k), by its linear parameters or as a whole."""
     kind = port_of(nominal, placed).kind
     base = ca.Function("f", [nominal.x, nominal.u, nominal.p, nominal.t], [nominal.f])
     p0 = nominal.vector(known)
     whole = None if kind == "input" else compose(nominal, [placed], sizes={"": at})
     made = None if whole is None else ca.Function("g", [whole.x, whole.u, whole.p, whole.t], [whole.f[: nominal.nx]])
-    directions = []
-    for given, linear in choices(placed, at):
-        names = linear or ("effect",)
+
+    def rates(trace: Trace, case: Mapping[str, float]) -> FloatArray:
+        n, x = len(trace.record), trace.x[:, : nominal.nx]
+        plain = base.map(n)(x.T, trace.record.u.T, np.tile(p0[:, None], n), trace.record.t).full().T
+        if whole is None or made is None:
+            u = input_behind(placed, trace, nominal, case)
+            there = base.map(n)(x.T, u.T, np.tile(p0[:, None], n), trace.record.t).full().T
+        else:
+            p = whole.vector({**known, **{placed.name(name): value for name, value in case.items()}})
+            wide = np.hstack([x, np.zeros((n, whole.nx - nominal.nx))])
+            there = made.map(n)(wide.T, trace.record.u.T, np.tile(p[:, None], n), trace.record.t).full().T
+        return np.asarray(there - plain)
+
+    def change(trace: Trace, given: Mapping[str, float], linear: Sequence[str]) -> FloatArray:
         complete = placed.effect.complete(given, at)
-        forces: dict[str, list[FloatArray]] = {}
-        cases = [complete]
-        if linear:
-            nothing = {**complete, **{n: placed.effect.parameter(n).neutral or 0.0 for n in linear}}
-            cases = [nothing, *({**nothing, n: nothing[n] + 1.0} for n in linear)]
-        for use, parts in traces.items():
-            forces[use] = []
-            for trace in parts:
-                n, x = len(trace.record), trace.x[:, : nominal.nx]
-                plain = base.map(n)(x.T, trace.record.u.T, np.tile(p0[:, None], n), trace.record.t).full().T
-                rates = []
-                for case in cases:
-                    if whole is None or made is None:
-                        u = input_behind(placed, trace, nominal, case)
-                        rates.append(base.map(n)(x.T, u.T, np.tile(p0[:, None], n), trace.record.t).full().T - plain)
-                        continue
-                    p = whole.vector({**known, **{placed.name(k): v for k, v in case.items()}})
-                    wide = np.hstack([x, np.zeros((n, whole.nx - nominal.nx))])
-                    rate = made.map(n)(wide.T, trace.record.u.T, np.tile(p[:, None], n), trace.record.t).full().T
-                    rates.append(rate - plain)
-                columns = [rate - rates[0] for rate in rates[1:]] if linear else rates
-                forces[use].append(np.stack(columns, axis=2))
-        directions.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, len(names))))
-    return directions
+        if not linear:
+            return rates(trace, complete)[:, :, None]
+        nothing = {**complete, **{name: placed.effect.parameter(name).neutral or 0.0 for name in linear}}
+        before = rates(trace, nothing)
+        return np.stack([rates(trace, {**nothing, n: nothing[n] + 1.0}) - before for n in linear], axis=2)
+
+    return change
 
 
 def input_behind(placed: Placed, trace: Along, nominal: AnySystem, values: Mapping[str, float]) -> FloatArray:

@@ -25,17 +25,17 @@ _FINEST = 1e5
 
 
 def frequencies(traces: Sequence[Trace], nominal: System) -> list[float]:
-    """Return the angular frequencies of the strongest lines of the latent forces [rad/s]."""
+    """Return the angular frequencies [rad/s] of the strongest lines: of latent forces, or of free runs' errors."""
     trace = max(traces, key=lambda trace: len(trace.record))
     n, dt = len(trace.record), trace.record.spec.sample_time
     window = np.hanning(n)
     omega = 2 * np.pi * np.arange(2 * n + 1) / (4 * n * dt)
     found: list[float] = []
-    for row in range(trace.passes.nl):
-        for force in _forces(trace, nominal, row):
-            power = np.abs(np.fft.rfft((force - force.mean()) * window, 4 * n)) ** 2
-            power[omega * n * dt < 2 * 2 * np.pi] = 0.0
-            found += _strongest(power, omega, np.pi / (n * dt), found)
+    forces = [force for row in range(trace.passes.nl) for force in _forces(trace, nominal, row)]
+    for force in forces or _changes(trace):
+        power = np.abs(np.fft.rfft((force - force.mean()) * window, 4 * n)) ** 2
+        power[omega * n * dt < 2 * 2 * np.pi] = 0.0
+        found += _strongest(power, omega, np.pi / (n * dt), found)
     return found
 
 
@@ -91,6 +91,15 @@ def _forces(trace: Trace, nominal: System, row: int) -> tuple[FloatArray, FloatA
     """Return a latent force that remembers (K,), and with its white part: where that is larger, it may be nothing."""
     coloured = trace.x[:, trace.passes.start_size + row]
     return coloured, coloured + _white_forces(trace, nominal)[:, row]
+
+
+def _changes(trace: Trace) -> list[FloatArray]:
+    """Return how the error of every output changes from sample to sample (K,), 0 where a reading is missing.
+
+    A plant without latent forces adds up what pushes it, so the force is nearer to the change than to the error.
+    """
+    change = np.gradient(trace.record.y - trace.expected, axis=0)
+    return list(np.where(np.isfinite(change), change, 0.0).T)
 
 
 def _white_forces(trace: Trace, nominal: System) -> FloatArray:

@@ -106,11 +106,13 @@ class EquationsForm(LikelihoodForm[System]):
         sizes = {port: dict(size) for port, size in sizes_of(self.nominal, nominal.values, self.dataset).items()}
         _, smooth = self.paths(nominal, "estimation")
         x = np.concatenate([motion.x for motion in smooth])
+        changes = np.concatenate([np.gradient(motion.x, self.dt, axis=0) for motion in smooth])
         names = [channel.name for channel in self.nominal.states]
         for port in self.nominal.ports:
             if port.kind == "process":
-                level = float(np.sqrt(np.mean(x[:, names.index(port.name)] ** 2)))
-                sizes.setdefault(port.name, {})["x"] = level
+                state = names.index(port.name)
+                level, rate = (float(np.sqrt(np.mean(values[:, state] ** 2))) for values in (x, changes))
+                sizes.setdefault(port.name, {}).update(x=level, F=rate)
         self.sizes = sizes
         if not self.latent:
             return False

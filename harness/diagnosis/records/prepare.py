@@ -122,7 +122,7 @@ def sizes_of(system: System, values: Mapping[str, float], dataset: Dataset) -> d
     level = float(np.sqrt(np.mean(y**2)))
     for port in system.ports:
         if port.kind == "process":
-            result.setdefault(port.name, dict(common)).update(x=level)
+            result.setdefault(port.name, dict(common)).update(x=level, F=level / common["T"])
         elif port.kind == "coordinate":
             force = float(np.sqrt(np.mean(u**2))) if u.size else 1.0
             result.setdefault(port.name, dict(common)).update(F=force, q=level, v=level, a=level)

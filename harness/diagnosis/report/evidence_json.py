@@ -174,7 +174,8 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "warnings": _warnings(found, answer.fit, together),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
-    data["summary"] = _summary(data, found.policy.least, _cause(found) if found.verdict == "unexplained" else "")
+    cause = _cause(found) if found.verdict == "unexplained" else ""
+    data["summary"] = _summary(data, found.policy.least, cause, _lasting(found))
     return data
 
 
@@ -437,10 +438,10 @@ def _closed_loop(found: Diagnosis, fit: Fit) -> dict[str, Any]:
     return result
 
 
-def _summary(data: dict[str, Any], least: float, cause: str) -> str:
+def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[str] = ()) -> str:
     """Return the verdict in one line; forces that nobody measured are told above the share ``least``.
 
-    ``cause`` is what speaks for something that has no name.
+    ``cause`` is what speaks for something that has no name, ``lasting`` what free runs leave that is no noise.
     """
     before = data["errors"]["before"]["simulation_error"]["validation"]
     after = data["errors"]["after"]["simulation_error"]["validation"]
@@ -464,7 +465,7 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
         for port, force in data["noise"]["after"]["forces"].items()
         if force["share"] is not None and force["share"] > least
     ]
-    beside = f" beside {' and '.join(forces)}" if forces else ""
+    beside = f" beside {' and '.join([*forces, *lasting])}" if forces or lasting else ""
     if data["verdict"] == "effects_found":
         if data["stand_in"]["flagged"]:
             text = f"{standing_in(data, data['model'])}{_still_left(data['noise']['after']['forces'])}"
@@ -487,6 +488,14 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
         f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
         f"({plain} {units}; {words})"
     )
+
+
+def _lasting(found: Diagnosis) -> list[str]:
+    """Return in words what free runs leave of an output that is no noise, where no latent force takes it up."""
+    if found.runs.worst is None or found.lasting <= found.policy.disturbed:
+        return []
+    output = found.dataset.spec.outputs[found.runs.worst].name
+    return [f"an error of free runs that lasts (of {output}, {_short(100 * found.lasting)} % of its motion)"]
 
 
 def _step(effect: Mapping[str, Any]) -> str:

@@ -39,6 +39,10 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
     Kind.AGAIN: lambda r: (
         f"it does not happen once: beside it the force that nobody measured jumps {r.numbers[0]:.0f} more times there"
     ),
+    Kind.LASTING: lambda r: (
+        f"it does not happen once: beside it {100 * r.numbers[0]:.0f} % of the error that lasts from sample to sample "
+        "goes on"
+    ),
     Kind.INCOHERENT: lambda r: (
         f"it does not repeat: amplitude and phase change along the records (evidence {r.numbers[0]:.1f})"
     ),

@@ -17,9 +17,10 @@ from harness.diagnosis.runs.states import on_validation, settled_states
 from harness.diagnosis.search.fit import Fit
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
+from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["FreeRuns", "changed", "free_runs", "seen", "seen_values"]
+__all__ = ["FreeRuns", "changed", "free_runs", "seen", "seen_values", "told_noise"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +36,14 @@ class FreeRuns:
         None where the simulation diverges.
     left : float
         Mean square of what the final model leaves of the validation outputs over the horizon, over that of what a
-        straight line through the same windows leaves: the share of the motion, the worst output.
+        straight line through the same windows leaves, the noise of the sensors taken off both: the share of the motion,
+        the worst output. Not finite where the simulation diverges.
     motion : array (ny,)
-        The latter.
+        The latter, with its noise.
+    noise : array (ny,)
+        Variance of what the sensors read besides, as far as neighbours tell it.
+    worst : int or None
+        That output; None where the simulation diverges.
     """
 
     horizon: Horizon
@@ -46,6 +52,21 @@ class FreeRuns:
     after: Fitted | None
     left: float
     motion: FloatArray
+    noise: FloatArray
+    worst: int | None
+
+    @classmethod
+    def of(cls, horizon: Horizon, output: FreeRunForm, before: Fitted | None, after: Fitted | None) -> FreeRuns:
+        """Return the free runs of two models with what the second leaves of the validation records."""
+        motion = _motion(output.records["validation"], horizon)
+        noise = told_noise(output.weights, output.records["estimation"])
+        if after is None or not after.finite:
+            return cls(horizon, output, before, after, np.inf, motion, noise, None)
+        square = np.concatenate(list(after.validation)) ** 2 * output.weights**2
+        # what cannot be told from noise is not left, of a motion that can be
+        left = np.maximum(square.mean(axis=0) - noise, 0.0) / np.maximum(motion - noise, np.maximum(noise, 1e-300))
+        worst = int(np.argmax(left))
+        return cls(horizon, output, before, after, float(left[worst]), motion, noise, worst)
 
     def worse(self, policy: Policy) -> bool:
         """Return True if the final model runs further from the validation records than the nominal one.
@@ -120,11 +141,12 @@ def free_runs(
     if best is not None and final is not nominal:
         able = [before, seen_values(output, (), best)]
         before = min((one for one in able if one is not None and one.finite), key=_inside, default=before)
-    left, motion = np.inf, _motion(output.records["validation"], horizon)
-    if after is not None and after.finite:
-        error = np.concatenate(list(after.validation)) * output.weights
-        left = float(np.max(np.mean(error**2, axis=0) / np.maximum(motion, 1e-300)))
-    return FreeRuns(horizon, output, before, after, left, motion)
+    return FreeRuns.of(horizon, output, before, after)
+
+
+def told_noise(deviation: FloatArray, records: Sequence[Trajectory]) -> FloatArray:
+    """Return the variance of the sensor noise (ny,): what a model leaves is noise only as far as neighbours differ."""
+    return np.asarray(np.minimum(np.asarray(deviation, dtype=float), sensor_noise(records)) ** 2)
 
 
 def _inside(fitted: Fitted) -> float:

@@ -23,6 +23,7 @@ __all__ = [
     "impossible",
     "judged",
     "pays",
+    "unremembered",
     "violations",
     "wrong_signs",
 ]
@@ -166,7 +167,8 @@ def judged(
         for refusal in wrong_signs(placed, fit.values)
     ]
     if not reasons:  # what costs more than a comparison is asked last
-        reasons = _coloured(fit, base, policy) or _small(form, added, fit, policy) or _again(form, added, fit)
+        reasons = unremembered(fit, base, policy) or _small(form, added, fit, policy)
+        reasons = reasons or _again(form, added, fit, base, policy)
     return Judged(tuple(added), fit, comparison, tuple(reasons))
 
 
@@ -194,8 +196,8 @@ def _wanting(fit: Fit, base: Fit, nominal: Fit, found: Comparison, policy: Polic
     return reasons
 
 
-def _coloured(fit: Fit, base: Fit, policy: Policy) -> list[Refusal]:
-    """Return what free runs refuse beside an error that remembers."""
+def unremembered(fit: Fit, base: Fit, policy: Policy) -> list[Refusal]:
+    """Return what free runs refuse of a fit beside an error that remembers; empty with latent forces."""
     if not fit.free_run:
         return []
     gains = coloured_gains(fit, base, policy.order)
@@ -209,11 +211,37 @@ def _small(form: Form, added: Sequence[Placed], fit: Fit, policy: Policy) -> lis
     return [Refusal(Kind.SIZE, str(placed), (share, policy.least)) for placed, share in shares if share < policy.least]
 
 
-def _again(form: Form, added: Sequence[Placed], fit: Fit) -> list[Refusal]:
-    """Return which effects are said to happen once, where the force that nobody measured goes on jumping."""
+def _again(form: Form, added: Sequence[Placed], fit: Fit, base: Fit, policy: Policy) -> list[Refusal]:
+    """Return which effects are said to happen once, where beside them the like of it goes on.
+
+    A force that nobody measured goes on jumping; or the errors of free runs, which have no such force, last.
+    """
     once = [placed for placed in added if placed.effect.parameter_of("instant") is not None]
+    if once and fit.free_run:
+        left = max(_lasting(fit, base, use) for use in base.innovations)
+        return [Refusal(Kind.LASTING, str(one), (left,)) for one in once if left > policy.once]
     more = [jump.port for jump in form.jumps(fit)] if once else []
     return [Refusal(Kind.AGAIN, str(one), (more.count(one.at),)) for one in once if one.at in more]
+
+
+def _lasting(fit: Fit, base: Fit, use: str) -> float:
+    """Return how much of the errors of a base that last from sample to sample a fit leaves, noise left out.
+
+    Covariances of neighbours, each output over its own variance in the base: noise that is new with every sample has
+    none.
+    """
+
+    def lasts(one: Fit) -> float:
+        products = [
+            np.nanmean(np.concatenate([e[1:, j] * e[:-1, j] for e, _ in one.innovations[use]])) / scale
+            for j, scale in enumerate(scales)
+        ]
+        return max(float(np.sum(products)), 0.0)
+
+    errors = np.concatenate([e for e, _ in base.innovations[use]])
+    scales = np.maximum(np.nanvar(errors, axis=0), 1e-300)
+    before = lasts(base)
+    return lasts(fit) / before if before > 0.0 else 1.0
 
 
 def coloured_gains(fit: Fit, base: Fit, order: int) -> tuple[float, float]:

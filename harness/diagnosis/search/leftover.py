@@ -68,6 +68,8 @@ class Leftover:
 
     axes: tuple[Axis, ...]
     policy: Policy = POLICY
+    free_run: bool = False
+    """True for errors of free runs: they last, so what the estimation records say alone is overstated."""
 
     @property
     def best(self) -> Axis | None:
@@ -83,7 +85,7 @@ class Leftover:
         if axis.drifts:  # by chance an unknown force may follow the motion in one record for a while
             size = min(axis.evidence, axis.validation)
             return size > 2 * policy.evidence and axis.validation > policy.tie_z * axis.error
-        sure = axis.evidence > policy.misfit_gain and axis.validation > 0.0
+        sure = not self.free_run and axis.evidence > policy.misfit_gain and axis.validation > 0.0
         return axis.total > 2 * policy.evidence and (sure or axis.validation > policy.alone_z * axis.error)
 
 
@@ -99,7 +101,7 @@ def left_over(form: Form, fit: Fit, policy: Policy = POLICY) -> Leftover:
     linear = form.linearised(fit)
     basis, residual = projected(form, fit)
     axes = [_axis(column, basis, residual, linear, policy) for column in form.test_functions(fit)]
-    return Leftover(tuple(sorted(axes, key=lambda axis: -axis.total)), policy)
+    return Leftover(tuple(sorted(axes, key=lambda axis: -axis.total)), policy, fit.free_run)
 
 
 def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linearised, policy: Policy) -> Axis:

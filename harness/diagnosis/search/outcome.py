@@ -11,6 +11,7 @@ from harness.diagnosis.search.compare import (
     compared,
     difference,
     expected_difference,
+    unremembered,
     violations,
     wrong_signs,
 )
@@ -67,17 +68,17 @@ class Outcome:
 
         The data prefer it by all that is asked of an effect: it is no answer, and without it something is missing.
         """
-        asked = {*WANT_OF_EVIDENCE, Kind.INCOHERENT, Kind.OTHER_LAW, Kind.AGAIN}
+        asked = {*WANT_OF_EVIDENCE, Kind.INCOHERENT, Kind.OTHER_LAW, Kind.AGAIN, Kind.LASTING}
         rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.refusals]
         held = [
             row
             for row in rows
             if not any(refusal.kind in asked for refusal in row.refusals) or _sure_where_fitted(row, policy)
         ]
-        best = max(held, key=total, default=None)
-        if best is None or best.fit is None or self.form.change(best.fit, best.added[0]) < policy.least:
-            return None
-        return best
+        for row in sorted(held, key=total, reverse=True):
+            if row.fit is not None and not unremembered(row.fit, self.model, policy):
+                return row if self.form.change(row.fit, row.added[0]) >= policy.least else None
+        return None
 
     def denied(self, policy: Policy = POLICY) -> tuple[tuple[str, float], ...]:
         """Return the accepted effects whose size the validation records deny, and the share of it that they want.

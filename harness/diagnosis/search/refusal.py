@@ -43,6 +43,8 @@ class Kind(Enum):
     """Beside it an effect that was found before, the ``subject``, is no law any more: ``cause`` says why."""
     AGAIN = "again"
     """What is said to happen once, the ``subject``, happens again: how often the force at its place jumps beside it."""
+    LASTING = "lasting"
+    """What is said to happen once, the ``subject``, leaves lasting errors of free runs: their share of those before."""
     WITHDRAWN = "withdrawn"
     """It was accepted, and taken back: with it the model runs further from the validation records."""
 

@@ -12,7 +12,7 @@ __all__ = ["force_step", "periodic_disturbance"]
 
 
 @effect(
-    ("coordinate", "input"),
+    ("coordinate", "input", "process"),
     [
         par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
         par(
@@ -49,7 +49,7 @@ def periodic_disturbance(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
 
 
 @effect(
-    ("coordinate",),
+    ("coordinate", "process"),
     [par("F", "F", scale="0.1 F", neutral=0.0, main=True, linear=True, meaning="force that comes"), *CHANGE],
     formula="F = F step((t - t0)/w)",
     family=("force_bias", "payload_step", "sensor_drift"),
