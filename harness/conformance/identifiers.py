@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from harness.conformance import fitted, seams, substance
-from harness.conformance.feedback import feedback_told
+from harness.conformance.feedback import feedback_told, stillness_told
 from harness.conformance.results import Broken, Check, CheckResult, demand, run_checks
 from harness.conformance.running import EXAMPLES, fit, for_all, one_step, untouched
 from harness.conformance.subject import Factory, Subject, Subjects, shown
@@ -93,6 +93,7 @@ def identifier_checks(*, kinds: tuple[str, ...] = KINDS, examples: int = EXAMPLE
         ("beats_trivial", "predicts better than what needs no model", on_survey(substance.beats_trivial)),
         ("inputs_matter", "every input has an effect in the model", on_survey(substance.inputs_matter)),
         ("feedback_told", "records that show only a controller are refused or warned of", on_survey(feedback_told)),
+        ("stillness_told", "records whose inputs never move are refused or warned of", on_survey(stillness_told)),
         ("start_matters", "a simulation starts where the record does", on_survey(substance.initial_state_matters)),
         ("model_burn_in", "a burn-in that leaves something to score", on_models(fitted.burn_in)),
         ("model_pure_steps", "a model's methods are pure", on_models(fitted.pure_steps)),

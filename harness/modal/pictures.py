@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from harness.errors import InputError
 from harness.modal.poles import ComplexArray, Mode
 from harness.modal.stabilisation import Criteria, Track
 from harness.plots import plain_texts
 from harness.signals import FloatArray
 
-__all__ = ["shapes_and_coordinates", "space_and_time", "stabilisation_diagram"]
+__all__ = ["shapes_and_coordinates", "shapes_over_places", "space_and_time", "stabilisation_diagram"]
 
 PERIODS = 12.0
 """Periods of a mode that its space-time picture shows: enough to see it swing, few enough to see its shape."""
@@ -121,6 +122,54 @@ def shapes_and_coordinates(
         axis.set_title(f"its part of the motion: {100 * mode.share:.2g} %", fontsize=8)
         axis.tick_params(labelsize=7)
     axes[-1, 1].set_xlabel("time [s] (size of the coordinate, to both sides)", fontsize=8)
+    return plain_texts(figure)
+
+
+def shapes_over_places(modes: Sequence[Mode], places: FloatArray) -> Any:
+    """Draw every mode over the plane in which its outputs stand: of a complex shape the part in its main phase.
+
+    Parameters
+    ----------
+    modes : sequence of Mode
+    places : array (ny, 2)
+        Of the outputs [m].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    InputError
+        If the outputs stand on one line, or one is nowhere.
+    """
+    from harness.plots import sheet
+
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if np.isfinite(places).all() else np.zeros(2)
+    if len(places) < 3 or spread[1] <= 1e-9 * spread[0]:
+        raise InputError(
+            "places of the outputs",
+            expected="three and more that span a plane",
+            got=f"{len(places)} on one line" if np.isfinite(places).all() else "numbers that are not finite",
+            remedy="give [x, y] in metres for every output, or draw the shapes over the outputs (plot_shapes)",
+        )
+    drawn = modes[:MOST]
+    rows = max(-(-len(drawn) // 4), 1)
+    figure = sheet(figsize=(10, 2.6 * rows), layout="constrained")
+    axes = figure.subplots(rows, 4, squeeze=False).ravel()
+    for number, (axis, mode) in enumerate(zip(axes, drawn, strict=False)):
+        shape = np.where(mode.seen, mode.shape, 0.0)
+        phase = 0.5 * np.angle(np.sum(shape**2))  # the axis along which the shape is longest
+        values = np.real(shape * np.exp(-1j * phase))
+        most = float(np.abs(values).max()) or 1.0
+        axis.tricontourf(*places.T, values, levels=np.linspace(-most, most, 15), cmap="RdBu_r")
+        axis.plot(*places[mode.seen].T, "k.", ms=3)
+        axis.plot(*places[~mode.seen].T, "kx", ms=4)
+        axis.set_aspect("equal")
+        axis.set_title(f"{number + 1}: {mode.frequency:.4g} Hz", fontsize=8)
+        axis.tick_params(labelsize=6)
+    for axis in axes[len(drawn) :]:
+        axis.set_axis_off()
     return plain_texts(figure)
 
 

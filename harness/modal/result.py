@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.display import STYLE, page, table
-from harness.modal.pictures import shapes_and_coordinates, space_and_time, stabilisation_diagram
+from harness.errors import InputError
+from harness.modal.pictures import shapes_and_coordinates, shapes_over_places, space_and_time, stabilisation_diagram
 from harness.modal.poles import ComplexArray, Mode, Pole
 from harness.modal.stabilisation import Criteria, Track
 from harness.plots import inlined
@@ -197,6 +198,29 @@ class Modes:
     def plot_shapes(self) -> Any:
         """Draw the modes in space (shapes, with intervals) and in time (coordinates); returns the figure."""
         return shapes_and_coordinates(self.modes, self._names, self.time, self.coordinates)
+
+    def plot_places(self, places: Mapping[str, Sequence[float]]) -> Any:
+        """Draw the shapes over the plane in which the outputs stand (x: not seen); returns the figure.
+
+        Parameters
+        ----------
+        places : mapping of str to (x, y)
+            Of every output [m].
+
+        Raises
+        ------
+        InputError
+            If an output has no place, or all stand on one line.
+        """
+        lacking = [name for name in self._names if name not in places]
+        if lacking:
+            raise InputError(
+                "places of the outputs",
+                expected=f"one of each of {', '.join(self._names)}",
+                got=f"none of {', '.join(lacking)}",
+                remedy="give [x, y] in metres for every output",
+            )
+        return shapes_over_places(self.modes, np.array([places[name] for name in self._names], dtype=float))
 
     def plot_motion(self) -> Any:
         """Draw what each mode does at every output over some of its periods; returns the figure."""

@@ -244,6 +244,14 @@ def test_a_value_on_its_bound_is_no_estimate() -> None:
     assert impossible(FORM, free, a_fit(effects=[free])) == []
 
 
+def test_a_value_is_told_where_only_the_nominal_scale_is_not() -> None:
+    one = placed("quadratic_drag")
+    wide = {"a": 0.1, one.main(): 0.9}
+    (reason,) = impossible(FORM, one, a_fit(effects=[one], deviations=wide))
+    assert reason.kind is Kind.UNDETERMINED
+    assert impossible(FORM, one, a_fit(effects=[one], deviations=wide, beside={one.main(): 0.1})) == []
+
+
 def test_stribeck_friction_that_rises_with_speed_is_against_its_own_law() -> None:
     one = placed("stribeck_friction")
     values = {"a": 1.0, **{one.name(name): 0.5 for name in one.effect.parameter_names}}

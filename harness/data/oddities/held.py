@@ -20,6 +20,8 @@ _ALL = 0.99
 """Share of the differences that must be such multiples."""
 _NEAR = 3.5
 """Steps within which changes are counted: as many of every size up to there, and none among them."""
+_NEARLY_ALL = 99
+"""Percent of the other stretches that are meant: one that is a little short of a fault hides no other."""
 _BEFORE = 5
 """Moves before a stretch of which one at least was as usual, if the signal was on its way."""
 _FAINT = 0.05
@@ -142,9 +144,9 @@ def held_readings(y: FloatArray, u: FloatArray) -> Held | None:
 def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     """Return first row and length of every stretch in which a sensor stood still while it otherwise never does.
 
-    Such stretches are exceptions: far longer than all others (ten times, or fifty times their mean), and less than half
-    of the rows. The signal was on its way before each, as one that settles or sticks is not, and went on by more than a
-    few steps of its readings, as an encoder at rest does not.
+    Such stretches are exceptions: far longer than nearly all others (ten times, or fifty times their mean), and less
+    than half of the rows. The signal was on its way before each, as one that settles is not, and went on at once, as
+    one that sticks does not, by more than a few steps of its readings, as an encoder at rest does not.
 
     Parameters
     ----------
@@ -168,12 +170,12 @@ def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     longest &= (y[starts] != y.max()) & (y[starts] != y.min())
     for k in np.flatnonzero(longest):
         arrived = moves[max(k - _BEFORE, 0) : k].max()
-        longest[k] = arrived >= ODD.on_its_way * usual and moves[k] > ODD.above_step * step
+        longest[k] = min(arrived, float(moves[k])) >= ODD.on_its_way * usual and moves[k] > ODD.above_step * step
     places = np.flatnonzero(longest)
     places = places[np.argsort(-lengths[places], kind="stable")]
     for count in range(len(places), 0, -1):
         others = np.delete(lengths, places[:count])
         least = int(lengths[places[count - 1]])
-        if 2 * others.sum() > len(y) and (least >= 10 * int(others.max()) or least >= 50 * float(np.mean(others))):
+        if 2 * others.sum() > len(y) and least >= min(10 * np.percentile(others, _NEARLY_ALL), 50 * np.mean(others)):
             return [(int(starts[k]), int(lengths[k])) for k in np.sort(places[:count])]
     return []

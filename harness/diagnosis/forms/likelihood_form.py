@@ -20,7 +20,16 @@ from harness.diagnosis.forms.fit_records import (
 )
 from harness.diagnosis.forms.halves import judged_by_halves, told_by_halves
 from harness.diagnosis.forms.innovations import linearised
-from harness.diagnosis.forms.named import awake, known, nuisances, per_record, state_name, state_values, within
+from harness.diagnosis.forms.named import (
+    awake,
+    beside,
+    known,
+    nuisances,
+    per_record,
+    state_name,
+    state_values,
+    within,
+)
 from harness.diagnosis.forms.predictive import Predictive, predictive, spread_of
 from harness.diagnosis.forms.robust import coloured_deviations
 from harness.diagnosis.forms.suspects import lost_signs, piled_up
@@ -323,6 +332,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             ),
             beyond=best.beyond,
             free_run=not self.latent,
+            beside=beside(effects, best),
         )
         repeating = [placed for placed in effects if per_record([placed], "phase")]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured

@@ -13,7 +13,7 @@ from harness.effects.parameter import Role
 from harness.physics.compiled.kalman_pass import Pass
 from harness.physics.fitting.maximum import LikelihoodFit, Point
 
-__all__ = ["awake", "known", "nuisances", "per_record", "state_name", "state_values", "untold", "within"]
+__all__ = ["awake", "beside", "known", "nuisances", "per_record", "state_name", "state_values", "untold", "within"]
 
 
 def state_name(number: int, name: str) -> str:
@@ -56,6 +56,14 @@ def untold(name: str, fit: LikelihoodFit) -> bool:
     if name in fit.on_bound or name not in fit.names:
         return name in fit.on_bound
     return bool(fit.logarithmic[fit.names.index(name)]) and fit.deviation(name) > EFFORT.untold
+
+
+def beside(effects: Sequence[Placed], fit: LikelihoodFit) -> dict[str, float]:
+    """Return deviations of effects' parameters where nominal ones of which the records tell nothing are held."""
+    own = {placed.name(parameter.name) for placed in effects for parameter in placed.effect.parameters}
+    nominal = [name for name in fit.names if name in fit.system.parameter_names and name not in own]
+    lost = {name for name in nominal if name in fit.undetermined or untold(name, fit)}
+    return {name: fit.deviation_given(name, lost) for name in fit.names if lost and name in own}
 
 
 def known(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:

@@ -453,11 +453,13 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
         if name in after
     )
     share = data["explained_share"]
-    # four digits, rounded down: 100 % would be said of what leaves noise
+    # four digits, rounded down: 100 % is what leaves nothing but noise
     words = (
         f"{math.floor(1e4 * share) / 100:g} % of the validation motion is explained"
-        if share is not None
+        if share is not None and share < 1.0
         else "no free run"
+        if share is None
+        else "the validation motion is explained but for noise"
     )
     forces = [
         f"a force at {port} that nobody measured ({_short(math.hypot(force['s'], force['w']))} {force['unit']}, "

@@ -286,8 +286,9 @@ def _undetermined(name: str, neutral: float, fit: Fit) -> bool:
     """Return True for a parameter that its own standard deviation cannot tell from nothing, or from e times as much.
 
     Three values that only tell a straight line together are none of them told: a wave far longer than the travel.
+    Nominal parameters of which the records tell nothing are held.
     """
-    deviation = fit.deviations.get(name, 0.0)
+    deviation = fit.beside.get(name, fit.deviations.get(name, 0.0))
     return deviation >= (EFFORT.untold if name in fit.logarithmic else abs(fit.values[name] - neutral))
 
 

@@ -47,6 +47,9 @@ class Fit:
         By use, for each record the innovations (N, ny) and their variances (N, ny); empty where a form has none.
     deviations : dict
         Standard deviation of every free parameter, of its logarithm where ``logarithmic``.
+    beside : dict
+        The same of effects' parameters where nominal ones of which the records tell nothing are held: a scale that the
+        nominal model leaves open makes no law unknown. Empty where a form has no such values.
     logarithmic : frozenset of str
     converged : bool
     on_bound : tuple of str
@@ -79,6 +82,7 @@ class Fit:
     detail: object = field(default=None, repr=False)
     beyond: bool = False
     free_run: bool = False
+    beside: dict[str, float] = field(default_factory=dict)
 
     @property
     def model(self) -> AnySystem:

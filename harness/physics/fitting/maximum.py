@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -137,6 +138,22 @@ class LikelihoodFit:
             return float("inf")
         k = self.names.index(name)
         return float(np.sqrt(max(self.covariance[k, k], 0.0)))
+
+    def deviation_given(self, name: str, held: Collection[str]) -> float:
+        """Return the same where other estimates are held, as one who knew them had it.
+
+        Of what the records tell in combinations only, the covariance has the combinations alone: there it is known
+        already.
+        """
+        rows = [k for k, other in enumerate(self.names) if other in held and other != name]
+        k = self.names.index(name)
+        if not rows or name in self.undetermined:
+            return float(np.sqrt(max(self.covariance[k, k], 0.0)))
+        both = self.covariance[np.ix_(rows, rows)]
+        size = np.sqrt(np.maximum(np.diag(both), 1e-300))
+        along = self.covariance[k, rows] / size
+        explained = along @ np.linalg.lstsq(both / np.outer(size, size), along, rcond=1e-12)[0]
+        return float(np.sqrt(max(self.covariance[k, k] - explained, 0.0)))
 
     def interval(self, name: str, level: float = 1.96) -> tuple[float, float]:
         """Return the 95 % interval of a parameter."""
