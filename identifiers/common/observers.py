@@ -149,8 +149,8 @@ def fitted_start(
         return float(now @ now)
 
     def linearised(state: FloatArray, count: int) -> tuple[FloatArray, FloatArray] | None:
-        now = misses(state[None], count)[0]
-        jacobian = (misses(state + np.diag(steps), count) - now).T / 1e-6
+        now, *others = misses(np.vstack([state[None], state + np.diag(steps)]), count)
+        jacobian = (np.array(others) - now).T / 1e-6
         return (jacobian.T @ jacobian, jacobian.T @ now) if np.isfinite(jacobian).all() else None
 
     def moved(state: FloatArray, system: tuple[FloatArray, FloatArray], damping: float) -> FloatArray:

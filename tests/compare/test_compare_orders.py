@@ -33,7 +33,7 @@ def data(order: int, noise: float, seed: int, scale: float = 1.0) -> Dataset:
     return Dataset("known order", tuple(runs))
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(order=st.integers(2, 5), noise=st.sampled_from([0.01, 0.1]), seed=st.integers(0, 10_000))
 def test_a_known_order_is_suggested_and_no_unit_changes_it(order: int, noise: float, seed: int) -> None:
     found = order_selection(data(order, noise, seed), identifiers=("arx", "n4sid"), orders=range(1, 8))

@@ -103,6 +103,7 @@ def test_friction_in_proportion_to_the_load_is_found_with_its_size(levers: dict[
     assert effect["parameters"]["mu"]["value"] == pytest.approx(0.15, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_joint_that_pauses_for_half_of_the_time_is_judged(levers: dict[str, ArmModel]) -> None:
     data = records(levers["heavy"], lambda v, _: 0.8 * np.tanh(v / 1e-3) + 0.5 * v, pause=0.45)
     report = close_loop(data, levers["heavy"])

@@ -87,6 +87,7 @@ LARGE = Servo(kt=1.66, resistance=3.16, inertia=0.0347, weight=1.5, stiffness=19
               level=0.085, slow=0.23, speed=1.5, power=1.33)  # fmt: skip
 
 
+@pytest.mark.slow
 def test_friction_that_grows_with_the_torque_in_a_gear_is_named_with_its_sizes() -> None:
     """It was called a friction that depends on the angle, with an error fifteen times as large."""
     report = close_loop(SMALL.data(), SMALL.nominal())

@@ -190,6 +190,7 @@ def test_options_that_make_no_sense_and_unstable_plants_are_refused_in_words():
         NeuralOutputError().fit([cascade(20, 0)], rng=np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_the_contract():
     options = dict(order=2, hidden=2, outside=1, starts=2, members=2, iterations=30, ridge=0.01)
     results = check_identifier(

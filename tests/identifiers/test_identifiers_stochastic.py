@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from harness import registry
 from harness.conformance import check_identifier
@@ -49,6 +50,7 @@ def test_without_a_disturbance_it_simulates_as_output_error_does() -> None:
     assert errors[0] < 1.02 * errors[1]
 
 
+@pytest.mark.slow
 def test_it_keeps_the_contract() -> None:
     results = check_identifier(lambda: registry.create("identifiers", "maximum-likelihood"), examples=1)
     assert not [f"{one.name}: {one.reason}" for one in results if not one.passed]

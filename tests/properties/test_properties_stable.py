@@ -57,6 +57,7 @@ def growth(model):
 
 
 @pytest.mark.parametrize("case", METHODS, ids=str)
+@settings(max_examples=8)
 @given(growing())
 def test_stable_means_stable_and_no_change_where_there_is_no_need(case, data):
     name, options = case
