@@ -18,7 +18,7 @@ from harness.diagnosis.search.refusal import OF_ESTIMATION_AND_VALIDATION, Kind,
 from harness.diagnosis.search.scores import Lead, score_test
 from harness.diagnosis.search.table import Accepted, Answer, Round, Table, named, value
 from harness.diagnosis.search.ties import alike, physical, refines, tied, total
-from harness.diagnosis.search.warm import in_its_place, own_values, polished
+from harness.diagnosis.search.warm import in_its_place, own_values, polished, start_between
 from harness.diagnosis.stand_in import same_whole
 from harness.effects.effect import Placed
 
@@ -297,7 +297,8 @@ def specialise(table: Table, answer: Answer) -> Answer:
         for simple, alone in special.items():
             assert alone is not None
             model = answer.model
-            fit = table.fit([*others, simple], [{**model.values, **own_values(simple, alone)}], model, model)
+            starts = [start_between(simple, alone, rich, model), {**model.values, **own_values(simple, alone)}]
+            fit = table.fit([*others, simple], starts, model, model)
             if fit is None or not table.lawful(fit):
                 continue
             trial = answer.exchanged(number, simple, fit, earlier.found)
