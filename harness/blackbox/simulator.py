@@ -60,6 +60,7 @@ class FmuSimulator:
     def __init__(self, system: FmuSystem, runner: Runner) -> None:
         self.system, self.runner = system, runner
         self.dt, self.substeps, self.intersample = runner.sample_time, 1, "zoh"
+        self.pieces = 1
         self.spec = PlantSpec(system.inputs, system.outputs, self.dt, system.states)
         self.nx, self.np = system.nx, system.np
         self.sampled = SampledBlocks(cast(Any, system), self.dt)
@@ -92,6 +93,10 @@ class FmuSimulator:
     def state_columns(self) -> range:
         """The columns of (p, x0) that are initial states."""
         return range(self.np, self.np + self.nx)
+
+    def seen(self, u: FloatArray, p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
+        """Return the inputs that the FMU sees, held over its communication steps, and their Jacobian by delays."""
+        return self.sampled.inputs(u, p, jacobian)
 
     def hidden_start(self, x: Any, u: Any, p: Any) -> FloatArray:
         """Return where the hidden states of effects start (hidden_count,), x being a whole state."""

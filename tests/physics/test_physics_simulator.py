@@ -14,6 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from harness.effects import builtin, compose
+from harness.effects.effect import Placed
 from harness.errors import InputError
 from harness.fmi.build import compiler
 from harness.physics import Parameter, SampledBlock, models
@@ -50,7 +52,7 @@ def test_windows_with_a_late_input_are_run_alike_with_and_without_sensitivities(
     p = system.vector()[None]
     for backend in ("c", "casadi") if compiler() else ("casadi",):
         simulator = system.simulator(0.01, substeps=2, intersample=intersample, backend=backend)
-        late, by_delays = simulator.sampled.inputs(u[None], p, True)
+        late, by_delays = simulator.seen(u[None], p, True)
         given = p, x0[None], late, by_delays, np.zeros(1)
         with_them, without = (simulator.windows(*given, sensitivities=wanted) for wanted in (True, False))
         assert with_them[2] is not None
@@ -323,3 +325,21 @@ def test_dry_friction_reverses_within_a_step_without_losing_accuracy(width):
     slow = rubbing.simulator(0.004, substeps=1, backend="casadi").rollout(p, [0.3, 0.0], u)
     assert np.abs(plain - fine).max() < 1e-4
     assert np.array_equal(plain, slow)
+
+
+@given(parts=st.integers(0, 600), seed=st.integers(0, 1000))
+def test_a_held_input_that_arrives_within_a_sample_moves_a_mass_as_one_that_does(parts: int, seed: int) -> None:
+    """The mean over the sample put a light joint 0.3 mrad aside at every step of its command, a spring's work."""
+    system, fine = models.cart_pole().system(), 200  # parts of a sample, each of which holds its input
+    delay = 0.01 * parts / fine
+    late = compose(system, [Placed(builtin()["input_delay"], "u", {"tau": delay})])
+    u, x0 = excitation(system, 40, seed)
+    u *= 10.0
+    found = late.simulator(0.01, backend="casadi").rollout(late.vector(), x0, u)
+    held = np.repeat(u, fine, axis=0)
+    moved = np.concatenate([np.repeat(held[:1], parts, axis=0), held])[: (len(u) - 1) * fine + 1]
+    truth = system.simulator(0.01 / fine, backend="casadi", substeps=1).rollout(system.vector(), x0, moved)[::fine]
+    mean = system.simulator(0.01, backend="casadi").rollout(
+        system.vector(), x0, delayed(u[:, 0], delay, 0.01)[0][:, None]
+    )
+    assert np.sqrt(np.mean((found - truth) ** 2)) <= 0.2 * np.sqrt(np.mean((mean - truth) ** 2)) + 1e-7

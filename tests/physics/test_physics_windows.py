@@ -72,9 +72,10 @@ def reference(windows, p, x0):
     rows = []
     for row, (number, first, last) in enumerate(windows.places):
         run = windows.trajectories[number]
-        u, input_jacobian = simulator.sampled.inputs(run.u[None], p[None], True)
-        cut = None if input_jacobian is None else input_jacobian[:, first:last]
-        x, y, s = simulator.windows(p[None], x0[row][None], u[:, first:last], cut, run.t[first : first + 1])
+        u, input_jacobian = simulator.seen(run.u[None], p[None], True)
+        part = slice(first * simulator.pieces, (last - 1) * simulator.pieces + 1)
+        cut = None if input_jacobian is None else input_jacobian[:, part]
+        x, y, s = simulator.windows(p[None], x0[row][None], u[:, part], cut, run.t[first : first + 1])
         r = run.y[first:last] - y[0]
         for column, channel in enumerate(simulator.spec.outputs):
             if channel.period is not None:

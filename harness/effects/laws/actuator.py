@@ -77,7 +77,7 @@ def rate_limit(u: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     "input",
     [par("tau", "s", scale="2 dt", sign="+", minimum=0.0, neutral=0.0, main=True, grid=(1.0, 0.5, 3.0, 8.0),
          meaning="delay")],
-    formula="u'(t) = u(t - tau); between samples the neighbouring held inputs are blended in proportion",
+    formula="u'(t) = u(t - tau); a held input changes within a sample, to a quarter of it",
     family=("actuator_lag", "sensor_delay", "rate_limit"),
     same_as={"sensor_delay": "in open loop, but for the response to the initial state"},
     limits={"actuator_lag": "at frequencies far below 1/tau"},

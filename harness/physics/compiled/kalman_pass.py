@@ -280,15 +280,12 @@ class KalmanPass:
         key = tuple(p[list(self.sampled.delay_columns)])
         for known, delays, u, input_jacobian in self._seen:
             if known is record and delays == key:
-                return u, input_jacobian, self.substeps if self.intersample == "smooth" else 1
-        seen, input_jacobians = self.sampled.inputs(np.ascontiguousarray(record.u)[None], p[None], True)
-        if self.intersample == "smooth":
-            seen = self.simulator.refined(seen)
-            input_jacobians = None if input_jacobians is None else self.simulator.refined(input_jacobians)
+                return u, input_jacobian, self.simulator.pieces
+        seen, input_jacobians = self.simulator.seen(record.u[None], p[None], True)
         u = np.ascontiguousarray(seen[0])
         input_jacobian = None if input_jacobians is None else np.ascontiguousarray(input_jacobians[0])
         self._seen = [*self._seen[-7:], (record, key, u, input_jacobian)]
-        return u, input_jacobian, self.substeps if self.intersample == "smooth" else 1
+        return u, input_jacobian, self.simulator.pieces
 
     def _in_casadi(
         self, record: Trajectory, given: dict[str, Any], made: Filtered, columns: Any, every: int

@@ -31,7 +31,7 @@ _MAXIMUM_SUBSTEPS = 50
 _OVER = 5.0
 """Time constants in a sample after which nothing is left of a decay."""
 # A smooth input is followed in at least so many straight pieces per sample.
-_SMOOTH_PIECES = 4
+_PIECES = 4
 
 
 def default_substeps(system: Equations, dt: float, p: FloatArray | None = None, *, followed: float = math.inf) -> int:
@@ -137,11 +137,13 @@ class Simulator:
         self.nx, self.np, self.parameter_names = system.nx, system.np, system.parameter_names
         self.dt, self.intersample = float(dt), intersample
         self.substeps = default_substeps(system, dt) if substeps is None else int(substeps)
-        if intersample == "smooth":
-            self.substeps = max(self.substeps, _SMOOTH_PIECES)
+        self.functions, self.sampled = Functions(system), SampledBlocks(system, self.dt, held=intersample == "zoh")
+        fine = intersample == "smooth" or (intersample == "zoh" and bool(self.sampled.input_delays))
+        self.substeps = max(self.substeps, _PIECES) if fine else self.substeps
+        self.pieces = self.substeps if fine else 1
         self.backend = backend
         self._finer: list[tuple[FloatArray, FloatArray]] = []
-        self.functions, self.sampled = Functions(system), SampledBlocks(system, self.dt, held=intersample == "zoh")
+        self._between = SampledBlocks(system, self.dt / self.pieces)
         self._compilation: dict[bool, Compilation] = {}
         self._work = 0
         self._compiles = compiles()
@@ -225,7 +227,7 @@ class Simulator:
         start = self._fit(x0, "initial state", m, self.nx, batch)
         values = self._fit(p, "parameters", m, self.np, np.ndim(p) == 2)
         times = np.ascontiguousarray(np.broadcast_to(np.asarray(t0, dtype=float), (m,)))
-        seen, input_jacobian = self.sampled.inputs(inputs, values, sensitivities)
+        seen, input_jacobian = self.seen(inputs, values, sensitivities)
         x, y, s = self.windows(values, start, seen, input_jacobian, times, sensitivities=sensitivities)
         return (x, y, s) if batch else (x[0], y[0], None if s is None else s[0])
 
@@ -239,15 +241,15 @@ class Simulator:
         *,
         sensitivities: bool = True,
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Return states, outputs and sensitivities of windows whose inputs are delayed already.
+        """Return states, outputs and sensitivities of windows whose inputs are as the equations see them.
 
         Parameters
         ----------
         p : array (M, np)
         x0 : array (M, nx)
-        u : array (M, N, nu)
-            As the equations see them, see :class:`harness.physics.compiled.sampled.SampledBlocks`.
-        input_jacobian : array (M, N, nu, delays) or None
+        u : array (M, rows, nu)
+            See :meth:`seen`.
+        input_jacobian : array (M, rows, nu, delays) or None
             Derivatives of u by the delays.
         t0 : array (M,)
         sensitivities : bool
@@ -257,17 +259,13 @@ class Simulator:
         X (M, N, nx), Y (M, N, ny), S (M, N, ny, np + nx) or None
             All contiguous; shapes are not checked.
         """
-        seen = np.ascontiguousarray(u)
+        seen, pieces = np.ascontiguousarray(u), self.pieces
         input_jacobian = None if input_jacobian is None else np.ascontiguousarray(input_jacobian)
-        m, n = seen.shape[:2]
-        library = self._library(sensitivities, m * n)
+        library = self._library(sensitivities, seen.shape[0] * self.samples(seen.shape[1]))
         run = self._in_casadi if library is None else functools.partial(self._in_c, library)
-        if self.intersample != "smooth":
-            x, y, s = run(Given(p, x0, seen, input_jacobian, t0), sensitivities, self.dt, self.substeps)
-        else:
-            pieces = self.substeps
-            seen, input_jacobian = self.refined(seen), None if input_jacobian is None else self.refined(input_jacobian)
-            x, y, s = run(Given(p, x0, seen, input_jacobian, t0), sensitivities, self.dt / pieces, 1)
+        given = Given(p, x0, seen, input_jacobian, t0)
+        x, y, s = run(given, sensitivities, self.dt / pieces, 1 if pieces > 1 else self.substeps)
+        if pieces > 1:
             x, y = np.ascontiguousarray(x[:, ::pieces]), np.ascontiguousarray(y[:, ::pieces])
             s = None if s is None else np.ascontiguousarray(s[:, ::pieces])
         y, s = self.sampled.outputs(y, s, p)
@@ -286,11 +284,8 @@ class Simulator:
         possible = self.backend != "casadi" and self._compiles and not self.sampled.output_blocks
         if not possible or (library := self._compiled(True).library()) is None:
             return None
-        m, n, ny, ns = u.shape[0], u.shape[1], self.spec.ny, self.np + self.nx
-        smooth = self.intersample == "smooth"
-        substeps, every = (1, self.substeps) if smooth else (self.substeps, 1)
-        if smooth:
-            u, input_jacobian = self.refined(u), None if input_jacobian is None else self.refined(input_jacobian)
+        m, n, ny, ns = u.shape[0], self.samples(u.shape[1]), self.spec.ny, self.np + self.nx
+        substeps, every = (1, self.pieces) if self.pieces > 1 else (self.substeps, 1)
         found = Sums(np.zeros(m), np.zeros(ny), np.zeros((m, ns, ns)), np.zeros((m, ns)), budget, None, None, None)
         if keep:
             found.states, found.residuals = np.empty((m, n, self.nx)), np.empty((m, n, ny))
@@ -319,6 +314,34 @@ class Simulator:
         if array.ndim == 1:
             array = np.broadcast_to(array, (m, size))
         return np.ascontiguousarray(array)
+
+    def samples(self, rows: int) -> int:
+        """Return the samples that so many rows of inputs belong to."""
+        return (rows - 1) // self.pieces + 1
+
+    def seen(self, u: FloatArray, p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
+        """Return the inputs that the equations see, delayed, and if wanted their Jacobian by the delays.
+
+        A held input that arrives within a sample is not its mean over the sample: a mass that it pushes at once ends
+        elsewhere. So each sample has several rows then, as it has where inputs move between samples.
+
+        Parameters
+        ----------
+        u : array (M, N, nu)
+        p : array (M, np)
+        jacobian : bool
+
+        Returns
+        -------
+        array (M, (N - 1) pieces + 1, nu), array (M, (N - 1) pieces + 1, nu, delays) or None
+        """
+        if self.pieces > 1 and self.intersample == "zoh":
+            held = np.repeat(u, self.pieces, axis=1)[:, : (u.shape[1] - 1) * self.pieces + 1]
+            return self._between.inputs(np.ascontiguousarray(held), p, jacobian)
+        seen, by_delays = self.sampled.inputs(np.ascontiguousarray(u), p, jacobian)
+        if self.pieces > 1:
+            return self.refined(seen), None if by_delays is None else self.refined(by_delays)
+        return seen, by_delays
 
     def refined(self, signal: FloatArray) -> FloatArray:
         """Return a signal (M, N, ...) on the finer grid of its quintic spline, ((N - 1) substeps + 1) samples.

@@ -91,7 +91,9 @@ class Windows:
         ]
         self._u: list[FloatArray] | None = None
         if not simulator.sampled.input_delays:
-            self._u = [self._cut(group, [record.u for record in self.trajectories]) for group in self.groups]
+            nothing = simulator.system.vector()[None]
+            seen = [simulator.seen(record.u[None], nothing, False)[0][0] for record in self.trajectories]
+            self._u = [self._cut(group, seen, simulator.pieces) for group in self.groups]
 
     def __len__(self) -> int:
         return len(self.places)
@@ -101,8 +103,10 @@ class Windows:
         """Number of scalar measurements."""
         return sum(len(record) * record.spec.ny for record in self.trajectories)
 
-    def _cut(self, group: Group, arrays: list[FloatArray]) -> FloatArray:
-        return np.stack([arrays[r][k : k + group.length] for r, k in zip(group.record, group.first, strict=True)])
+    def _cut(self, group: Group, arrays: list[FloatArray], each: int = 1) -> FloatArray:
+        """Return the part of every record's array that belongs to a window, ``each`` rows from sample to sample."""
+        rows = (group.length - 1) * each + 1
+        return np.stack([arrays[r][k * each : k * each + rows] for r, k in zip(group.record, group.first, strict=True)])
 
     def _inputs(self, p: FloatArray) -> tuple[list[FloatArray], list[FloatArray | None]]:
         """Return the inputs that the equations see; delays reach back beyond the window into the record."""
@@ -110,12 +114,12 @@ class Windows:
             return self._u, [None] * len(self.groups)
         seen, input_jacobians = [], []
         for record in self.trajectories:
-            u, input_jacobian = self.simulator.sampled.inputs(record.u[None], p[None], True)
+            u, input_jacobian = self.simulator.seen(record.u[None], p[None], True)
             assert input_jacobian is not None
             seen.append(u[0])
             input_jacobians.append(input_jacobian[0])
-        inputs = [self._cut(group, seen) for group in self.groups]
-        return inputs, [self._cut(group, input_jacobians) for group in self.groups]
+        inputs = [self._cut(group, seen, self.simulator.pieces) for group in self.groups]
+        return inputs, [self._cut(group, input_jacobians, self.simulator.pieces) for group in self.groups]
 
     def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False, jacobian: bool = False) -> Evaluation:
         """Simulate all windows.
