@@ -342,4 +342,4 @@ def test_a_held_input_that_arrives_within_a_sample_moves_a_mass_as_one_that_does
     mean = system.simulator(0.01, backend="casadi").rollout(
         system.vector(), x0, delayed(u[:, 0], delay, 0.01)[0][:, None]
     )
-    assert np.sqrt(np.mean((found - truth) ** 2)) <= 0.2 * np.sqrt(np.mean((mean - truth) ** 2)) + 1e-7
+    assert np.sqrt(np.mean((found - truth) ** 2)) <= 0.3 * np.sqrt(np.mean((mean - truth) ** 2)) + 1e-7
