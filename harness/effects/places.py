@@ -95,6 +95,8 @@ def obstacle(system: System, effect: Effect, port: Port) -> str | None:
     """Return the reason why an effect of the right kind does not fit a port; None if it does."""
     if port.kind == "input" and "coordinate" in effect.kinds and system.driven_by(port.name) is not None:
         return "it acts on the coordinate that this input drives"
+    if port.kind == "input" and "process" in effect.kinds and (fed := _fed_by(system, port.name)) is not None:
+        return f"it acts on {fed}, which this input feeds"
     if port.kind in ("coordinate", "output") and effect.angles and port.unit != "rad":
         return "it needs an angle"
     if port.kind == "coordinate":
@@ -112,6 +114,18 @@ def obstacle(system: System, effect: Effect, port: Port) -> str | None:
     if port.kind == "process" and effect.downstream and system.process[-1] == port.name:
         return "nothing lies downstream"
     return None
+
+
+def _fed_by(system: System, name: str) -> str | None:
+    """Return the first process state whose rate an input changes; None if there is none."""
+    import casadi as ca
+
+    if not system.process:
+        return None
+    column = system.u[[channel.name for channel in system.inputs].index(name)]
+    states = [channel.name for channel in system.states]
+    fed = (one for one in system.process if ca.depends_on(system.f[states.index(one)], column))
+    return next(fed, None)
 
 
 def _missing(system: System, effect: Effect, port: Port) -> str | None:
