@@ -1,4 +1,4 @@
-"""Forces from outside that do not depend on the motion."""
+"""Forces and flows from outside that do not depend on the motion."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ __all__ = ["force_step", "periodic_disturbance"]
             meaning="phase at time 0 of a record",
         ),
     ],
-    formula="F = A sin(omega t + phi) (at an input: u' = u + F)",
+    formula="F = A sin(omega t + phi) (at an input: u' = u + F; at a process state: x' = r + F)",
     family=("cogging", "sensor_offset"),
     limits={"cogging": "at constant speed"},
     experiment="no excitation at all: the line stays; its phase is refitted on each record",
     told_by=("rest",),
 )
 def periodic_disturbance(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
-    """Sinusoidal force from outside (unbalance of a neighbour, mains)."""
+    """Sinusoidal force or flow from outside (unbalance of a neighbour, mains, sun)."""
     return p.A * sin(p.omega * t + p.phi)
 
 
 @effect(
     ("coordinate", "process"),
-    [par("F", "F", scale="0.1 F", neutral=0.0, main=True, linear=True, meaning="force that comes"), *CHANGE],
-    formula="F = F step((t - t0)/w)",
+    [par("F", "F", scale="0.1 F", neutral=0.0, main=True, linear=True, meaning="force or flow that comes"), *CHANGE],
+    formula="F = F step((t - t0)/w) (at a process state: x' = r + F)",
     family=("force_bias", "payload_step", "sensor_drift"),
     same_as={"parameter": "if t0 lies outside the record: a constant force of the nominal"},
     limits={"force_bias": "where it is there from the beginning of every record"},
@@ -59,5 +59,5 @@ def periodic_disturbance(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
     told_by=("rest",),
 )
 def force_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
-    """Constant force that sets in during a record: a cable that catches, a weight hung on, a brake that drags."""
+    """Constant force or flow that sets in during a record: a cable that catches, a weight, an open valve."""
     return p.F * sigmoid((t - p.t0) / p.w)
