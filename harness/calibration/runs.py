@@ -92,6 +92,7 @@ class FreeRuns:
         self.parameter_names = model.parameter_names
         self.spec = PlantSpec(model.inputs, model.outputs, self.dt, model.states)
         self.sampled = SampledBlocks(cast(Any, model), self.dt)
+        self.pieces = 1
         self.central = False
         self.count = 0
         self._outputs = [_place(plant.spec.outputs, channel, "output") for channel in model.outputs]
@@ -102,6 +103,10 @@ class FreeRuns:
         self.broken: HarnessError | None = None
         self.own: OwnSlopes | None = None
         """Where it is set, the columns that it is trusted with cost no runs of their own."""
+
+    def seen(self, u: FloatArray, p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
+        """Return the inputs that the plant sees, held over its communication steps, and their Jacobian by delays."""
+        return self.sampled.inputs(u, p, jacobian)
 
     def run(self, p: FloatArray, x0: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (N, ny) of one free run; NaN from where the plant breaks."""

@@ -91,7 +91,7 @@ class Windows:
         ]
         self._u: list[FloatArray] | None = None
         if not simulator.sampled.input_delays:
-            nothing = simulator.system.vector()[None]
+            nothing = np.zeros((1, simulator.np))
             seen = [simulator.seen(record.u[None], nothing, False)[0][0] for record in self.trajectories]
             self._u = [self._cut(group, seen, simulator.pieces) for group in self.groups]
 
