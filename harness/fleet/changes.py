@@ -102,8 +102,8 @@ def changes(rows: Sequence[Row]) -> list[Change]:
     lines = [line for line in lines if len(line[2]) > 1]
     found = []
     for machine, own, points in lines:
-        day, size, deviation = np.array([point[1:] for point in points]).T
-        shape, place, before, after, p = _likeliest(day, size, deviation)
+        when, size, deviation = np.array([point[1:] for point in points]).T
+        shape, place, before, after, p = _likeliest(when, size, deviation)
         p = min(1.0, p * len(lines))
         if p < LEVEL:
             found.append(Change(machine, own, shape, points[place][0], before, after, p))
@@ -157,14 +157,14 @@ def odd_machines(rows: Sequence[Row]) -> list[Odd]:
 
 
 def _dated(series: Series) -> dict[str, list[tuple[Row, float, float, float]]]:
-    """Return by machine the records that have a date, a size and an interval: row, day, size, deviation."""
+    """Return by machine the records that have a date, a size and an interval: row, instant [s], size, deviation."""
     machines: dict[str, list[tuple[Row, float, float, float]]] = {}
     for row, effect in series.rows:
         if row.date is None or effect.size is None or effect.low is None or effect.high is None:
             continue
         if effect.high > effect.low:
-            day = datetime.fromisoformat(row.date).timestamp() / 86400.0
-            point = (row, day, effect.size, (effect.high - effect.low) / (2 * NORMAL))
+            when = datetime.fromisoformat(row.date).timestamp()
+            point = (row, when, effect.size, (effect.high - effect.low) / (2 * NORMAL))
             machines.setdefault(row.machine, []).append(point)
     return machines
 
@@ -185,7 +185,7 @@ def _mean(series: Series, machine: str) -> tuple[float, float] | None:
     return mean, error
 
 
-def _likeliest(day: FloatArray, size: FloatArray, deviation: FloatArray) -> tuple[str, int, float, float, float]:
+def _likeliest(when: FloatArray, size: FloatArray, deviation: FloatArray) -> tuple[str, int, float, float, float]:
     """Return shape, record, levels before and after, and probability of the shape that is least by chance."""
     from scipy.stats import norm, t
 
@@ -209,22 +209,22 @@ def _likeliest(day: FloatArray, size: FloatArray, deviation: FloatArray) -> tupl
         found.append(
             ("step", cut, float(before), float(after), chance(abs(after - before) / np.hypot(one, two), n - 1))
         )
-    if n > 2 and np.ptp(day) > 0:
-        centre = np.average(day, weights=weight)
-        spread = float(weight @ (day - centre) ** 2)
+    if n > 2 and np.ptp(when) > 0:
+        centre = np.average(when, weights=weight)
+        spread = float(weight @ (when - centre) ** 2)
         level = float(np.average(size, weights=weight))
-        slope = float(weight @ ((day - centre) * size)) / spread
-        ends = [level + slope * (end - centre) for end in (day[0], day[-1])]
+        slope = float(weight @ ((when - centre) * size)) / spread
+        ends = [level + slope * (end - centre) for end in (when[0], when[-1])]
         found.append(("drift", n - 1, float(ends[0]), float(ends[1]), chance(abs(slope) * spread**0.5, 1)))
     for k in range(n) if n >= FEWEST else ():
         others = np.delete(np.arange(n), k)
         middle = float(np.median(size[others]))
         error = np.hypot(sure[k], 1.2533 * float(np.median(sure[others])) / np.sqrt(n - 1))  # of a median
         found.append(("outlier", k, middle, float(size[k]), chance(abs(size[k] - middle) / error, n)))
-    return min(found, key=lambda one: (_left(one, day, size, weight), one[4])) if n > 2 else found[0]
+    return min(found, key=lambda one: (_left(one, when, size, weight), one[4]))
 
 
-def _left(found: tuple[str, int, float, float, float], day: FloatArray, size: FloatArray, weight: FloatArray) -> float:
+def _left(found: tuple[str, int, float, float, float], when: FloatArray, size: FloatArray, weight: FloatArray) -> float:
     """Return what a shape leaves unexplained: the shapes are compared by it, as each adds one number to a level."""
     shape, place, before, after, _ = found
     told = np.full(len(size), before)
@@ -235,5 +235,5 @@ def _left(found: tuple[str, int, float, float, float], day: FloatArray, size: Fl
         kept = np.delete(np.arange(len(size)), place)
         told[kept] = np.average(size[kept], weights=weight[kept])
     else:
-        told = before + (after - before) * (day - day[0]) / (day[-1] - day[0])
+        told = before + (after - before) * (when - when[0]) / (when[-1] - when[0])
     return float(weight @ (size - told) ** 2)

@@ -44,15 +44,15 @@ def test_every_error_costs_and_the_cost_is_that_of_a_simulation():
     for model in (PLANT, wrong):
         gain = lqr_gain(model.a_matrix, B, C.T @ q @ C, r)
         watch = kalman_gain(model.a_matrix, C, B @ B.T, sensor)
-        x, guess, total = np.zeros(3), np.zeros(3), 0.0
+        loop = np.block(
+            [[A, -B @ gain], [watch @ C, model.a_matrix - B @ gain - watch @ C]]
+        )  # of the plant and its guess
         draw = np.random.default_rng(2)
-        for _ in range(60_000):
-            u = -gain @ guess
-            total += float((C @ x) @ (C @ x) + u @ u)
-            y = C @ x + 0.1 * draw.normal(size=2)
-            guess = model.a_matrix @ guess + B @ u + watch @ (y - C @ guess)
-            x = A @ x + B @ (u + draw.normal(size=1))
-        costs.append(total)
+        pushes = np.hstack([draw.normal(size=(60_000, 1)) @ B.T, 0.1 * draw.normal(size=(60_000, 2)) @ watch.T])
+        states = np.zeros((60_001, 6))
+        for k, push in enumerate(pushes):
+            states[k + 1] = loop @ states[k] + push
+        costs.append(np.sum((states[:, :3] @ C.T) ** 2) + np.sum((states[:, 3:] @ gain.T) ** 2))
     assert costs[1] / costs[0] == pytest.approx(worse.ratio, rel=0.05)
 
 

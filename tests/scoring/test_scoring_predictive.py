@@ -64,30 +64,30 @@ def test_the_randomised_set_holds_exactly_its_level(k, level, seed):
 
 def test_the_true_model_is_calibrated_and_beats_every_distortion():
     true = process()
-    data = simulate_finite(true, 20_000, rng=np.random.default_rng(1))
+    data = simulate_finite(true, 6000, rng=np.random.default_rng(1))
     ones = np.ones(true.P.shape[:2])
     honest = probability_score(MdpModel(true.spec, true.P, ones), data)
     sharp = true.P**2 / (true.P**2).sum(axis=2, keepdims=True)
     for wrong in (sharp, 0.5 * true.P + 0.5 / 4):
         assert probability_score(MdpModel(true.spec, wrong, ones), data).log_score[0] < honest.log_score[0]
-    assert honest.coverage[:, 0] == pytest.approx(honest.levels, abs=0.01)
+    assert honest.coverage[:, 0] == pytest.approx(honest.levels, abs=0.015)
     assert probability_score(MdpModel(true.spec, sharp, ones), data).coverage[2, 0] < 0.87
     assert honest.skill[0] > 0.05
     good, bad = (reliability(MdpModel(true.spec, p, ones), data) for p in (true.P, sharp))
-    assert good.calibration_error < 0.01 < 0.05 < bad.calibration_error
+    assert good.calibration_error < 0.02 < 0.05 < bad.calibration_error
     assert good.count.sum() == 4 * (len(data) - 1)
 
 
 def test_the_expected_log_score_is_minus_the_entropy_rate():
     true = process()
-    data = simulate_finite(true, 40_000, rng=np.random.default_rng(2))
+    data = simulate_finite(true, 10_000, rng=np.random.default_rng(2))
     mixed = true.P.mean(axis=1)
     values, vectors = np.linalg.eig(mixed.T)
     pi = np.real(vectors[:, np.argmax(values.real)])
     pi /= pi.sum()
     rate = -np.einsum("s,sat,sat->", pi / 2, true.P, np.log(true.P))
     found = probability_score(MdpModel(true.spec, true.P, np.ones((4, 2))), data).log_score[0]
-    assert found == pytest.approx(-rate, abs=0.02)
+    assert found == pytest.approx(-rate, abs=0.03)
 
 
 def test_what_was_called_impossible_costs_everything_and_is_counted():
