@@ -137,6 +137,17 @@ OUTPUTS: dict[str, tuple[str, Fault]] = {
         lambda y, s, r: y[np.maximum.accumulate(np.where(r.random(len(y)) < 0.95, np.arange(len(y)), 0))],
     ),
     "stuck": ("stuck", lambda y, s, r: _at(y, len(y) // 3 + np.arange(60), y[len(y) // 3])),
+    "stuck in four places": (
+        "stuck",
+        lambda y, s, r: y[
+            np.maximum.accumulate(
+                np.where(
+                    np.any([abs(np.arange(len(y)) - k * len(y) // 5 - 6 * k) < 6 * k for k in range(1, 5)], 0), 0, 1
+                )
+                * np.arange(len(y))
+            )
+        ],
+    ),
     "clipped above": ("rail", lambda y, s, r: np.minimum(y, np.quantile(y, 0.9))),
     "clipped below": ("rail", lambda y, s, r: np.maximum(y, np.quantile(y, 0.1))),
     "coarse": ("step", lambda y, s, r: np.round(y / (0.1 * s)) * 0.1 * s),

@@ -22,7 +22,7 @@ NOISES = (0.0, 1e-4, 0.05)
 HELD = 0.7
 """Input that never moves."""
 REMEDY = (
-    "refuse them (harness.judgement.refuse_law, refuse_still), or say so in the model's notes under 'warning', as the "
+    "refuse them (harness.judgement.refuse_law), or say so in the model's notes under 'warning', as the "
     "decorator @told of identifiers.common.judge.told does on fit"
 )
 RIGHT = 0.5
@@ -47,10 +47,7 @@ def feedback_told(subject: Subject) -> None:
 
 
 def stillness_told(subject: Subject) -> None:
-    """Demand the same where the inputs never move, and something else moves the plant.
-
-    :func:`harness.judgement.refuse_still` tells.
-    """
+    """Demand the same where the inputs never move, and something else moves the plant."""
     records = [_record(seed, np.zeros((1, 2)), dither=0.0, noise=0.05, held=HELD) for seed in (0, 1)]
     _demand_a_word(subject, records, "the input never moved")
 

@@ -23,7 +23,7 @@ _ROWS = 3
 
 
 def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float = 2.0) -> None:
-    """Raise if an input is nothing but the answer of a controller to the measured outputs.
+    """Raise if an input never moves, or is nothing but the answer of a controller to the measured outputs.
 
     For identifiers that learn what the inputs do. A model of known structure, whose parameters a motion under feedback
     can tell, need not ask.
@@ -39,9 +39,10 @@ def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float
     Raises
     ------
     FitError
-        If :func:`law_of` finds a law, or inputs move together and the noise hides what each does.
+        If an input is constant, :func:`law_of` finds a law, or inputs move together and the noise hides what each does.
     """
     if least_excitation > 0:
+        _refuse_still(records, what)
         _refuse_together(records, what)
     law = law_of(records) if least_excitation > 0 else None
     if law is None:
@@ -83,6 +84,22 @@ def refuse_undetermined(records: Sequence[Trajectory], what: str, least_excitati
             )
         _refuse_late(first_rows(records), what)
     refuse_law(records, what, least_excitation)
+
+
+def _refuse_still(records: Sequence[Trajectory], what: str) -> None:
+    """Raise if an input is the same in all samples of all records."""
+    names = [
+        channel.name
+        for column, channel in enumerate(records[0].spec.inputs)
+        if all((record.u[:, column] == records[0].u[:1, column]).all() for record in records)
+    ]
+    if names:
+        raise FitError(
+            f"{what}: the data do not determine the model",
+            expected="inputs that move",
+            got=f"constant {', '.join(names)}: what an input does that never moves is not in the records",
+            remedy="excite every input, or leave it out",
+        )
 
 
 def _refuse_late(records: Sequence[Trajectory], what: str) -> None:

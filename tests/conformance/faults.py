@@ -234,11 +234,11 @@ class RoundsToTheFuture(Sound):
 class NanFromARecordAtRest(Sound):
     """A record in which nothing moves gives a model of NaN instead of a refusal."""
 
-    def model(self, spec: PlantSpec, G: FloatArray) -> Any:
-        return SoundModel(spec, np.full_like(G, np.nan) if not np.abs(G[:-1]).any() else G)
-
-    def enough(self, past: FloatArray) -> bool:
-        return True
+    def fit(self, trajectories: Records, *, rng: np.random.Generator) -> Any:
+        if not trajectories or any(np.ptp(t.y, axis=0).any() or np.ptp(t.u, axis=0).any() for t in trajectories):
+            return super().fit(trajectories, rng=rng)
+        spec = trajectories[0].spec
+        return SoundModel(spec, np.full((spec.ny + spec.nu + 1, spec.ny), np.nan))
 
 
 # ---- online identifiers -------------------------------------------------------------------------------------------

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from harness.errors import FitError
 from harness.judgement import refuse_law
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.judge.told import told
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,22 @@ class Honest:
 class TakesTheControllerForThePlant(Honest):
     def judge(self, trajectories: Sequence[Trajectory]) -> None:
         pass
+
+
+@dataclass(frozen=True)
+class NotedModel(Model):
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Decorated(TakesTheControllerForThePlant):
+    """The remedy that the checks name."""
+
+    @told
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Any:
+        return super().fit(trajectories, rng=rng)
+
+    def model(self, spec: PlantSpec, G: FloatArray) -> Any:
+        return NotedModel(spec, G)
 
 
 class MutatesData(Honest):
@@ -249,6 +266,7 @@ def test_an_honest_identifier_passes() -> None:
         (OtherSampleTime, "model_other_data_refused", "sample time"),
         (Mutable, "interface", "frozen"),
         (TakesTheControllerForThePlant, "feedback_told", "nothing else moved u"),
+        (TakesTheControllerForThePlant, "stillness_told", "the decorator @told"),
     ],
 )
 def test_each_cheat_fails_the_check_named_for_it(cheat: Callable[[], Any], check: str, words: str) -> None:
@@ -259,6 +277,13 @@ def test_each_cheat_fails_the_check_named_for_it(cheat: Callable[[], Any], check
     assert not result.passed
     assert words in result.reason, result.reason
     assert "\n" not in result.reason
+
+
+def test_the_remedy_that_a_check_names_is_one() -> None:
+    from harness.conformance import run_checks
+
+    only = [one for one in identifier_checks(examples=3) if one.name in ("feedback_told", "stillness_told")]
+    assert failed(run_checks(only, Decorated)) == {}
 
 
 def test_the_checks_are_parametrizable_and_raise() -> None:

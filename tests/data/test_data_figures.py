@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from harness.data.conditioning.decimation import filtered, hold_means
 from harness.data.conditioning.suspicion import swapped_runs, units_between_runs
@@ -97,7 +98,7 @@ def test_odd_rows_of_one_value_are_a_word_unless_ordinary_rows_read_it_too() -> 
 def test_a_sensor_that_stands_still_from_twenty_rows_on(rests: int, found: bool) -> None:
     y = slow(500, np.random.default_rng(2))
     y[200 : 200 + rests] = y[199] + 1e-6
-    assert stuck_rows(y) == ((200, rests) if found else None)
+    assert stuck_rows(y) == ([(200, rests)] if found else [])
     said = stuck(THETA, y, 0.01)
     assert len(said) == found
     if found:
@@ -109,8 +110,32 @@ def test_a_sensor_that_stands_still_from_twenty_rows_on(rests: int, found: bool)
 
 def test_rest_before_and_after_the_motion_is_no_stuck_sensor() -> None:
     y = slow(500, np.random.default_rng(2))
-    assert stuck_rows(np.r_[np.full(100, y[0]), y]) is None
-    assert stuck_rows(np.r_[y, np.full(100, y[-1])]) is None
+    assert stuck_rows(np.r_[np.full(100, y[0]), y]) == []
+    assert stuck_rows(np.r_[y, np.full(100, y[-1])]) == []
+
+
+STRETCHES = [(150, 25), (400, 25), (700, 60), (900, 200)]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_stuck_stretches_of_any_lengths_do_not_hide_each_other(noise: float) -> None:
+    rng = np.random.default_rng(3)
+    y = slow(1500, rng) + noise * rng.standard_normal(1500)
+    for first, length in [*STRETCHES, (300, 12)]:  # the last is too short to be told, and hides none
+        y[first : first + length] = y[first]
+    assert stuck_rows(y) == STRETCHES
+    assert "stands still in 4 places for 25 to 200 samples, first at" in stuck(THETA, y, 0.01)[0]
+
+
+def test_several_rests_that_are_no_fault() -> None:
+    """A coarse encoder at rest between motions, a plant that settles between steps, one that follows them at once."""
+    time = np.arange(1500)
+    moving = np.sin(0.02 * time) * (np.sin(0.003 * time) > 0.2)  # at rest for hundreds of rows, then off again
+    for step in (0.01, 0.05, 0.3):
+        assert stuck_rows(np.round(moving / step) * step) == []
+    steps = np.repeat(np.random.default_rng(4).normal(size=10), 150)
+    for pole in (0.0, 0.3, 0.8):
+        assert stuck_rows(lfilter([1 - pole], [1, -pole], steps)) == []
 
 
 def test_a_rail_is_said_with_its_rows_and_places() -> None:

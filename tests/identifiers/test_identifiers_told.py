@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from harness.judgement import feedback_of
 from harness.registry import create
 from harness.signals import Channel, PlantSpec, Trajectory
+from identifiers.common.judge.own_record import doubt_of_own_record
 
 SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
 N = 1000
@@ -42,9 +45,42 @@ def test_a_word_for_nothing_is_no_reading(name):
     assert "readings that are none: run 0: y reads" in warning(name, record(staircase(), added=once))
 
 
-@pytest.mark.parametrize("name", [*BLACK_BOXES, "arx", "n4sid", "ho-kalman", "impulse-response"])
+CALM = ("narx", "volterra", "prandtl-ishlinskii", "arx", "n4sid", "ho-kalman", "impulse-response")
+
+
+@pytest.mark.parametrize("name", CALM)
 def test_nothing_is_said_of_a_staircase(name):
     assert warning(name, record(staircase())) == ""
+
+
+def test_a_forest_that_leaves_a_sixth_of_what_the_input_does_is_said():
+    """It errs by a third under a fresh staircase; the test asks whether it is more than a tenth."""
+    assert "if it were 10 %" in warning("random-forest", record(staircase()))
+
+
+@pytest.mark.parametrize("name", ["arx", "n4sid"])
+def test_readings_that_are_none_are_noted_where_they_did_no_harm(name):
+    y = record(staircase())
+    few = y.y.copy()
+    few[400:460] = few[400]
+    notes = create("identifiers", name).fit([replace(y, y=few)], rng=np.random.default_rng(0)).notes
+    assert "warning" not in notes
+    assert "y stands still" in notes["odd_readings"]
+
+
+def test_of_right_models_one_in_a_thousand_is_warned_of():
+    """A model off by just what is right (a gain of 0.9): the error is tested, not that there is one."""
+    model = create("identifiers", "arx", order=2).fit([record(staircase())], rng=np.random.default_rng(0))
+    said = {}
+    for gain in (0.9, 0.8):
+        off = replace(model, c_matrix=model.c_matrix * gain, output_offset=model.output_offset * gain)
+        said[gain] = 0
+        for seed in range(20):
+            data = record(staircase(seed), seed)
+            whole = [np.ones(data.y.shape, dtype=bool)]
+            said[gain] += bool(doubt_of_own_record(off, [data], feedback_of([data]), whole))
+    assert said[0.9] <= 1
+    assert said[0.8] == 20
 
 
 def test_a_drift_that_no_input_makes_is_said():

@@ -144,9 +144,10 @@ def held_readings(y: FloatArray, u: FloatArray) -> Held | None:
 def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     """Return first row and length of every stretch in which a sensor stood still while it otherwise never does.
 
-    Such stretches are exceptions: far longer than nearly all others (ten times, or fifty times their mean), and less
-    than half of the rows. The signal was on its way before each, as one that settles is not, and went on at once, as
-    one that sticks does not, by more than a few steps of its readings, as an encoder at rest does not.
+    One that is ten times longer than any other, or fifty times than they are in the mean, is told by that. Several are
+    exceptions too, so much longer than nearly all others and less than half of the rows; and the signal was on its way
+    before each, as one that settles is not, and went on at once, as one that sticks does not, by more than a few steps
+    of its readings, as an encoder at rest does not.
 
     Parameters
     ----------
@@ -168,14 +169,19 @@ def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     # a plant at rest before its first and after its last excitation is no fault
     longest = (starts > 0) & (ends < len(y)) & (lengths >= max(ODD.still, 0.01 * len(y)))
     longest &= (y[starts] != y.max()) & (y[starts] != y.min())
+    sudden = longest.copy()
     for k in np.flatnonzero(longest):
         arrived = moves[max(k - _BEFORE, 0) : k].max()
-        longest[k] = min(arrived, float(moves[k])) >= ODD.on_its_way * usual and moves[k] > ODD.above_step * step
-    places = np.flatnonzero(longest)
+        sudden[k] = min(arrived, float(moves[k])) >= ODD.on_its_way * usual and moves[k] > ODD.above_step * step
+    places = np.flatnonzero(sudden)
     places = places[np.argsort(-lengths[places], kind="stable")]
-    for count in range(len(places), 0, -1):
+    for count in range(len(places), 1, -1):
         others = np.delete(lengths, places[:count])
         least = int(lengths[places[count - 1]])
         if 2 * others.sum() > len(y) and least >= min(10 * np.percentile(others, _NEARLY_ALL), 50 * np.mean(others)):
             return [(int(starts[k]), int(lengths[k])) for k in np.sort(places[:count])]
+    first = int(np.argmax(lengths))
+    others = np.delete(lengths, first)
+    if longest[first] and lengths[first] >= min(10 * int(others.max()), 50 * float(np.mean(others))):
+        return [(int(starts[first]), int(lengths[first]))]
     return []

@@ -18,7 +18,7 @@ from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import lagged_blocks
 from identifiers.common.regression import solve
 
-__all__ = ["ANSWERED", "COLOURED", "doubt_of_loop", "percent"]
+__all__ = ["ANSWERED", "COLOURED", "NEW", "doubt_of_loop", "percent"]
 
 ANSWERED = 0.05
 """Share of an input's unpredictable part that past outputs explain, from which on what is left of them biases it."""

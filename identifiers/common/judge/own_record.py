@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import HarnessError
 from harness.judgement import Feedback, moves
@@ -13,14 +14,20 @@ from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.loops import ANSWERED, COLOURED, percent
 
-__all__ = ["doubt_of_own_record"]
+__all__ = ["Readings", "doubt_of_own_record"]
 
-LEFT = 0.4
-"""What a free run leaves of what the inputs do, over that, from which on it is said: of nonlinear fits to records that
-drift (one plant) those that left less than 0.35 erred by less than half under fresh inputs, but for one."""
+Readings = npt.NDArray[np.bool_]
+"""Of a record, (N, ny)."""
+
+RIGHT = 0.1
+"""Error over what the inputs do, up to which a model is right: a fit of 90 % (1 - NRMSE). The test is whether a free
+run errs by more, not whether it errs: of models that err by no more one in a thousand is warned of (``COLOURED``),
+however long and clean the record."""
 UNEXPLAINED = 0.7
 """What a free run leaves of an output over the output, from which on a model without an order says so: half of the
 variance is none of the inputs', and such a model takes load or drift for states."""
+WORTHLESS = 1.0
+"""The same of any model: beyond it the mean of the output foretells more."""
 PAST = 8
 """Samples of its own past that foretell what is left, which may wander."""
 LAGS = 16
@@ -29,79 +36,115 @@ EACH = 4
 """Samples for each number of the test at least."""
 RUN_AWAY = 1e6
 """Times the largest output that an error of a free run is at most: beyond, squares overflow, and nothing is told."""
-CHECKED = 2_000
-"""Samples of a free run: some models take a millisecond for each."""
+CHECKED, CHECKED_SLOWLY = 2_000, 500
+"""Samples of a free run, and of a model that is not linear: some take half a millisecond for each."""
 
 
-def doubt_of_own_record(model: Any, records: Sequence[Trajectory], feedback: Feedback) -> str:
+def doubt_of_own_record(
+    model: Any, records: Sequence[Trajectory], feedback: Feedback, readings: Sequence[Readings]
+) -> str | None:
     """Return what is wrong with a model whose free runs do not answer the inputs as its records do; empty if nothing.
 
     What a free run leaves of the outputs is load, noise and error of the model. Load and noise do not follow the inputs
     where these answer no outputs; so what inputs explain of it, its own past taken away (Cochrane & Orcutt 1949, J. Am.
-    Stat. Assoc. 44:32), is error, where chance does not explain it (Ljung 1999, sec. 16.6). In a loop nothing is asked.
+    Stat. Assoc. 44:32), is error. That it is more than ``RIGHT`` of what inputs explain of the output is tested by the
+    F of the regression, which is not central where the error is just that (Kendall & Stuart 1979, *Advanced Theory of
+    Statistics* 2, sec. 24.32, with Patnaik's approximation, 1949, Biometrika 36:202). In a loop nothing is asked.
 
     Parameters
     ----------
     model : Model
     records : sequence of Trajectory
-        That it was fitted to.
+        That it was fitted to, what is no reading replaced by what its neighbours foretell.
     feedback : Feedback
         Of the records.
+    readings : sequence of array of bool (N, ny)
+        Which values of each record's outputs are readings: the others decide nothing.
+
+    Returns
+    -------
+    str or None
+        None where nothing could be asked.
     """
     if feedback.found and feedback.share > ANSWERED:
-        return ""
+        return None
+    linear = getattr(model, "matrices", None) is not None
     first = int(model.burn_in) + LAGS + PAST
-    kept, count = [], CHECKED
-    for record in records:
+    kept, good, count = [], [], CHECKED if linear else CHECKED_SLOWLY
+    for record, told in zip(records, readings, strict=True):
         if min(len(record), count) > 2 * first:
             kept.append(record[:count])
+            good.append(told[:count])
             count -= len(record)
     try:
         with np.errstate(all="ignore"):
             left = [record.y - predict(model, record, None) for record in kept]
     except HarnessError:  # a model that runs freely over none of these records says so elsewhere
-        return ""
+        return None
     if not left:
-        return ""
+        return None
     most = RUN_AWAY * max(float(np.abs(record.y).max(initial=0.0)) for record in kept)
     if not all(np.isfinite(one).all() and np.abs(one).max(initial=0.0) <= most for one in (r[first:] for r in left)):
         return "a free run over the records that the model was fitted to diverges: it is no model to simulate"
-    without_order = getattr(model, "matrices", None) is None
+    limit = WORTHLESS if linear else UNEXPLAINED
+    asked = False
     for column, channel in enumerate(records[0].spec.outputs):
-        whole, rest = (np.concatenate([one[first:, column] for one in part]) for part in ([r.y for r in kept], left))
-        if without_order and (size := float(whole.std())) > 0 and float(rest.std()) > UNEXPLAINED * size:
+        taken = [told[:, column] & (np.arange(len(told)) >= first) for told in good]
+        rest, whole = (
+            np.concatenate([one[rows, column] for one, rows in zip(part, taken, strict=True)])
+            for part in (left, [record.y for record in kept])
+        )
+        if not len(rest):
+            continue
+        if (size := float(whole.std())) > 0 and float(rest.std()) > limit * size:
             return (
                 f"a free run over the records that the model was fitted to errs by {percent(rest.std() / size)} of "
                 f"{channel.name}, whose motion is mostly not the inputs': take a drift out, or use a linear model"
+                if limit < WORTHLESS
+                else f"a free run over the records that the model was fitted to errs by more than {channel.name} moves "
+                f"({percent(rest.std() / size)}): its mean foretells more; use another method, or a longer record"
             )
-        share, chance = _answered(kept, [one[:, column] - one[first:, column].mean() for one in left], column, first)
-        if share > LEFT and chance < COLOURED / len(records[0].spec.outputs):
+        answered = _answered(kept, [one[:, column] - rest.mean() for one in left], column, first, taken)
+        if answered is None:
+            continue
+        asked, (share, chance) = True, answered
+        if share > RIGHT and chance < COLOURED / len(records[0].spec.outputs):
             return (
                 f"a free run over the records that the model was fitted to leaves {percent(share)} of what the inputs "
-                f"do to {channel.name} (probability {chance:.1g} by chance): take a drift or a level out, a better "
-                "structure, or another method"
+                f"do to {channel.name} (probability {chance:.1g} if it were {percent(RIGHT)}): take a drift or a level "
+                "out, a better structure, or another method"
             )
-    return ""
+    return "" if asked else None
 
 
 def _answered(
-    records: Sequence[Trajectory], left: Sequence[FloatArray], column: int, first: int
-) -> tuple[float, float]:
-    """Return what inputs explain of what is left over what they explain of an output, and the chance of so much."""
+    records: Sequence[Trajectory],
+    left: Sequence[FloatArray],
+    column: int,
+    first: int,
+    taken: Sequence[npt.NDArray[np.bool_]],
+) -> tuple[float, float] | None:
+    """Return what inputs explain of what is left over what they explain of an output, and the chance of so much.
+
+    The chance is that of a model whose error is ``RIGHT``. None where the readings are too few to tell.
+    """
     from scipy.stats import f
 
-    own = _ahead(left, first)
+    whole = [_unbroken(rows) for rows in taken]
+    if sum(int(rows.sum()) for rows in whole) < EACH * LAGS * records[0].spec.nu:
+        return None
+    left = [np.where(rows, one, 0.0) for one, rows in zip(left, taken, strict=True)]
+    own = _ahead(left, whole)
     at_once = int(not records[0].spec.feedthrough)
-    rows, wrong, whole = [], [], []
-    for record, one in zip(records, left, strict=True):
-        n, u = len(one), _filtered(record.u, own)
-        rows.append(np.hstack([u[first - j : n - j] for j in range(at_once, LAGS + 1)]))
-        wrong.append(_filtered(one[:, None], own)[first:])
-        whole.append(_filtered(record.y[:, column, None], own)[first:])
-    x, e, y = (np.concatenate(part) for part in (rows, wrong, whole))
+    regressors, wrong, seen = [], [], []
+    for record, one, rows in zip(records, left, whole, strict=True):
+        u = _filtered(record.u, own)
+        where = np.flatnonzero(rows)
+        regressors.append(np.hstack([u[where - j] for j in range(at_once, LAGS + 1)]))
+        wrong.append(_filtered(one[:, None], own)[where])
+        seen.append(_filtered(record.y[:, column, None], own)[where])
+    x, e, y = (np.concatenate(part) for part in (regressors, wrong, seen))
     x, e, y = (part - part.mean(axis=0) for part in (x, e, y))
-    if len(x) < EACH * x.shape[1]:
-        return 0.0, 1.0
     length = np.linalg.norm(x, axis=0)
     base, values, _ = np.linalg.svd(x / np.where(length > 0, length, 1.0), full_matrices=False)
     base = base[:, values > 1e-8 * max(float(values[0]), 1e-300)]
@@ -109,15 +152,31 @@ def _answered(
     power, answer, size = float(np.sum(e**2)), float(np.sum(told**2)), float(np.sum(said**2))
     free, count = base.shape[1], float(moves(e - base @ told)[0])
     if size == 0 or power == 0 or count <= 2 * free:
-        return 0.0, 1.0
-    ratio = answer / free / max((power - answer) / (count - free), 1e-300)
-    return float(np.sqrt(answer / size)), float(f.sf(ratio, free, count - free))
+        return None
+    noise = max((power - answer) / (count - free), 1e-300)
+    beyond = RIGHT**2 * size / noise / free  # noncentrality for each degree of freedom
+    chance = f.sf(
+        answer / free / noise / (1.0 + beyond), free * (1.0 + beyond) ** 2 / (1.0 + 2.0 * beyond), count - free
+    )
+    return float(np.sqrt(answer / size)), float(chance)
 
 
-def _ahead(left: Sequence[FloatArray], first: int) -> FloatArray:
-    """Return the coefficients (PAST,) with which what is left foretells itself."""
-    rows = [np.column_stack([one[first - j : len(one) - j] for j in range(1, PAST + 1)]) for one in left]
-    x, target = np.concatenate(rows), np.concatenate([one[first:] for one in left])
+def _unbroken(taken: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return the rows that are readings, as are all whose past is asked for."""
+    found = taken.copy()
+    for j in range(1, PAST + 1):
+        found[j:] &= taken[:-j]
+        found[:j] = False
+    return found
+
+
+def _ahead(left: Sequence[FloatArray], rows: Sequence[npt.NDArray[np.bool_]]) -> FloatArray:
+    """Return the coefficients (PAST,) with which what is left foretells itself in these rows."""
+    where = [np.flatnonzero(one) for one in rows]
+    x = np.concatenate(
+        [np.column_stack([one[k - j] for j in range(1, PAST + 1)]) for one, k in zip(left, where, strict=True)]
+    )
+    target = np.concatenate([one[k] for one, k in zip(left, where, strict=True)])
     size = float(np.abs(x).max(initial=0.0)) or 1.0
     return np.asarray(np.linalg.lstsq(x / size, target / size, rcond=1e-6)[0], dtype=np.float64)
 

@@ -10,13 +10,13 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from harness.errors import HarnessError
-from harness.judgement import Feedback, feedback_of
+from harness.judgement import Feedback, feedback_of, law_of
 from harness.models.determined import KEY
 from harness.scoring import predict
 from harness.signals import Dataset, Run, Trajectory
 from identifiers.common.excitation import excited_lags, unexcited
-from identifiers.common.judge.loops import doubt_of_loop
-from identifiers.common.judge.own_record import doubt_of_own_record
+from identifiers.common.judge.loops import NEW, doubt_of_loop
+from identifiers.common.judge.own_record import Readings, doubt_of_own_record
 
 __all__ = ["told"]
 
@@ -26,7 +26,7 @@ frequencies."""
 MOVED = 10
 """Lags, or moves that the past does not foretell, that such a model asks for as well: of one step, or a line or two, it
 has the answer to these alone. Four steps of a size are 12 moves, five lines 10 lags."""
-GUESSED, GUESSES = 0.25, 500
+GUESSED, GUESSES = 0.25, 100
 """What a model bends by over what two levels of an input do, from which on it is said, and samples asked for that."""
 CHECKED = 5_000
 """Samples that are looked at."""
@@ -37,36 +37,86 @@ Fit = TypeVar("Fit", bound=Callable[..., Any])
 def told(fit: Fit) -> Fit:
     """Return a ``fit`` whose model warns of what its records do not determine.
 
-    Readings that are none, inputs that move too little for a model that does not say its frequencies, a loop that hides
-    the plant, and a model that its own records contradict. Nothing is asked where the identifier's ``least_excitation``
-    is 0, or the fit warns already.
+    Inputs that move too little for a model that does not say its frequencies, a controller alone or a loop that hides
+    the plant, and a model that its own records contradict. Readings that are none are noted (``odd_readings``), and
+    warned of where the model contradicts the others, or none is left to ask. Nothing is asked where the identifier's
+    ``least_excitation`` is 0, or the fit warns already.
+
+    For plug-ins too: the model is a dataclass with a dictionary ``notes``, where the finding stands under ``warning``.
+
+    Parameters
+    ----------
+    fit : callable
+        Of :class:`harness.protocols.Identifier`.
+
+    Returns
+    -------
+    callable
+        The same.
     """
 
     @functools.wraps(fit)
     def judged(self: Any, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Any:
         model = fit(self, trajectories, rng=rng)
-        if self.least_excitation <= 0 or model.notes.get("warning") or model.notes.get("warnings"):
+        if getattr(self, "least_excitation", 1.0) <= 0 or model.notes.get("warning") or model.notes.get("warnings"):
             return model
         records = _some(trajectories)
         if not records or records[0].spec.nu == 0:
             return model
+        records, readings, said = _looked(records)
         feedback = feedback_of(records)
-        doubt = _odd(records) or _unmoved(model, records, feedback)
-        doubt = doubt or doubt_of_loop(model, records, feedback) or doubt_of_own_record(model, records, feedback)
-        return replace(model, notes={**model.notes, "warning": doubt}) if doubt else model
+        doubt: str | None = _controlled(records, feedback) or _unmoved(model, records, feedback)
+        if not (doubt or said):
+            doubt = doubt_of_loop(model, records, feedback)
+        if not doubt:
+            doubt = doubt_of_own_record(model, records, feedback, readings)
+        if said and (doubt is None or doubt):
+            doubt = f"the records hold readings that are none: {said}; load_dataset and examined leave them out" + (
+                f" ({doubt})" if doubt else ""
+            )
+        found = {"odd_readings": said} if said else {}
+        found |= {"warning": doubt} if doubt else {}
+        return replace(model, notes={**model.notes, **found}) if found else model
 
     return cast(Fit, judged)
 
 
-def _odd(records: Sequence[Trajectory]) -> str:
-    """Return what is no reading in records, in words: what ``sysid check-data`` says, and commands leave out."""
+def _looked(records: list[Trajectory]) -> tuple[list[Trajectory], list[Readings], str]:
+    """Return records with what is no reading mended, which values are some, and in words what is not.
+
+    It is what ``sysid check-data`` says, and commands leave out.
+    """
     from harness.data.oddities import examined, lines  # SciPy's statistics take a second to load
 
-    said = lines(examined(Dataset("records", tuple(map(Run, records)))).oddities or ())
+    looked = examined(Dataset("records", tuple(map(Run, records))))
+    found = looked.oddities or ()
+    said = lines(found)
+    readings = [np.ones(record.y.shape, dtype=bool) for record in records]
     if not said:
-        return ""
+        return records, readings, ""
+    mended = [run.trajectory for run in looked.runs]
+    for record, good in zip(mended, readings, strict=True):
+        if record.missing is not None:
+            good &= ~record.missing
+    outputs = [channel.name for channel in records[0].spec.outputs]
+    for odd in found:
+        if odd.fault and odd.channel in outputs:
+            readings[odd.run][list(odd.rows), outputs.index(odd.channel)] = False
     more = f" (and {len(said) - 1} more)" if len(said) > 1 else ""
-    return f"the records hold readings that are none: {said[0]}{more}; load_dataset and examined leave them out"
+    return [replace(record, missing=None) for record in mended], readings, said[0] + more
+
+
+def _controlled(records: Sequence[Trajectory], feedback: Feedback) -> str:
+    """Return the law of a controller, in words, that the inputs follow with nothing beside it; empty if there is none.
+
+    Our own fits refuse such records; this is for those that do not ask.
+    """
+    if not (feedback.found or feedback.unforeseen < NEW) or (law := law_of(records)) is None:
+        return ""
+    return (
+        f"{law.text} up to {law.departure:.1e} of full size: what the inputs do beside the controller is not in the "
+        "records; add an excitation to what it commands"
+    )
 
 
 def _unmoved(model: Any, records: Sequence[Trajectory], feedback: Feedback) -> str:
