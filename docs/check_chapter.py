@@ -33,6 +33,8 @@ ELSEWHERE = {
     "1.01": "the command of the sentence, half a minute",
     "0.14": "from the upright to the starts that the command is given",
     "0.9": "18 seeds",
+    **dict.fromkeys(("2.6", "0.02"), "docs/modes.md, whose commands run in the tests"),
+    **dict.fromkeys(("1.3e-5", "1.9e-3"), "25 simulated records of the chapter's data"),
 }
 """Figures that no block above prints: where each comes from."""
 

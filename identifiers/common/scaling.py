@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Scaling", "centred", "lively", "noise_levels", "scaled", "sizes"]
+__all__ = ["Scaling", "centred", "lively", "noise_levels", "scaled", "sizes", "together"]
 
 # A column that moves by less than this fraction of its value counts as constant: what moves may be rounding.
 _STILL = 1e-12
@@ -18,6 +18,8 @@ _STILL = 1e-12
 _FORETOLD = 0.02
 # Noise is estimated from so many samples at most, from so many equations for each regressor at least.
 _ROWS, _EQUATIONS = 20_000, 3
+# Errors below this share of an output's size are rounding.
+_EXACT = 1e-9
 # Outputs are not told apart by noise below this share of their size.
 _QUIET = 1e-3
 
@@ -135,3 +137,14 @@ def lively(errors: FloatArray) -> npt.NDArray[np.bool_]:
     """
     found = errors.min(axis=0) < 1.0 - _FORETOLD
     return found if found.any() else np.ones(errors.shape[1], dtype=bool)
+
+
+def together(errors: FloatArray, moves: npt.NDArray[np.bool_]) -> float:
+    """Return the geometric mean of errors (ny,) over the outputs that move: each counts by its noise, not by its size.
+
+    Examples
+    --------
+    >>> round(together(np.array([0.04, 0.01, 1.0]), np.array([True, True, False])), 3)
+    0.02
+    """
+    return float(np.exp(np.mean(np.log(np.maximum(errors[moves], _EXACT**2)))))

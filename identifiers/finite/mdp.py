@@ -232,6 +232,10 @@ class OnlineCounting:
     The loss is 1 for a wrong answer; the best fixed table of answers in hindsight names the majority of each pair.
     """
 
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> MdpModel:
+        """Return the process after all records, each row the probabilities that :meth:`forecast` gives."""
+        return MdpCounting(prior=0.5).fit(trajectories, rng=rng)
+
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> tuple[FloatArray, int]:
         """Return empty counts."""
         states, actions = finite_sizes(spec, "mdp-counting")

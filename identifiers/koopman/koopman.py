@@ -27,6 +27,7 @@ from identifiers.common.one_step_estimate import lifted_estimate
 from identifiers.common.records import missing_notes, moving, real_signals, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.stability import clip_eigenvalues, nearest_stable
+from identifiers.koopman.learned import Stretch, learned_functions
 from identifiers.linear.arx import solution_notes
 from identifiers.sparse.stlsq import eliminate
 
@@ -41,6 +42,8 @@ BIAS_OF_FUNCTIONS = (
 IDLE = 1e-3
 """Probability of what functions add to the prediction of an output, were they idle, above which it is left to chance:
 errors that are correlated in time, which say more than they know, keep functions rather than lose them."""
+STRETCHES = 10
+"""Into which records are cut, at least, where functions are learned: every fifth is held out."""
 _USERS: dict[str, Callable[[FloatArray], FloatArray]] = {}
 
 
@@ -123,6 +126,8 @@ class Dictionary:
         Sines and cosines of ``pi j z`` for j = 1 .. fourier of every scaled argument z (its range is -1 .. 1).
     functions : tuple of str
         Names of functions of the user, see :func:`register_functions`.
+    units : tuple of tuple of float
+        Learned functions ``tanh(b + w' z)`` of the scaled arguments z, a row ``[b, w]`` for each.
     """
 
     degree: int = 1
@@ -132,6 +137,7 @@ class Dictionary:
     width: float = 0.0
     fourier: int = 0
     functions: tuple[str, ...] = ()
+    units: tuple[tuple[float, ...], ...] = ()
 
     def lift(self, arguments: FloatArray) -> FloatArray:
         """Return the lifted state (..., nz) of arguments (..., n)."""
@@ -150,6 +156,9 @@ class Dictionary:
                 parts.append(distance**2 * np.log(np.where(distance > 0, distance, 1.0)))
         for j in range(1, self.fourier + 1):
             parts += [np.sin(np.pi * j * z), np.cos(np.pi * j * z)]
+        if self.units:
+            weights = np.asarray(self.units)
+            parts.append(np.tanh(weights[:, 0] + z @ weights[:, 1:].T))
         parts += [_users(name, arguments) for name in self.functions]
         return np.concatenate(parts, axis=-1)
 
@@ -169,6 +178,7 @@ class Dictionary:
         names += [f"radial {j + 1}" for j in range(len(self.centres))]
         for j in range(1, self.fourier + 1):
             names += [f"{what}({j} pi {argument})" for what in ("sin", "cos") for argument in arguments]
+        names += [f"learned {j + 1}" for j in range(len(self.units))]
         return names + [f"function {j + 1} of {', '.join(self.functions)}" for j in range(size - len(names))]
 
 
@@ -255,6 +265,7 @@ class KoopmanModel:
                 "width": self.dictionary.width,
                 "fourier": self.dictionary.fourier,
                 "functions": list(self.dictionary.functions),
+                "units": [list(row) for row in self.dictionary.units],
             },
             "delays": self.delays,
             "notes": self.notes,
@@ -274,6 +285,7 @@ class KoopmanModel:
             float(given.get("width", 0.0)),
             int(given.get("fourier", 0)),
             tuple(map(str, given.get("functions", ()))),
+            tuple(tuple(map(float, row)) for row in given.get("units", ())),
         )
         for name in dictionary.functions:
             registered(name)
@@ -306,6 +318,12 @@ class Edmdc:
         Sines and cosines of so many harmonics of every scaled argument.
     functions : tuple of str
         Functions of the user by the name they were registered under (:func:`register_functions`).
+    learned : int
+        So many functions that are learned (:func:`identifiers.koopman.learned.learned_functions`): those with which
+        free runs over ``horizon`` samples err least. They are left out where they do not pay on stretches that are held
+        out; the notes say both errors.
+    horizon : int
+        Samples ahead for which functions are learned.
     threshold : float
         Sparse Koopman matrices: entries whose loss raises the residual least are dropped, one at a time, while it stays
         below this fraction of the lifted function or 1.22 times its value without dropping
@@ -327,6 +345,8 @@ class Edmdc:
     width: float = 0.0
     fourier: int = 0
     functions: tuple[str, ...] = ()
+    learned: int = 0
+    horizon: int = 20
     threshold: float = 0.0
     delays: int = 1
     stable: bool = False
@@ -345,6 +365,9 @@ class Edmdc:
         arguments = [_arguments(record, self.delays) for record in records]
         together = np.concatenate(arguments)
         dictionary = self._dictionary(together, rng)
+        learning: dict[str, Any] = {}
+        if self.learned:
+            dictionary, learning = self._with_learned(dictionary, records, arguments, rng)
 
         def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
             for record, rows in zip(records, arguments, strict=True):
@@ -357,7 +380,10 @@ class Edmdc:
         size = solution.coefficients.shape[1]
         lifted_columns = Columns.lifted(size, spec)
         refuse_feedback(solution, lifted_columns, self.least_excitation, what, ridge=self.ridge)
-        theta, notes = solution.coefficients.T, {**solution_notes(solution), **missing_notes(trajectories, records)}
+        theta, notes = (
+            solution.coefficients.T,
+            {**solution_notes(solution), **missing_notes(trajectories, records)} | learning,
+        )
         idle = _idle(solution, together.shape[1] + 1, spec) if self.threshold == 0 else []
         kept = [k for k in range(len(solution.coefficients)) if not together.shape[1] < k < size]
 
@@ -393,12 +419,13 @@ class Edmdc:
 
     def _check_options(self) -> None:
         """Refuse options that go beyond their ranges, or not together."""
-        if self.degree < 1 or self.delays < 1 or min(self.radial, self.fourier) < 0 or not 0 <= self.threshold < 1:
+        counts = min(self.radial, self.fourier, self.learned) >= 0 and self.horizon >= 1
+        if self.degree < 1 or self.delays < 1 or not counts or not 0 <= self.threshold < 1:
             raise FitError(
                 "edmdc: options",
-                expected="degree >= 1, delays >= 1, radial >= 0, fourier >= 0, 0 <= threshold < 1",
+                expected="degree >= 1, delays >= 1, radial, fourier and learned >= 0, horizon >= 1, 0 <= threshold < 1",
                 got=f"degree={self.degree}, delays={self.delays}, radial={self.radial}, fourier={self.fourier}, "
-                f"threshold={self.threshold}",
+                f"learned={self.learned}, horizon={self.horizon}, threshold={self.threshold}",
                 remedy="correct the options",
             )
         if self.stable and self.threshold > 0:
@@ -426,6 +453,35 @@ class Edmdc:
             self.fourier,
             tuple(self.functions),
         )
+
+    def _with_learned(
+        self,
+        dictionary: Dictionary,
+        records: Sequence[Trajectory],
+        arguments: Sequence[FloatArray],
+        rng: np.random.Generator,
+    ) -> tuple[Dictionary, dict[str, Any]]:
+        """Return the dictionary with the functions that were learned, and what their search says of itself."""
+        size = np.asarray(dictionary.scale)
+        force = np.abs(np.concatenate([record.u for record in records])).max(axis=0, initial=0.0)
+        force = np.where(force > 0, force, 1.0)
+        stretches = []
+        for record, rows in zip(records, arguments, strict=True):
+            parts = max(1, min(-(-STRETCHES // len(records)), len(rows) // (2 * self.horizon)))
+            for cut in np.array_split(np.arange(len(rows)), parts):
+                if len(cut) > self.horizon:
+                    inputs = record.u[self.delays - 1 :][cut] / force
+                    stretches.append(Stretch(rows[cut] / size, dictionary.lift(rows[cut]), inputs))
+        if len(stretches) < 2:
+            raise FitError(
+                "edmdc: too little to learn functions from",
+                expected=f"two stretches and more of over {self.horizon} samples, one of which is held out",
+                got=f"{len(stretches)} in records of {', '.join(str(len(record)) for record in records[:4])} samples",
+                remedy="record longer, lower horizon, or choose the dictionary (learned=0)",
+            )
+        found = learned_functions(stretches, records[0].spec.ny, self.learned, self.horizon, self.ridge, rng=rng)
+        said = {"kept": len(found.units), "held_out_before": found.before, "held_out_after": found.after}
+        return replace(dictionary, units=found.units), {"learned": said}
 
     def _sparse(
         self, blocks: Callable[[], Iterator[tuple[FloatArray, FloatArray]]], p: int, m: int

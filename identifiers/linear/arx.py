@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.judgement import feedback_of, refuse_law
@@ -22,7 +21,7 @@ from identifiers.common.neighbours import BIAS, LARGEST, coefficients_without, s
 from identifiers.common.one_step_estimate import foretold_output, least_squares_estimate
 from identifiers.common.records import lagged, lagged_blocks, missing_notes, moving, real_signals, snapshot_sums, usable
 from identifiers.common.regression import Solution, solve
-from identifiers.common.scaling import lively, sizes
+from identifiers.common.scaling import lively, sizes, together
 from identifiers.common.stability import nearest_stable, stable_lags
 from identifiers.linear.arx_channels import arx_by_channel, arx_orders_of, channel_neighbours
 from identifiers.linear.polynomials.orders import Counts
@@ -196,7 +195,7 @@ class Arx:
         if not found:
             return 1, delay, {"order_error": {}}
         moves = lively(np.array(list(found.values())))
-        errors = {order: _together(held, moves) for order, held in found.items()}
+        errors = {order: together(held, moves) for order, held in found.items()}
         best, chosen = np.inf, 1
         for order, error in errors.items():
             if error < _GAIN * best:
@@ -204,9 +203,9 @@ class Arx:
         if self.delay is None and not feedback_of(records).found:  # in a loop outputs foretell what inputs did
             for longer in range(2, chosen + 1):
                 held = self._held_out_errors(cuts, chosen, longer, skip, what)
-                if held is None or _together(held, moves) > best * (1 + 1e-3):
+                if held is None or together(held, moves) > best * (1 + 1e-3):
                     break
-                best, delay = min(best, _together(held, moves)), longer
+                best, delay = min(best, together(held, moves)), longer
         return chosen, delay, {"order_error": {str(n): float(np.sqrt(e)) for n, e in errors.items()}}
 
     def _held_out_errors(
@@ -225,11 +224,6 @@ class Arx:
             (record.y[order:] - design(record, order, self.offset, delay) @ theta)[skip - order :] for record in held
         ]
         return np.asarray(np.mean((np.concatenate(wrong) / sizes([record.y for record in held])) ** 2, axis=0))
-
-
-def _together(errors: FloatArray, moves: npt.NDArray[np.bool_]) -> float:
-    """Return the geometric mean of the errors of outputs that move: each counts by its noise, not by its size."""
-    return float(np.exp(np.mean(np.log(np.maximum(errors[moves], _EXACT**2)))))
 
 
 def lag_model(

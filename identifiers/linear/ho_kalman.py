@@ -32,7 +32,7 @@ from identifiers.common.records import (
     without_holes,
 )
 from identifiers.common.regression import Solution, solve
-from identifiers.common.scaling import Scaling, sizes
+from identifiers.common.scaling import Scaling, lively, sizes, together
 from identifiers.common.stability import clip_eigenvalues
 from identifiers.linear.decaying import LARGEST, Decaying, decaying_response
 from identifiers.linear.hankel import Hankel, leading_triplets
@@ -376,7 +376,7 @@ class HoKalman:
             learn = [record[: 2 * len(record) // 3] for record in records]
             judge = [record[2 * len(record) // 3 :] for record in records]
         judge = without_holes(judge, samples=1, what=what)
-        errors: dict[str, float] = {}
+        squares: dict[str, FloatArray] = {}
         refused: FitError | None = None
         spec = records[0].spec
         for observer in (None, *OBSERVERS):
@@ -387,12 +387,13 @@ class HoKalman:
             except FitError as error:
                 refused = error
                 continue
-            wrong = np.array([simulation_error(model, record).nrmse for record in judge])
-            wanting = float(np.sqrt(np.mean(wrong**2)))
-            errors["direct" if observer is None else str(observer)] = wanting if np.isfinite(wanting) else 1e300
-        if not errors:
+            wrong = np.mean([simulation_error(model, record).nrmse ** 2 for record in judge], axis=0)
+            squares["direct" if observer is None else str(observer)] = np.where(np.isfinite(wrong), wrong, 1e300)
+        if not squares:
             assert refused is not None
             raise refused
+        moves = lively(np.array(list(squares.values())))  # of outputs that hold noise alone all memories err alike
+        errors = {name: float(np.sqrt(together(one, moves))) for name, one in squares.items()}
         best = min(errors, key=lambda name: errors[name])
         if errors.get("direct", np.inf) <= _NEAR * errors[best]:
             best = "direct"

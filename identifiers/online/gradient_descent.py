@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +11,10 @@ import numpy as np
 from harness.errors import FitError
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from identifiers.common.judge.told import told
+from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import moving, real_signals
+from identifiers.online.along import learned, told_of_pass
 
 __all__ = ["GradientDescent", "GradientState", "acquiescent"]
 
@@ -78,6 +81,8 @@ class GradientDescent:
         Step, in units of the inverse mean square of the gradients of the prediction.
     burn_in : int
         Samples that only set the size of the signals; until then the last output is held.
+    least_excitation : float
+        Of :meth:`fit`, as of ``least-squares``.
 
     Examples
     --------
@@ -96,6 +101,33 @@ class GradientDescent:
     block: int = 20
     rate: float = 0.5
     burn_in: int = 20
+    least_excitation: float = 2.0
+
+    @told
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return the transfer function after one pass over the records; how far it still is from its optimum is open.
+
+        Raises
+        ------
+        FitError
+            If not a single step is made on the records, or they do not tell what the inputs do.
+        """
+        what = "gradient-descent"
+        state, records = learned(self, trajectories, what, rng=rng, least=lambda _: self.burn_in + self.block)
+        model = self.model(state, records[0].spec)
+        return told_of_pass(replace(model, notes={"steps": state.steps}), trajectories, records)
+
+    def model(self, state: GradientState, spec: PlantSpec) -> LinearModel:
+        """Return the transfer function of a state as a linear model: ``x = [w[k-1], ..., w[k-n-1]]``."""
+        nu, ny, n = spec.nu, spec.ny, self.order
+        size = self._size(state.squares)
+        den, gains, offset = self._parts(state.theta, nu, ny)
+        nx = (n + 1) * nu
+        a, b = np.eye(nx, k=-nu), np.eye(nx, nu) / size[:nu]
+        a[:nu, : n * nu] = np.kron(-den, np.eye(nu))
+        c = (gains * size[nu:]).transpose(2, 0, 1).reshape(ny, nx)
+        none = np.zeros((ny, nu))
+        return LinearModel(spec, a, b, c, none, np.zeros((nx, ny)), np.zeros(nx), offset * size[nu:], burn_in=n + 1)
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> GradientState:
         """Return the state before any data."""

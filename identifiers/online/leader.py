@@ -92,6 +92,10 @@ class FollowTheLeader:
     burn_in: int = 40
     growth: float = 1.1
 
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Model:
+        """Return the leader after all records, refitted to its last sample: the model of the batch identifier."""
+        return self._made().fit(trajectories, rng=rng)
+
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> LeaderState:
         """Return the state before any data."""
         if self.burn_in < 1 or not self.growth >= 1.0:
@@ -181,10 +185,10 @@ class FollowTheLeader:
         if not isinstance(self.identifier, str):
             return self.identifier
         made = named("identifiers", self.identifier, self.options)
-        if not hasattr(made, "fit"):
+        if hasattr(made, "hindsight"):
             raise InputError(
                 "identifier of follow-the-leader",
-                expected="one that fits records",
+                expected="one that fits whole records",
                 got=f"{self.identifier}, which is online itself",
                 remedy="use it directly",
             )

@@ -9,13 +9,19 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.models.estimate import Estimate
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from identifiers.common.judge.told import told
+from identifiers.common.linear_model import LinearModel
+from identifiers.common.observers import innovation_form
+from identifiers.common.one_step_estimate import quotient
 from identifiers.common.records import moving, real_signals
-from identifiers.common.scaling import sizes
-from identifiers.linear.polynomials.model import Orders
+from identifiers.common.scaling import Scaling, sizes
+from identifiers.linear.polynomials.model import Orders, Polynomials, block_form
 from identifiers.linear.polynomials.orders import Counts, orders_by_output
 from identifiers.linear.prediction_error import PredictionError
+from identifiers.online.along import learned, told_of_pass
 
 __all__ = ["OutputFilter", "RecursivePolynomial", "RecursiveState"]
 
@@ -188,6 +194,8 @@ class RecursivePolynomial(RecursiveOptions):
     burn_in : int, optional
         Samples that are waited for before the first prediction by the model, which give the size of the signals; until
         then the last output is held. By default 20, and four times the coefficients of an output.
+    least_excitation : float
+        Of :meth:`fit`, as of ``least-squares``.
 
     Examples
     --------
@@ -201,6 +209,58 @@ class RecursivePolynomial(RecursiveOptions):
     >>> dict(zip(state.names, state.coefficients[0].round(1).tolist()))
     {'y: a1': -0.8, 'y: b1 of u': 1.0, 'y: c1': 0.5}
     """
+
+    least_excitation: float = 2.0
+
+    @told
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return the model after one pass over the records, its coefficients in the notes.
+
+        Raises
+        ------
+        FitError
+            If the records are shorter than the burn-in, or do not tell what the inputs do.
+        """
+        what = "recursive-polynomial"
+        state, records = learned(
+            self, trajectories, what, rng=rng, least=lambda spec: self._waits_for(self._orders(spec, what))
+        )
+        model, spec = self.model(state), state.spec
+        values, deviations = state.coefficients
+        units = []
+        for output, own in zip(spec.outputs, state.orders, strict=True):
+            gains = [
+                quotient(output.unit, c.unit) for c, nb in zip(spec.inputs, own.nb, strict=True) for _ in range(nb)
+            ]
+            units += ["1"] * _past(own) + gains + ["1"] * own.nc
+        estimate = Estimate(
+            tuple(state.names),
+            tuple(units),
+            values,
+            np.diag(deviations**2),
+            method="no interval: the deviations of a recursion hold for coefficients that stay as they are",
+        )
+        return told_of_pass(replace(model, notes={"estimate": estimate.to_dict()}), trajectories, records)
+
+    def model(self, state: RecursiveState) -> LinearModel:
+        """Return the model of a state after the burn-in, in innovation form."""
+        nu, found, offset = state.spec.nu, [], []
+        for own, one in zip(state.orders, state.filters, strict=True):
+            past, tail = _past(own), one.theta[:-1]
+            first, gains, noise = np.split(tail, np.cumsum([past, sum(own.nb)]))
+            ordered = [gains, noise, first] if own.nf else [first, gains, noise]
+            level = one.theta[-1] if own.nf else 0.0
+            found.append(Polynomials.of(np.concatenate([*ordered, [level]]), own))
+            offset.append(0.0 if own.nf else one.theta[-1])
+        a, b, c, d, k, level_of = block_form(found)
+        constant = c.T @ np.array(offset)  # the constant of an equation enters where the output is made
+        scaled = innovation_form(state.spec, a, b, c, d, k, constant, level_of, burn_in=_reach(state.orders))
+        model = scaled.in_units(Scaling(state.size[:nu], state.size[nu:]))
+        return replace(
+            model,
+            state_offset=model.state_offset - model.b_matrix @ state.centre[:nu],
+            output_offset=model.output_offset + state.centre[nu:],
+        )
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> RecursiveState:
         """Return the state before any data."""

@@ -11,7 +11,13 @@ import numpy as np
 from harness.errors import FitError
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from identifiers.common.records import lagged, moving, real_signals
+from identifiers.common.excitation import Columns, refuse_feedback
+from identifiers.common.judge.told import told
+from identifiers.common.linear_model import LinearModel
+from identifiers.common.one_step_estimate import DEPENDENT, least_squares_estimate
+from identifiers.common.records import lagged, moving, real_signals, usable
+from identifiers.linear.arx import lag_model, one_step, solution_notes
+from identifiers.online.along import learned, told_of_pass
 from identifiers.online.rls_pass import Layout, learn, run
 
 __all__ = ["RecursiveLeastSquares", "RlsState"]
@@ -60,6 +66,8 @@ class RecursiveLeastSquares:
         Equations that are learned from before the first prediction is made by them; until then the last output is held,
         by the identifier and by the predictor that it is compared with. By default twice the number of parameters:
         with fewer the excess error of least squares has no finite mean.
+    least_excitation : float
+        Of :meth:`fit`, as of ``least-squares``.
 
     Examples
     --------
@@ -80,6 +88,30 @@ class RecursiveLeastSquares:
     prior: float = 1e-9
     forgetting: float = 1.0
     burn_in: int | None = None
+    least_excitation: float = 2.0
+
+    @told
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return the ARX model after one pass over the records: without forgetting, that of the batch.
+
+        Raises
+        ------
+        FitError
+            If the records, taken together, do not determine the coefficients.
+        """
+        what = "rls"
+        state, records = learned(self, trajectories, what, rng=rng, least=self._parameters)
+        records, spec = usable(records, samples=self.order + 1, what=what)
+        solution = one_step(records, self.order, self.offset, self.prior, what)
+        refuse_feedback(solution, Columns(spec, self.order), self.least_excitation, what, ridge=self.prior)
+        notes = {"order": self.order, **solution_notes(solution)}
+        told_apart = solution.singular_values[-1] > DEPENDENT * solution.singular_values[0]
+        estimate = None
+        if self.forgetting == 1 and told_apart:
+            estimate = least_squares_estimate(records, solution, self.order, self.offset)
+        notes |= {} if estimate is None else {"estimate": estimate.to_dict()}
+        model = lag_model(spec, state.coefficients, self.order, self.offset, notes)
+        return told_of_pass(model, trajectories, records)
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> RlsState:
         """Return the state before any data."""

@@ -12,7 +12,10 @@ import numpy as np
 from harness.errors import FitError
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from identifiers.common.judge.told import told
+from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import moving, real_signals
+from identifiers.online.along import learned, told_of_pass
 
 __all__ = ["SpectralFiltering", "SpectralState", "wave_filters"]
 
@@ -77,6 +80,8 @@ class SpectralFiltering:
         Of ``newton``: weight of M = 0, in samples of unit size.
     burn_in : int
         Samples that only set the size of the signals, so that no unit decides; until then the last output is held.
+    least_excitation : float
+        Of :meth:`fit`, as of ``least-squares``.
 
     Examples
     --------
@@ -97,6 +102,41 @@ class SpectralFiltering:
     rate: float = 1.0
     prior: float = 1e-3
     burn_in: int = 20
+    least_excitation: float = 2.0
+
+    @told
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return what was learned after one pass over the records; the model's state is the output and past inputs.
+
+        Raises
+        ------
+        FitError
+            If the records are shorter than the burn-in and the features, or do not tell what the inputs do.
+        """
+        what = "spectral-filtering"
+        state, records = learned(self, trajectories, what, rng=rng, least=lambda spec: self.burn_in + self._count(spec))
+        return told_of_pass(self.model(state, records[0].spec), trajectories, records)
+
+    def model(self, state: SpectralState, spec: PlantSpec) -> LinearModel:
+        """Return the predictor of a state as a linear model: ``x = [y[k], u[k-1], ..., u[k-L]]``."""
+        nu, ny, length = spec.nu, spec.ny, self.window
+        size = self._size(state.squares)
+        values, filters = wave_filters(length, self.filters)
+        weights = state.weights * size[nu:]
+        waves = weights[: self.filters * nu].reshape(self.filters, nu, ny)
+        reach = np.einsum("j,jl,juy->luy", values**0.25, filters, waves) / size[:nu, None]
+        near, now, last, level = np.split(weights[self.filters * nu :], np.cumsum([nu, nu, ny]))
+        reach[0] += near / size[:nu, None]
+        nx = ny + length * nu
+        a, b, c = np.zeros((nx, nx)), np.zeros((nx, nu)), np.eye(ny, nx)
+        a[:ny, :ny] = (last / size[nu:, None]).T
+        a[:ny, ny:] = reach.reshape(length * nu, ny).T
+        b[:ny] = (now / size[:nu, None]).T
+        b[ny : ny + nu] = np.eye(nu)
+        a[ny + nu :, ny : nx - nu] = np.eye((length - 1) * nu)
+        offset = np.concatenate([level[0], np.zeros(length * nu)])
+        gain = c.T.copy()
+        return LinearModel(spec, a, b, c, np.zeros((ny, nu)), gain, offset, np.zeros(ny), burn_in=length)
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> SpectralState:
         """Return the state before any data."""
@@ -110,7 +150,7 @@ class SpectralFiltering:
                 remedy="correct the options",
             )
         real_signals(spec, "spectral-filtering")
-        p = (self.filters + 2) * spec.nu + spec.ny + 1
+        p = self._count(spec)
         curvature = np.eye(p) / self.prior if self.update_by == "newton" else np.zeros((1, 1))
         return SpectralState(
             np.zeros((self.window, spec.nu)),
@@ -190,6 +230,10 @@ class SpectralFiltering:
             growth = Growth.of_least_squares(float(np.linalg.matrix_rank(x)))
         details = {"burn_in": self.burn_in}
         return Hindsight(each.sum(axis=1), exact=exact, details=details, per_output=each, growth=growth)
+
+    def _count(self, spec: PlantSpec) -> int:
+        """Return the number of features."""
+        return (self.filters + 2) * spec.nu + spec.ny + 1
 
     def _size(self, squares: FloatArray) -> FloatArray:
         """Return the size (nu + ny,) of the signals in the burn-in."""

@@ -48,6 +48,8 @@ BATCH: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("gaussian-process", {"order": 2, "exact": 60, "inducing": 20}, ("pendulum",)),
     ("hidden-markov", {"states": 5, "starts": 2, "prior": 0.1}, ("finite",)),
     ("factored-counting", {}, ("finite",)),
+    ("rls", {"order": 1}, ("linear, state measured",)),
+    ("mdp-online", {}, ("finite",)),
 ]
 TESTED_ELSEWHERE = {
     "ekf": "needs its own model: tested beside the filters",
@@ -88,11 +90,29 @@ ONLINE: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
+LONG: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
+    ("recursive-polynomial", {"order": 1}, ("linear",)),
+    ("recursive-polynomial", {"structure": "oe", "order": 1}, ("linear",)),
+    ("spectral-filtering", {"filters": 5, "window": 40}, ("linear",)),
+    ("gradient-descent", {"order": 3}, ("linear",)),
+    ("follow-the-leader", {}, ("linear, state measured",)),
+    ("edmdc", {"degree": 1, "learned": 4, "horizon": 8}, ("pendulum, rate measured",)),
+]
+"""Online ones fitted in one pass, and a search: seconds for all checks."""
+
+
+LONG: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
+    ("gaussian-process", {"order": 2, "exact": 60, "inducing": 20}, ("pendulum",)),
+    ("prediction-error", {"structure": "state-space", "order": 2}, ("linear",)),
+]
+"""More than ten seconds for all checks, and another choice of options stands in the gate."""
+
+
 def _name(case: tuple[Any, ...]) -> str:
     return " ".join([case[0], *(f"{key}={value}" for key, value in case[1].items())])
 
 
-@pytest.mark.parametrize("case", BATCH, ids=_name)
+@pytest.mark.parametrize("case", [*BATCH, *(pytest.param(one, marks=pytest.mark.slow) for one in LONG)], ids=_name)
 def test_batch_identifiers_keep_the_contract(case):
     identifier, options, kinds = case
     for kind in kinds:
@@ -101,7 +121,9 @@ def test_batch_identifiers_keep_the_contract(case):
         assert not broken, f"{kind}: {broken}"
 
 
-@pytest.mark.parametrize("case", ONLINE, ids=_name)
+@pytest.mark.parametrize(
+    "case", [*ONLINE[:-1], pytest.param(ONLINE[-1], marks=pytest.mark.slow, id=_name(ONLINE[-1]))], ids=_name
+)  # a fit of markov parameters at every step takes ten seconds
 def test_online_identifiers_keep_the_contract(case):
     results = check_online_identifier(lambda: create("identifiers", case[0], **case[1]), examples=2)
     broken = [f"{one.name}: {one.reason}" for one in results if not one.passed]

@@ -41,8 +41,11 @@ OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("stlsq", {"order": 1}),
     ("narx", {"lags": 2}),
 ]
-SLOW = ("volterra", "impulse-response", "piecewise-affine", "random-forest", "gaussian-process", "transfer-function")
-"""Seconds for each system: asked on one."""
+SLOW = (
+    *("volterra", "impulse-response", "piecewise-affine", "random-forest", "gaussian-process", "transfer-function"),
+    *("rls", "recursive-polynomial", "gradient-descent", "follow-the-leader"),
+)
+"""Slow for many systems, or the same for all of them: asked on one."""
 PHYSICAL = {
     "true-model": "is the plant itself: its units are its own",
     "output-error": "models of physics speak SI",
@@ -62,6 +65,7 @@ PHYSICAL = {
     "ekf": "models of physics speak SI",
     "ukf": "models of physics speak SI",
     "mdp-counting": "categories have no unit",
+    "mdp-online": "categories have no unit",
     "factored-counting": "categories have no unit",
     "hidden-markov": "categories have no unit",
     "neural-network": "not asked here: needs the extra learned",
@@ -96,8 +100,17 @@ def test_units_leave_scores_of_slow_identifiers_unchanged(name):
     hold((name, {}), LinearSystem(a, b, np.eye(2), spec), 0, [3, 0, -3, 2, 0], base=8.0)
 
 
-@pytest.mark.parametrize("case", [("wiener-hammerstein", {}), ("prandtl-ishlinskii", {"rounds": 5})], ids=_name)
-def test_units_leave_scores_of_blocks_unchanged(case):
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("wiener-hammerstein", {}),
+        ("prandtl-ishlinskii", {"rounds": 5}),
+        ("spectral-filtering", {"filters": 5, "window": 40}),
+        ("edmdc", {"degree": 1, "learned": 3, "horizon": 8}),
+    ],
+    ids=_name,
+)
+def test_units_leave_scores_with_options_unchanged(case):
     system = LinearSystem(
         np.array([[0.8, 0.3], [-0.2, 0.7]]), np.array([[1.0], [0.5]]), np.array([[1.0, 0.0]]),
         PlantSpec((Channel("u0"),), (Channel("y0"),), 0.1),
@@ -165,7 +178,7 @@ def test_no_identifier_is_forgotten():
         for one in entries("identifiers")
         if one.distribution == "sysid-harness" and hasattr(create_class(one.id), "fit")
     }
-    others = {"wiener-hammerstein", "prandtl-ishlinskii", "hybrid-automaton"}
+    others = {"wiener-hammerstein", "prandtl-ishlinskii", "hybrid-automaton", "spectral-filtering"}
     tested = {name for name, _ in OPTIONS} | set(PHYSICAL) | set(SLOW) | others
     assert own <= tested, f"ask for their units too: {sorted(own - tested)}"
 
