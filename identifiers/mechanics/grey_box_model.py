@@ -170,13 +170,14 @@ class GreyBoxModel:
         """Return the next state (..., nx)."""
         state, clock, inputs, past = self._parts(x, u)
         m, nu = len(state), self.spec.nu
-        held = np.repeat(self._seen(inputs)[:, None], 2, axis=1)
+        before, after = self._memory
         values = np.ascontiguousarray(np.broadcast_to(self._values, (m, self._values.size)))
+        whole = np.concatenate([inputs, inputs[:, -1:]], axis=1)
+        held = np.ascontiguousarray(self.simulator.seen(whole, values, False)[0][:, before * self.simulator.pieces :])
         moved = self.simulator.windows(
             values, np.ascontiguousarray(state), held, None, np.ascontiguousarray(clock), sensitivities=False
         )[0][:, 1]
         parts = [moved, clock[:, None] + self.spec.sample_time]
-        before, after = self._memory
         if before:
             parts.append(inputs[:, 1:].reshape(m, before * nu))
         if after:
@@ -199,7 +200,7 @@ class GreyBoxModel:
             return run_in_steps(self, x, u)
         values = np.ascontiguousarray(np.broadcast_to(self._values, (len(state), self._values.size)))
         whole = np.concatenate([inputs[:, :before], u], axis=1)
-        seen = self.simulator.sampled.inputs(whole, values, False)[0][:, before:]
+        seen = np.ascontiguousarray(self.simulator.seen(whole, values, False)[0][:, before * self.simulator.pieces :])
         y: FloatArray = self.simulator.windows(
             values, np.ascontiguousarray(state), seen, None, np.ascontiguousarray(clock), sensitivities=False
         )[1]
@@ -219,7 +220,7 @@ class GreyBoxModel:
     def _seen(self, inputs: FloatArray) -> FloatArray:
         """Return the inputs (M, nu) that the equations see now."""
         values = np.broadcast_to(self._values, (len(inputs), self._values.size))
-        return self.simulator.sampled.inputs(inputs, values, False)[0][:, -1]
+        return self.simulator.seen(inputs, values, False)[0][:, -1]
 
     def _raw(self, state: FloatArray, clock: FloatArray, inputs: FloatArray) -> FloatArray:
         """Return the outputs (M, ny) before sampled blocks of the sensors."""

@@ -105,7 +105,7 @@ class StartBelief:
         rows = np.arange(0, len(record), -(-len(record) // _ROWS) if near else 1)
         white = np.sqrt(self.errors[0])
         roots = [cholesky(toeplitz(column[rows]), lower=True) for column in self.errors.T] if near else []
-        u, by_delays = simulator.sampled.inputs(record.u[None], values[None], True)
+        u, by_delays = simulator.seen(record.u[None], values[None], True)
 
         def whitened(part: FloatArray) -> FloatArray:
             """Return rows (n, ny, k) of which none says anything of the others."""
