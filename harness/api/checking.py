@@ -13,19 +13,25 @@ if TYPE_CHECKING:
     from harness.vetting import Agreement, Vetting
 
 
-def check(name: str) -> list[CheckResult]:
+def check(name: str, *, limit: float | None = None) -> list[CheckResult]:
     """Hold a plug-in to its contract, in a process of its own; see :func:`harness.conformance.check`.
+
+    Parameters
+    ----------
+    name : str
+    limit : float, optional
+        Longest time for one check [s]; by default :data:`harness.supervision.guarded.SILENCE`.
 
     Raises
     ------
     InputError
         If there is no such part, or it needs options to be made.
     HarnessError
-        If the part ends its process (``crashed``) or hangs (:data:`harness.supervision.guarded.SILENCE`).
+        If the part ends its process (``crashed``) or hangs (``timeout``).
     """
     from harness.supervision.guarded import guarded
 
-    return cast("list[CheckResult]", guarded(_checked, name, what=name))
+    return cast("list[CheckResult]", guarded(_checked, name, what=name, silence=limit))
 
 
 def vet(

@@ -16,6 +16,9 @@ from harness.trust import names_fmu
 
 __all__ = ["check"]
 
+CALL = 10.0
+"""Longest time for one call of an FMU [s], where none is given."""
+
 
 def check(
     name: Annotated[
@@ -38,7 +41,10 @@ def check(
     stop: Annotated[float | None, typer.Option(help="with --reference: last instant of the run [s]")] = None,
     step: Annotated[float | None, typer.Option(help="with --reference: step of the run [s]")] = None,
     option: OptionPairs = None,
-    limit: Annotated[float, typer.Option(help="of an FMU: longest time for one call [s]")] = 10.0,
+    limit: Annotated[
+        float | None,
+        typer.Option(help="longest time for one call of an FMU (10) or one check of a plug-in (300) [s]", min=0.0),
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="of an FMU or a run: page.html")] = None,
     junit: Junit = None,
     as_json: AsJson = False,
@@ -56,7 +62,7 @@ def check(
                 start=start,
                 stop=stop,
                 step=step,
-                limit=limit,
+                limit=CALL if limit is None else limit,
                 out=out,
                 force=force,
             )
@@ -80,7 +86,12 @@ def check(
     if names_fmu(name):
         with share_bar("checking", name) as show:
             vetted = api.vet(
-                name, options=option_pairs(option, "--option"), limit=limit, out=out, force=force, progress=show
+                name,
+                options=option_pairs(option, "--option"),
+                limit=CALL if limit is None else limit,
+                out=out,
+                force=force,
+                progress=show,
             )
         if as_json:
             print_json(vetted.to_dict())
@@ -93,7 +104,7 @@ def check(
         raise InputError(
             "--option and --out", expected="an FMU, or a run with --reference", got=name, remedy="leave them out"
         )
-    results = api.check(name)
+    results = api.check(name, limit=limit)
     if as_json:
         print_json([{"name": r.name, "passed": r.passed, "reason": r.reason} for r in results])
     else:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.command import main
 from harness.conformance import CheckResult, check_identifier, check_online_identifier, identifier_checks
 from harness.errors import FitError
 from harness.judgement import refuse_law
@@ -371,3 +372,13 @@ def test_an_honest_online_identifier_passes() -> None:
 )
 def test_each_online_cheat_fails_the_check_named_for_it(cheat: Callable[[], Any], check: str) -> None:
     assert check in failed(check_online_identifier(cheat, examples=3))
+
+
+def test_a_plug_in_that_hangs_ends_within_its_limit(tmp_path, capsys):
+    """It took 320 s, whatever limit was given."""
+    file = tmp_path / "slow.py"
+    file.write_text("import time\n\n\nclass H:\n    def __init__(self):\n        time.sleep(60)\n")
+    with pytest.raises(SystemExit) as end:
+        main(["check", f"{file}:H", "--limit", "1"])
+    assert end.value.code == 2
+    assert "no sign of life for 1 s" in capsys.readouterr().err
