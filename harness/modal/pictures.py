@@ -155,14 +155,17 @@ def shapes_over_places(modes: Sequence[Mode], places: FloatArray) -> Any:
         )
     drawn = modes[:MOST]
     rows = max(-(-len(drawn) // 4), 1)
-    figure = sheet(figsize=(10, 2.6 * rows), layout="constrained")
-    axes = figure.subplots(rows, 4, squeeze=False).ravel()
+    width, height = np.ptp(places, axis=0)
+    tall = float(np.clip(2.2 * height / max(width, 1e-300), 0.8, 4.0))
+    figure = sheet(figsize=(10, (tall + 0.7) * rows + 0.3), layout="constrained")
+    grid = figure.subplots(rows, 4, squeeze=False, sharex=True, sharey=True)
+    axes = grid.ravel()
     for number, (axis, mode) in enumerate(zip(axes, drawn, strict=False)):
         shape = np.where(mode.seen, mode.shape, 0.0)
         phase = 0.5 * np.angle(np.sum(shape**2))  # the axis along which the shape is longest
         values = np.real(shape * np.exp(-1j * phase))
-        most = float(np.abs(values).max()) or 1.0
-        axis.tricontourf(*places.T, values, levels=np.linspace(-most, most, 15), cmap="RdBu_r")
+        values = values / (float(np.abs(values).max()) or 1.0)
+        filled = axis.tricontourf(*places.T, values, levels=np.linspace(-1.0, 1.0, 15), cmap="RdBu_r")
         axis.plot(*places[mode.seen].T, "k.", ms=3)
         axis.plot(*places[~mode.seen].T, "kx", ms=4)
         axis.set_aspect("equal")
@@ -170,6 +173,13 @@ def shapes_over_places(modes: Sequence[Mode], places: FloatArray) -> Any:
         axis.tick_params(labelsize=6)
     for axis in axes[len(drawn) :]:
         axis.set_axis_off()
+    for axis in grid[-1]:
+        axis.set_xlabel("x [m]", fontsize=7)
+    for axis in grid[:, 0]:
+        axis.set_ylabel("y [m]", fontsize=7)
+    if drawn:
+        bar = figure.colorbar(filled, ax=grid, ticks=[-1, 0, 1], shrink=0.8)
+        bar.set_label("motion over the largest (x: not seen in the noise)", fontsize=7)
     return plain_texts(figure)
 
 
