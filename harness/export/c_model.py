@@ -54,6 +54,7 @@ def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
         "/* hidden states whose start values were chosen when this file was written */",
         f"static const char GIVEN[] = {{ {', '.join([*('01'[c.name in given] for c in hidden), '0'])} }};",
         DELAY,
+        *([_WITHIN] if delays else []),
         _HIDDEN,
         "static const char *check(const double *v)",
         "{",
@@ -79,16 +80,17 @@ def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
     ]
     if late:
         lines += ["        double y[MODEL_NY];", "        model_output(v + X, v + SEEN, v + P, v, y);"]
-    lines += [
-        f"        push(v, {number}, v[{place}]); v[{place}] = late(v, {number}, v[{parameter}], 1, 0);"
-        for number, (place, parameter) in enumerate(delays)
-    ]
+    lines += [f"        push(v, {number}, v[{place}]);" for number, (place, _) in enumerate(delays)]
     lines += [f"        push(v, {number}, y[{column}]);" for number, (column, _) in enumerate(late, start=len(delays))]
     delayed_columns = {column for column, _ in blocks.input_delays}
     fresh = [column for column in range(system.nu) if column not in delayed_columns]
     lines += [
         "        v[COUNT] += 1;",
         "    }",
+        *(
+            f"    v[{place}] = within(v, {number}, v[{parameter}]); /* a held input changes within a sample */"
+            for number, (place, parameter) in enumerate(delays)
+        ),
         "    v[SUBSTEP] = v[SUBSTEP] + 1 < SUBSTEPS ? v[SUBSTEP] + 1 : 0;",
         *(f"    v[SEEN + {column}] = v[U + {column}];" for column in fresh),
         "    model_step(v + X, v + SEEN, v + P, v[V_time], h);",
@@ -214,6 +216,21 @@ static inline double late(const double *v, int line, double delay, int pushed, d
         const long back = n + i;
         if (!pushed && (back == 0 || k == 0)) s[i] = now;
         else s[i] = ring[((k - back) % RING + RING) % RING];
+    }
+    return (1 - (steps - n)) * s[0] + (steps - n) * s[1];
+}
+"""
+
+_WITHIN = """
+/* The mean over a substep of a held input that is late: substeps count from the last sample that was pushed. */
+static inline double within(const double *v, int line, double delay)
+{
+    const double *ring = v + LINES + line * RING, steps = delay > 0 ? delay / SAMPLE * SUBSTEPS : 0;
+    const long n = (long)steps, k = (long)v[COUNT] - 1, j = (long)v[SUBSTEP];
+    double s[2];
+    for (int i = 0; i < 2; i++) {
+        const long ago = n + i - j, back = ago > 0 ? (ago + SUBSTEPS - 1) / SUBSTEPS : 0;
+        s[i] = ring[((k - back) % RING + RING) % RING];
     }
     return (1 - (steps - n)) * s[0] + (steps - n) * s[1];
 }

@@ -97,28 +97,30 @@ LONG: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("gradient-descent", {"order": 3}, ("linear",)),
     ("follow-the-leader", {}, ("linear, state measured",)),
     ("edmdc", {"degree": 1, "learned": 4, "horizon": 8}, ("pendulum, rate measured",)),
-]
-"""Online ones fitted in one pass, and a search: seconds for all checks."""
-
-
-LONG: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("gaussian-process", {"order": 2, "exact": 60, "inducing": 20}, ("pendulum",)),
     ("prediction-error", {"structure": "state-space", "order": 2}, ("linear",)),
 ]
-"""More than ten seconds for all checks, and another choice of options stands in the gate."""
+"""Online ones fitted in one pass, and searches: many seconds for all checks; other choices stand in the gate."""
 
 
 def _name(case: tuple[Any, ...]) -> str:
     return " ".join([case[0], *(f"{key}={value}" for key, value in case[1].items())])
 
 
-@pytest.mark.parametrize("case", [*BATCH, *(pytest.param(one, marks=pytest.mark.slow) for one in LONG)], ids=_name)
-def test_batch_identifiers_keep_the_contract(case):
-    identifier, options, kinds = case
-    for kind in kinds:
-        results = check_identifier(lambda: create("identifiers", identifier, **options), kinds=(kind,), examples=1)
-        broken = [f"{one.name}: {one.reason}" for one in results if not one.passed]
-        assert not broken, f"{kind}: {broken}"
+def _cases():
+    """Yield every identifier on every kind of record; in the gate one kind of each, and two of one without options."""
+    for case in [*(case for case in BATCH if case not in LONG), *LONG]:
+        identifier, options, kinds = case
+        gate = 0 if case in LONG else 1 if options else 2
+        for number, kind in enumerate(kinds):
+            marks = [] if number < gate else [pytest.mark.slow]
+            yield pytest.param(identifier, options, kind, marks=marks, id=f"{_name(case)}, {kind}")
+
+
+@pytest.mark.parametrize(("identifier", "options", "kind"), list(_cases()))
+def test_batch_identifiers_keep_the_contract(identifier, options, kind):
+    results = check_identifier(lambda: create("identifiers", identifier, **options), kinds=(kind,), examples=1)
+    assert [f"{one.name}: {one.reason}" for one in results if not one.passed] == []
 
 
 @pytest.mark.parametrize(

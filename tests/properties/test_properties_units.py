@@ -127,12 +127,11 @@ def bounces(seed: int) -> Trajectory:
         x = x + dt * np.array([x[1] - 0.5 * 9.81 * dt, -9.81])
         x = np.array([-x[0], -0.8 * x[1]]) if x[0] < 0 else x
     y = np.array(rows) + 1e-4 * rng.standard_normal((400, 2))
-    spec = PlantSpec((Channel("u0"),), (Channel("z"), Channel("z_rate")), dt)
-    return Trajectory(dt * np.arange(400), np.zeros((400, 1)), y, spec)
+    return Trajectory(dt * np.arange(400), np.zeros((400, 0)), y, PlantSpec((), (Channel("z"), Channel("z_rate")), dt))
 
 
 def test_units_leave_jumps_of_the_state_where_they_are():
-    inputs, outputs = np.array([1.0]), np.array([64.0, 64.0])  # a rate goes with its position
+    inputs, outputs = np.zeros(0), np.array([64.0, 64.0])  # a rate goes with its position
     models = [
         create("identifiers", "hybrid-automaton").fit(
             [rescaled(bounces(seed), inputs, scale) for seed in (0, 1)], rng=np.random.default_rng(0)
