@@ -86,35 +86,47 @@ def doubt_of_own_record(
     most = RUN_AWAY * max(float(np.abs(record.y).max(initial=0.0)) for record in kept)
     if not all(np.isfinite(one).all() and np.abs(one).max(initial=0.0) <= most for one in (r[first:] for r in left)):
         return "a free run over the records that the model was fitted to diverges: it is no model to simulate"
-    limit = WORTHLESS if linear else UNEXPLAINED
-    asked = False
-    for column, channel in enumerate(records[0].spec.outputs):
-        taken = [told[:, column] & (np.arange(len(told)) >= first) for told in good]
-        rest, whole = (
-            np.concatenate([one[rows, column] for one, rows in zip(part, taken, strict=True)])
-            for part in (left, [record.y for record in kept])
+    doubts = [_doubt(kept, left, good, column, first, linear=linear) for column in range(records[0].spec.ny)]
+    return next((doubt for doubt in doubts if doubt), "" if any(doubt is not None for doubt in doubts) else None)
+
+
+def _doubt(
+    records: Sequence[Trajectory],
+    left: Sequence[FloatArray],
+    readings: Sequence[Readings],
+    column: int,
+    first: int,
+    *,
+    linear: bool,
+) -> str | None:
+    """Return what is wrong with what free runs leave of an output; empty if nothing, None if nothing can be asked."""
+    name, limit = records[0].spec.outputs[column].name, WORTHLESS if linear else UNEXPLAINED
+    taken = [told[:, column] & (np.arange(len(told)) >= first) for told in readings]
+    rest, whole = (
+        np.concatenate([one[rows, column] for one, rows in zip(part, taken, strict=True)])
+        for part in (left, [record.y for record in records])
+    )
+    if not len(rest):
+        return None
+    if (size := float(whole.std())) > 0 and float(rest.std()) > limit * size:
+        return (
+            f"a free run over the records that the model was fitted to errs by {percent(rest.std() / size)} of "
+            f"{name}, whose motion is mostly not the inputs': take a drift out, or use a linear model"
+            if limit < WORTHLESS
+            else f"a free run over the records that the model was fitted to errs by more than {name} moves "
+            f"({percent(rest.std() / size)}): its mean foretells more; use another method, or a longer record"
         )
-        if not len(rest):
-            continue
-        if (size := float(whole.std())) > 0 and float(rest.std()) > limit * size:
-            return (
-                f"a free run over the records that the model was fitted to errs by {percent(rest.std() / size)} of "
-                f"{channel.name}, whose motion is mostly not the inputs': take a drift out, or use a linear model"
-                if limit < WORTHLESS
-                else f"a free run over the records that the model was fitted to errs by more than {channel.name} moves "
-                f"({percent(rest.std() / size)}): its mean foretells more; use another method, or a longer record"
-            )
-        answered = _answered(kept, [one[:, column] - rest.mean() for one in left], column, first, taken)
-        if answered is None:
-            continue
-        asked, (share, chance) = True, answered
-        if share > RIGHT and chance < COLOURED / len(records[0].spec.outputs):
-            return (
-                f"a free run over the records that the model was fitted to leaves {percent(share)} of what the inputs "
-                f"do to {channel.name} (probability {chance:.1g} if it were {percent(RIGHT)}): take a drift or a level "
-                "out, a better structure, or another method"
-            )
-    return "" if asked else None
+    answered = _answered(records, [one[:, column] - rest.mean() for one in left], column, first, taken)
+    if answered is None:
+        return None
+    share, chance = answered
+    if share <= RIGHT or chance >= COLOURED / len(records[0].spec.outputs):
+        return ""
+    return (
+        f"a free run over the records that the model was fitted to leaves {percent(share)} of what the inputs "
+        f"do to {name} (probability {chance:.1g} if it were {percent(RIGHT)}): take a drift or a level "
+        "out, a better structure, or another method"
+    )
 
 
 def _answered(
