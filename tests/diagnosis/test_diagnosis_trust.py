@@ -121,7 +121,7 @@ def test_an_accepted_law_is_not_polished_into_what_it_forbids() -> None:
             self.effects, self.free, self.on_bound, self.converged = (placed,), (f"{placed}.Fc",), (), True
             self.deviations, self.logarithmic = {f"{placed}.Fc": 0.01}, frozenset[str]()
 
-            self.beyond = False
+            self.beyond, self.beside = False, dict[str, float]()
 
         def log_likelihood(self, use: str) -> float:
             return self.penalised
@@ -265,7 +265,7 @@ def test_a_drive_that_would_pull_back_at_its_peak_is_no_compression() -> None:
     fit: Any = SimpleNamespace(values=values, free=(placed.main(),), on_bound=(placed.main(),), effects=(placed,))
     form: Any = SimpleNamespace(damping=lambda fit, at: None)
     assert [one.kind for one in impossible(form, placed, fit)] == [Kind.BOUND]
-    fit.on_bound, fit.deviations, fit.logarithmic = (), {placed.main(): 1e-6}, frozenset()
+    fit.on_bound, fit.deviations, fit.logarithmic, fit.beside = (), {placed.main(): 1e-6}, frozenset(), {}
     assert impossible(form, placed, fit) == []
 
 
