@@ -21,7 +21,7 @@ from harness.blackbox.sums import summed
 from harness.blackbox.system import FmuSystem
 from harness.errors import HarnessError
 from harness.physics.compiled.rollout_call import Asked, Given, Sums
-from harness.physics.compiled.sampled import SampledBlocks
+from harness.physics.compiled.sampled import BySample, SampledBlocks
 from harness.signals import FloatArray, PlantSpec
 
 __all__ = ["STEP", "FmuSimulator"]
@@ -48,7 +48,7 @@ class _Run(NamedTuple):
     h: float
 
 
-class FmuSimulator:
+class FmuSimulator(BySample):
     """Free runs of an FMU with effects, and their derivatives.
 
     Parameters
@@ -60,7 +60,6 @@ class FmuSimulator:
     def __init__(self, system: FmuSystem, runner: Runner) -> None:
         self.system, self.runner = system, runner
         self.dt, self.substeps, self.intersample = runner.sample_time, 1, "zoh"
-        self.pieces = 1
         self.spec = PlantSpec(system.inputs, system.outputs, self.dt, system.states)
         self.nx, self.np = system.nx, system.np
         self.sampled = SampledBlocks(cast(Any, system), self.dt)
@@ -93,10 +92,6 @@ class FmuSimulator:
     def state_columns(self) -> range:
         """The columns of (p, x0) that are initial states."""
         return range(self.np, self.np + self.nx)
-
-    def seen(self, u: FloatArray, p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
-        """Return the inputs that the FMU sees, held over its communication steps, and their Jacobian by delays."""
-        return self.sampled.inputs(u, p, jacobian)
 
     def hidden_start(self, x: Any, u: Any, p: Any) -> FloatArray:
         """Return where the hidden states of effects start (hidden_count,), x being a whole state."""

@@ -17,7 +17,7 @@ from harness.blackbox.sums import summed
 from harness.calibration.slopes import OwnSlopes
 from harness.errors import HarnessError, InputError
 from harness.physics.compiled.rollout_call import Asked, Given, Sums
-from harness.physics.compiled.sampled import SampledBlocks
+from harness.physics.compiled.sampled import BySample, SampledBlocks
 from harness.physics.definition.dimensions import Dimensions
 from harness.physics.definition.parameters import Parameter
 from harness.protocols import Feedthrough, Plant
@@ -74,7 +74,7 @@ class FreeModel(Dimensions):
         return next(one for one in self.parameters if one.name == name)
 
 
-class FreeRuns:
+class FreeRuns(BySample):
     """Simulates records with given parameters (p) and start values of states (x0).
 
     Parameters
@@ -92,7 +92,6 @@ class FreeRuns:
         self.parameter_names = model.parameter_names
         self.spec = PlantSpec(model.inputs, model.outputs, self.dt, model.states)
         self.sampled = SampledBlocks(cast(Any, model), self.dt)
-        self.pieces = 1
         self.central = False
         self.count = 0
         self._outputs = [_place(plant.spec.outputs, channel, "output") for channel in model.outputs]
@@ -103,10 +102,6 @@ class FreeRuns:
         self.broken: HarnessError | None = None
         self.own: OwnSlopes | None = None
         """Where it is set, the columns that it is trusted with cost no runs of their own."""
-
-    def seen(self, u: FloatArray, p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
-        """Return the inputs that the plant sees, held over its communication steps, and their Jacobian by delays."""
-        return self.sampled.inputs(u, p, jacobian)
 
     def run(self, p: FloatArray, x0: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (N, ny) of one free run; NaN from where the plant breaks."""

@@ -13,6 +13,7 @@ from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import PLAN_POLICY, Policy
 from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.runs.compare import FreeRuns
+from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit, Jump
 from harness.diagnosis.search.leftover import Leftover
 from harness.diagnosis.search.outcome import Outcome
@@ -103,9 +104,14 @@ class Diagnosis:
     def incomplete(self) -> bool:
         """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.leftover.best is not None or self.latent_share > self.policy.large
-        refused = not self.found and self.outcome.promised(self.policy) is not None
+        refused = not self.found and self.promised is not None
         denied = bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
         return left or refused or denied or self.shaken
+
+    @functools.cached_property
+    def promised(self) -> Judged | None:
+        """See :meth:`harness.diagnosis.search.outcome.Outcome.promised`; asked once, as free runs are weighed anew."""
+        return self.outcome.promised(self.policy)
 
     @property
     def astray(self) -> bool:

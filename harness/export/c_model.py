@@ -108,7 +108,7 @@ def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
             step = f"v[{parameters + place}]"
             lines.append(f"    if ({step} > 0) v[Y + {column}] = rint(v[Y + {column}] / {step}) * {step};")
         else:
-            lines.append(f"    v[Y + {column}] = late(v, {number}, v[{parameters + place}], 0, v[Y + {column}]);")
+            lines.append(f"    v[Y + {column}] = late(v, {number}, v[{parameters + place}], v[Y + {column}]);")
             number += 1
     return "\n".join([*lines, "}", ""])
 
@@ -206,15 +206,15 @@ static inline void push(double *v, int line, double value)
     ring[(long)v[COUNT] % RING] = value;
 }
 
-/* (1 - f) s[k - n] + f s[k - n - 1] with delay = (n + f) SAMPLE; s[k] is in the line already, or it is now. */
-static inline double late(const double *v, int line, double delay, int pushed, double now)
+/* (1 - f) s[k - n] + f s[k - n - 1] with delay = (n + f) SAMPLE; s[k] is not in the line yet: it is now. */
+static inline double late(const double *v, int line, double delay, double now)
 {
     const double *ring = v + LINES + line * RING, steps = delay > 0 ? delay / SAMPLE : 0;
     const long n = (long)steps, k = (long)v[COUNT];
     double s[2];
     for (int i = 0; i < 2; i++) {
         const long back = n + i;
-        if (!pushed && (back == 0 || k == 0)) s[i] = now;
+        if (back == 0 || k == 0) s[i] = now;
         else s[i] = ring[((k - back) % RING + RING) % RING];
     }
     return (1 - (steps - n)) * s[0] + (steps - n) * s[1];

@@ -80,11 +80,11 @@ def effects_source(system: FmuSystem, sample_time: float) -> str:
     values = [parameter.value for parameter in system.parameters[system.inner_count :]]
     longest = max([values[place] for _, place in (*delays, *late)], default=0.0)
     ring = max(64, 4 * int(np.ceil(longest / sample_time)) + 4)
-    before = [f"v[LU + {i}] = late(v, {n}, v[P + {place}], 0, v[IU + {i}]);" for n, (i, place) in enumerate(delays)]
+    before = [f"v[LU + {i}] = late(v, {n}, v[P + {place}], v[IU + {i}]);" for n, (i, place) in enumerate(delays)]
     pushes = [f"push(v, {n}, v[IU_LAST + {i}]);" for n, (i, _) in enumerate(delays)]
     after = [f"if (v[P + {k}] > 0) v[OY + {i}] = rint(v[OY + {i}] / v[P + {k}]) * v[P + {k}];" for i, k in rounded]
     for n, (i, place) in enumerate(late, start=len(delays)):
-        after.append(f"v[LY + {i}] = v[OY + {i}]; v[OY + {i}] = late(v, {n}, v[P + {place}], 0, v[OY + {i}]);")
+        after.append(f"v[LY + {i}] = v[OY + {i}]; v[OY + {i}] = late(v, {n}, v[P + {place}], v[OY + {i}]);")
         pushes.append(f"push(v, {n}, v[LY + {i}]);")
     lines = [f"/* {system}: its effects, written by sysid-harness. */", around.source]
     lines += [

@@ -11,6 +11,8 @@ import pytest
 
 from harness import registry
 
+sys.path.insert(0, str(Path(__file__).parent))  # made rows are a module beside the tests
+
 MODULE = '''
 """Plug-ins for the tests of the benchmark: ordinary ones, and one for each way to break."""
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_rows import SCORES, row, task
 from scipy import stats
 
 from harness.benchmark.control import _point, _regret
-from harness.benchmark.parts import Cell, Part, Score, Task
-from harness.benchmark.row import Row
+from harness.benchmark.parts import Part, Score, Task
 from harness.benchmark.statistics import Ranking, _median_ratio, ranking, replicates, standings
 from harness.benchmark.summary import figure, pairs_in_words, summarise
 from harness.benchmark.work import _do_cell, _score_distributions
@@ -21,26 +21,6 @@ from harness.scoring.control import LinearPlantModel, control_regret
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.least_squares import StateLeastSquares
 from plants.equations.linear import LinearPlant
-
-SCORES = (
-    "equation_error", "simulation_error", "log_score", "coverage", "regret", "regret_over_theory", "log_regret",
-    "control_score", "predictive_cost", "control_regret", "fit_seconds", "memory_mib",
-)  # fmt: skip
-
-
-def task(
-    identifier: str = "hold", seed: int = 0, *, jobs: tuple[str, ...] = ("j",), plant: str = "p", **more: Any
-) -> Task:
-    """Return a task of cells of one identifier."""
-    part = Part(identifier, more.pop("options", {}))
-    cells = tuple(Cell(job, part) for job in jobs)
-    return Task(Part(plant), Part("s"), seed, more.pop("score", Score()), more.pop("time_limit", 60.0), cells)
-
-
-def row(name: str = "arx", seed: int = 0, **more: Any) -> Row:
-    """Return a row of a cell."""
-    own = {"plant": "p", "scenario": "s"} | more
-    return Row(job=f"{own['plant']}{name}{seed}", identifier=name, seed=seed, **own)
 
 
 def held(n: int, seed: int) -> Trajectory:

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_rows import SCORES, row, task
 
 from harness.benchmark import BenchResult, probes
 from harness.benchmark.columns import arrow_table, columns_of_files, plain_values, rows_of, write_rows
 from harness.benchmark.page.exports import latex_text, render
 from harness.benchmark.page.tables import _Column, _folded, _reasons, _status
-from harness.benchmark.parts import Cell, Part, Score, Suite, Task
+from harness.benchmark.parts import Part, Score, Suite, Task
 from harness.benchmark.planning import Plan, plan_of
 from harness.benchmark.row import STATUSES, Row, blank, encoded, one_line, read_row, sound
 from harness.benchmark.running import _batches, _logged, _missing, plan
@@ -25,26 +26,6 @@ from harness.benchmark.store import BATCH, Store
 from harness.benchmark.suite import _job, cells_of, load_suite, tasks_of
 from harness.benchmark.summary import figure, summarise
 from harness.errors import InputError, PlantError
-
-SCORES = (
-    "equation_error", "simulation_error", "log_score", "coverage", "regret", "regret_over_theory", "log_regret",
-    "control_score", "predictive_cost", "control_regret", "fit_seconds", "memory_mib",
-)  # fmt: skip
-
-
-def task(
-    identifier: str = "hold", seed: int = 0, *, jobs: tuple[str, ...] = ("j",), plant: str = "p", **more: Any
-) -> Task:
-    """Return a task of cells of one identifier."""
-    part = Part(identifier, more.pop("options", {}))
-    cells = tuple(Cell(job, part) for job in jobs)
-    return Task(Part(plant), Part("s"), seed, more.pop("score", Score()), more.pop("time_limit", 60.0), cells)
-
-
-def row(name: str = "arx", seed: int = 0, **more: Any) -> Row:
-    """Return a row of a cell."""
-    own = {"plant": "p", "scenario": "s"} | more
-    return Row(job=f"{own['plant']}{name}{seed}", identifier=name, seed=seed, **own)
 
 
 def result(rows: list[Row], **more: Any) -> BenchResult:

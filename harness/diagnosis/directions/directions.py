@@ -323,28 +323,28 @@ def _rate_changes(
     nominal: System, known: Mapping[str, float], placed: Placed, at: Mapping[str, float]
 ) -> Callable[[Trace, Mapping[str, float], Sequence[str]], FloatArray]:
     """Return what an effect adds to the rates along a record (K, nx, k), by its linear parameters or as a whole."""
-    kind = port_of(nominal, placed).kind
     base = ca.Function("f", [nominal.x, nominal.u, nominal.p, nominal.t], [nominal.f])
-    p0 = nominal.vector(known)
-    whole = None if kind == "input" else compose(nominal, [placed], sizes={"": at})
+    whole = None if port_of(nominal, placed).kind == "input" else compose(nominal, [placed], sizes={"": at})
     made = None if whole is None else ca.Function("g", [whole.x, whole.u, whole.p, whole.t], [whole.f[: nominal.nx]])
 
+    def along(trace: Trace, function: ca.Function, x: FloatArray, u: FloatArray, p: FloatArray) -> FloatArray:
+        n = len(trace.record)
+        return np.asarray(function.map(n)(x.T, u.T, np.tile(p[:, None], n), trace.record.t).full().T)
+
+    def plain(trace: Trace, u: FloatArray) -> FloatArray:
+        return along(trace, base, trace.x[:, : nominal.nx], u, nominal.vector(known))
+
     def rates(trace: Trace, case: Mapping[str, float]) -> FloatArray:
-        n, x = len(trace.record), trace.x[:, : nominal.nx]
-        plain = base.map(n)(x.T, trace.record.u.T, np.tile(p0[:, None], n), trace.record.t).full().T
         if whole is None or made is None:
-            u = input_behind(placed, trace, nominal, case)
-            there = base.map(n)(x.T, u.T, np.tile(p0[:, None], n), trace.record.t).full().T
-        else:
-            p = whole.vector({**known, **{placed.name(name): value for name, value in case.items()}})
-            wide = np.hstack([x, np.zeros((n, whole.nx - nominal.nx))])
-            there = made.map(n)(wide.T, trace.record.u.T, np.tile(p[:, None], n), trace.record.t).full().T
-        return np.asarray(there - plain)
+            return plain(trace, input_behind(placed, trace, nominal, case))
+        hidden = np.zeros((len(trace.record), whole.nx - nominal.nx))
+        p = whole.vector({**known, **{placed.name(name): value for name, value in case.items()}})
+        return along(trace, made, np.hstack([trace.x[:, : nominal.nx], hidden]), trace.record.u, p)
 
     def change(trace: Trace, given: Mapping[str, float], linear: Sequence[str]) -> FloatArray:
         complete = placed.effect.complete(given, at)
         if not linear:
-            return rates(trace, complete)[:, :, None]
+            return (rates(trace, complete) - plain(trace, trace.record.u))[:, :, None]
         nothing = {**complete, **{name: placed.effect.parameter(name).neutral or 0.0 for name in linear}}
         before = rates(trace, nothing)
         return np.stack([rates(trace, {**nothing, n: nothing[n] + 1.0}) - before for n in linear], axis=2)

@@ -514,7 +514,7 @@ def _cause(found: Diagnosis) -> str:
     if found.outcome.withdrawn:
         names = " and ".join(_words(accepted.placed) for accepted in found.outcome.withdrawn)
         return f"{names} would by the likelihood, and takes free runs further from the validation records"
-    refused = found.outcome.promised(found.policy)
+    refused = found.promised
     if refused is not None and refused.comparison is not None:
         names = " and ".join(map(_words, refused.added))
         gain = f"{names} would in the estimation records, by {refused.comparison.evidence:.0f} in log-likelihood"

@@ -7,7 +7,7 @@ import numpy as np
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray
 
-__all__ = ["SampledBlocks", "delayed", "delayed_between", "quantised"]
+__all__ = ["BySample", "SampledBlocks", "delayed", "delayed_between", "quantised"]
 
 
 def delayed(signal: FloatArray, delay: float, dt: float) -> tuple[FloatArray, FloatArray]:
@@ -151,3 +151,14 @@ class SampledBlocks:
                     s[window, :, column, :] = _delayed_output(s[window, :, column, :], value, self.dt)[0]
                     s[window, :, column, parameter] += change
         return y, s
+
+
+class BySample:
+    """What runs of others have in common with a simulator: their inputs are held over communication steps."""
+
+    pieces = 1
+    sampled: SampledBlocks
+
+    def seen(self, u: FloatArray, p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
+        """Return the inputs that the plant sees, and their Jacobian by delays: of each sample one."""
+        return self.sampled.inputs(u, p, jacobian)
