@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Scaling", "centred", "lively", "noise_levels", "scaled", "sizes", "together"]
+__all__ = ["EXACT", "Scaling", "centred", "lively", "noise_levels", "scaled", "sizes", "together"]
 
 # A column that moves by less than this fraction of its value counts as constant: what moves may be rounding.
 _STILL = 1e-12
@@ -18,8 +18,8 @@ _STILL = 1e-12
 _FORETOLD = 0.02
 # Noise is estimated from so many samples at most, from so many equations for each regressor at least.
 _ROWS, _EQUATIONS = 20_000, 3
-# Errors below this share of an output's size are rounding.
-_EXACT = 1e-9
+EXACT = 1e-9
+"""Errors below this share of an output's size are rounding."""
 # Outputs are not told apart by noise below this share of their size.
 _QUIET = 1e-3
 
@@ -147,4 +147,4 @@ def together(errors: FloatArray, moves: npt.NDArray[np.bool_]) -> float:
     >>> round(together(np.array([0.04, 0.01, 1.0]), np.array([True, True, False])), 3)
     0.02
     """
-    return float(np.exp(np.mean(np.log(np.maximum(errors[moves], _EXACT**2)))))
+    return float(np.exp(np.mean(np.log(np.maximum(errors[moves], EXACT**2)))))

@@ -21,7 +21,7 @@ from identifiers.common.neighbours import BIAS, LARGEST, coefficients_without, s
 from identifiers.common.one_step_estimate import foretold_output, least_squares_estimate
 from identifiers.common.records import lagged, lagged_blocks, missing_notes, moving, real_signals, snapshot_sums, usable
 from identifiers.common.regression import Solution, solve
-from identifiers.common.scaling import lively, sizes, together
+from identifiers.common.scaling import EXACT, lively, sizes, together
 from identifiers.common.stability import nearest_stable, stable_lags
 from identifiers.linear.arx_channels import arx_by_channel, arx_orders_of, channel_neighbours
 from identifiers.linear.polynomials.orders import Counts
@@ -31,8 +31,6 @@ __all__ = ["Arx", "design", "lag_model", "one_step", "operating_point", "solutio
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 # An order is kept only if it lowers the validated error by this much: below it the gain is chance.
 _GAIN = 0.98
-# Errors below this share of an output are rounding, and decide nothing.
-_EXACT = 1e-9
 # A constant is missed where it lowers the mean square by so much, and chance would not do so once in a million.
 _MISSED, _CHANCE = 1.05, 1e-6
 
@@ -345,7 +343,7 @@ def operating_point(records: Sequence[Trajectory], solution: Solution, lags: int
     except FitError:  # the constant follows from the others
         return {}
     size = sizes([record.y for record in records])
-    before, after = (np.maximum(one.residual_rms, _EXACT * size) ** 2 for one in (solution, more))
+    before, after = (np.maximum(one.residual_rms, EXACT * size) ** 2 for one in (solution, more))
     ratio = before / after
     worst = int(np.argmax(ratio))
     if ratio[worst] < _MISSED or chi2.sf(solution.rows * np.log(ratio[worst]), 1) > _CHANCE:

@@ -30,7 +30,7 @@ _PATIENCE = 2000
 _MAXIMUM_SUBSTEPS = 50
 _OVER = 5.0
 """Time constants in a sample after which nothing is left of a decay."""
-# A smooth input is followed in at least so many straight pieces per sample.
+# A sample has at least so many pieces where inputs move within it: smooth ones straight, late held ones constant.
 _PIECES = 4
 
 
