@@ -309,6 +309,12 @@ class Effort:
     close: float = _number(
         30.0, "log-likelihood within which the second start goes on beside the first", "cost", "tests"
     )
+    ends: float = _number(
+        3.0,
+        "standard deviations along the longest axis of an answer from which it is fitted again",
+        "chance takes one of 400 estimates that far: a nearer end lies in the same basin",
+        "one of 20 judged records of base 520000 gained by it, 36 and 32 in log-likelihood",
+    )
     margin: float = _number(50.0, "log-likelihood that first steps of an exchange may still lack", "cost", "tests")
     finer: int = _number(
         3, "times that a fit goes on with finer steps of the solver, where its law became faster than they are", "cost"
@@ -524,6 +530,26 @@ class ArmPolicy:
         "relative error of the mass of a link up to which it is not named beside other links",
         "CAD is right within a tenth, and errors of the motion ask for that much",
         "two of the 20 logs with wrong masses whose counts stand in the limits",
+    )
+    slowest_spring: float = _number(
+        4.0,
+        "lowest resonance of a link on its joint's spring that a fit starts from [Hz]",
+        "half of the slowest that light arms are known for",
+    )
+    fastest_spring: float = _number(
+        80.0, "highest of them [Hz]", "beyond, a compliance shows at first order, whatever the resonance"
+    )
+    springs: int = _number(
+        9, "resonances that are tried in between", "a factor of 1.45: within the reach of a fit of half a decade"
+    )
+    resolved: float = _number(0.25, "highest of them over the sample rate", "four samples in a period")
+    damped: float = _number(0.03, "damping ratio that a spring starts from", "gears of steel have 0.01 to 0.1")
+    least_lag: float = _number(1e-5, "damping over stiffness of a joint, at least [s]", "0.3 % at 100 Hz: none")
+    most_lag: float = _number(
+        0.1, "and at most [s]", "a damper that slow is a clutch; the square of it is J/k of a rotor at 1.6 Hz"
+    )
+    small_spring: float = _number(
+        1e-3, "compliance over the smallest that is tried at which its torque is in proportion to it", "0.1 %"
     )
     sets: int = _number(3, "sets of links that are fitted with errors of their own, the best by one metric", "cost")
     rows: int = _number(4000, "samples of a use that are asked for an inertia", "cost: there are five columns")

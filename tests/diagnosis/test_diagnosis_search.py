@@ -300,6 +300,18 @@ def test_a_general_law_gives_way_to_its_special_case_beside_a_later_effect() -> 
     assert {one.effect.name for one in outcome.model.effects} == accepted(outcome)
 
 
+@pytest.mark.parametrize(("more", "answer"), [(0.3, "linear_spring"), (0.8, "cubic_spring")])
+def test_what_a_general_law_adds_is_asked_the_share_of_a_further_effect(more: float, answer: str) -> None:
+    """Both are sure of it, by 90 and by 640 in log-likelihood: 1 and 7 % of what is missing."""
+    records = linear_records(23, {"linear_spring": 3.0, "cubic_spring": more})
+    mixed(records, "cubic_spring", linear_spring=1.0, cubic_spring=more / 3.0)
+    form = LinearForm(records)
+    general = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")
+    outcome = search(form, form.fit((), [], None), [placed("linear_spring"), general])
+    assert accepted(outcome) == {answer}
+    assert "cubic_spring" in tie_of(outcome, answer), "the likelier law is shown"
+
+
 @pytest.mark.parametrize("exchanged", [False, True])
 def test_the_last_law_gives_way_to_its_special_case_where_an_earlier_one_was_exchanged(exchanged: bool) -> None:
     """Beside a cyclic error a spring crept; beside the bent scale that took its place it did not."""

@@ -74,7 +74,10 @@ def generalise(table: Table, base: Fit, fits: Fits, untried: Sequence[Placed]) -
 
 
 def _questions(table: Table, base: Fit, fits: Fits, untried: Sequence[Placed]) -> Iterator[_Question]:
-    """Yield which additions may help: to laws that pay for themselves and are not far below the best one."""
+    """Yield which additions may help: to laws that pay for themselves and are not far below the best one.
+
+    Or that are near one that does: what it becomes in a limit, a rounded play, may have taken its place.
+    """
     policy, before = table.policy, base.log_likelihood("estimation")
     done = {placed: fit for placed, fit in fits.items() if fit is not None}
     gains = {placed: fit.log_likelihood("estimation") - before for placed, fit in done.items()}
@@ -90,7 +93,9 @@ def _questions(table: Table, base: Fit, fits: Fits, untried: Sequence[Placed]) -
         simple.sort(key=lambda placed: -value(done[placed]))
         lawful = [placed for placed in simple if not impossible(table.form, placed, done[placed])]
         likeliest = [*dict.fromkeys([*lawful[:1], simple[0]])]  # a law may be forbidden for want of a refinement
-        if gains[simple[0]] >= enough and any(pays(done[law], base, policy) for law in likeliest):
+        limits = {name for rich in richer.values() for name in rich.effect.limits}
+        near = [placed for placed in done if placed.at == at and placed.effect.name in limits]
+        if any(gains[law] >= enough and pays(done[law], base, policy) for law in [*likeliest, *near]):
             yield _Question(at, richer, simple, likeliest)
 
 

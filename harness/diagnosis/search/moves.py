@@ -36,18 +36,26 @@ __all__ = [
 ]
 
 
-def preferred(new: Answer, old: Answer, policy: Policy, *, simpler: bool = False) -> bool:
+def preferred(table: Table, new: Answer, old: Answer, *, simpler: bool = False) -> bool:
     """Return True if one answer is to take the place of another: the rule of all moves.
 
     Every effect more must bring the evidence that is asked of one, an exchange more than a tie, and an effect less may
-    cost no more than a tie. A special case of a law takes its place where the data do not tell the two apart.
+    cost no more than a tie. A special case of a law takes its place where the data do not tell the two apart. What a
+    law adds to a special case of it is asked the share of a further effect: with less it is the corner of that one.
     """
-    more = len(new.accepted) - len(old.accepted)
+    policy, more = table.policy, len(new.accepted) - len(old.accepted)
     asked = 2 * policy.evidence * more if more > 0 else policy.tie if more == 0 else -policy.tie
     if simpler:
         _, error = difference(old.model, new.model, ("estimation", "validation"), policy)
-        asked = -max(policy.tie, policy.tie_z * error)
+        asked = -max(policy.tie, policy.tie_z * error, _corner(table, old.model))
+    elif any(one.placed.generalises(other.placed) for one in new.accepted for other in old.accepted):
+        asked = max(asked, _corner(table, old.model))
     return value(new.model) > value(old.model) + asked
+
+
+def _corner(table: Table, fit: Fit) -> float:
+    """Return what a law may bring more than a special case and be no other law: a share of what all effects bring."""
+    return table.policy.second_share * (value(fit) - value(table.nominal))
 
 
 # ---- add -------------------------------------------------------------------------------------------------------------
@@ -80,7 +88,9 @@ def add(table: Table, answer: Answer, past: Round) -> tuple[Judged, Answer] | No
     best = max(passed, key=total)
     for row in sorted(passed, key=lambda row: (row.fit.count if row.fit else 0, -total(row))):
         first, other = best.added[0], row.added[0]
-        if (first.generalises(other) or same_whole(first, other)) and tied(best, row, table.policy):
+        special, fit = first.generalises(other), best.fit
+        tie = tied(best, row, table.policy) and (special or same_whole(first, other))
+        if tie or (special and fit is not None and total(best) - total(row) < _corner(table, fit)):
             return row, answer.added(row, len(table.rounds) - 1)
     return best, answer.added(best, len(table.rounds) - 1)
 
@@ -138,7 +148,7 @@ def add_two(table: Table, answer: Answer) -> Answer | None:
             starts = [{**fit.values, **start} for start in lead.starts]
             pair = table.fit([*fit.effects, lead.placed], starts, fit)
             best = _better(table, best, _pair(table, rival.added[0], lead.placed, pair, fit, best))
-    return best if best is not None and preferred(best, answer, table.policy) else None
+    return best if best is not None and preferred(table, best, answer) else None
 
 
 def _rivals(table: Table, answer: Answer) -> list[Judged]:
@@ -254,7 +264,7 @@ def exchange(table: Table, answer: Answer) -> Answer:
         ]
         for row in sorted(rivals, key=lambda row: -total(row))[: EFFORT.pairs + 1]:
             trial = _exchanged(table, answer, number, row, best.model)
-            if trial is not None and preferred(trial, best, table.policy):
+            if trial is not None and preferred(table, trial, best):
                 best = trial
         if best is not answer:
             changed = best.accepted[number]
@@ -302,7 +312,7 @@ def specialise(table: Table, answer: Answer) -> Answer:
             if fit is None or not table.lawful(fit):
                 continue
             trial = answer.exchanged(number, simple, fit, earlier.found)
-            if preferred(trial, answer, table.policy, simpler=True):
+            if preferred(table, trial, answer, simpler=True):
                 answer = trial
                 break
     return answer
@@ -320,5 +330,5 @@ def drop(table: Table, answer: Answer) -> Answer:
         fit = table.fit(left, starts, model, model)
         if fit is not None and table.lawful(fit):
             trial = answer.dropped(number, fit)
-            answer = trial if preferred(trial, answer, table.policy) else answer
+            answer = trial if preferred(table, trial, answer) else answer
     return answer

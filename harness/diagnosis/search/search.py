@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Fit, Form
@@ -21,6 +22,7 @@ from harness.diagnosis.search.moves import (
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.table import Answer, Round, Say, Table, silent, value
 from harness.diagnosis.search.ties import asked_again, tie_set_of_last, unknown_parts
+from harness.diagnosis.search.warm import settled
 from harness.effects.effect import Placed
 
 __all__ = ["search"]
@@ -79,7 +81,9 @@ def search(
         if better is None:
             break
         answer = better
-    answer = unknown_parts(table, asked_again(table, specialise(table, answer)))
+    answer = specialise(table, answer)
+    answer = replace(answer, model=settled(table, answer.model))
+    answer = unknown_parts(table, asked_again(table, answer))
     return Outcome(form, table.nominal, answer.model, answer.accepted, tuple(table.rounds))
 
 
@@ -93,7 +97,7 @@ def _step(table: Table, answer: Answer, past: Round) -> Answer | None:
     trials = [*exchange_contradicted(table, answer, past)]
     if found is None or second_friction(answer.model, found[0]):
         trials += generalise_earlier(table, answer)
-    trials = [trial for trial in trials if preferred(trial, answer, table.policy)]
+    trials = [trial for trial in trials if preferred(table, trial, answer)]
     best = max(trials, key=lambda trial: value(trial.model), default=None)
     rivals = [row.fit for row in past.candidates if row.passed and not second_friction(answer.model, row)]
     if best is not None and all(fit is None or value(best.model) > value(fit) - table.policy.tie for fit in rivals):

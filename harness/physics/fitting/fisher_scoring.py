@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.physics.compiled.kalman_pass import Filtered
-from harness.physics.fitting.maximum import FIRST_DAMPING, LikelihoodFit
+from harness.physics.fitting.maximum import FIRST_DAMPING, LONGEST, LikelihoodFit
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -38,8 +38,6 @@ _CORNERS = 3
 """Parameters along which a likelihood may have a corner at once: limits of two outputs, and one to spare."""
 _SIDES = tuple(side * part for part in (1.0, 0.1, 0.01, 1e-3) for side in (1.0, -1.0))
 """Of a Newton step along one parameter, to both sides, that must all be worse on a corner."""
-_LONGEST = 1.5
-"""Longest step of a logarithm."""
 _KEPT = 0.5
 """Share of its promise below which a step along a narrow valley is corrected for the bend of the valley."""
 _BENT = 0.75
@@ -176,7 +174,7 @@ class FisherScoring:
         self._likelihood, self._latent, self._entries = likelihood, latent, entries
         self._names, self._log = tuple(names[k] for k in entries), log[entries]
         self._low, self._high = low[entries], high[entries]
-        self._longest = np.where(self._log, _LONGEST, np.inf)
+        self._longest = np.where(self._log, LONGEST, np.inf)
         self._noise_bounds = low[-ny:], high[-ny:]
         self._exact = exact and latent
         self._noise_follows = not latent and int((entries >= len(names) - ny).sum()) == ny
