@@ -12,7 +12,7 @@ export OPENBLAS_NUM_THREADS := 1
 $(READY): pyproject.toml lab/pyproject.toml constraints.txt
 	@echo "setting up $(VENV) (a minute or two, once)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]" -e lab
+	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e ".[dev]" -e lab
 	@touch $@
 
 # the benchmark table, then one loop closed: Bullet's own joint friction, found in the log of a one-joint arm

@@ -27,3 +27,18 @@ def recordings_folder() -> Path:
         )
     os.environ["SYSID_HARNESS_DATA"] = str(folder)
     return folder
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as slow what ``first_of_each(*arguments)`` leaves to the night: further options of the same identifier."""
+    seen = set()
+    for item in items:
+        marker = item.get_closest_marker("first_of_each")
+        if marker is None or not isinstance(item, pytest.Function) or item.get_closest_marker("slow"):
+            continue
+        values = (item.callspec.params[argument] for argument in marker.args)
+        key = item.originalname, *(value[0] if isinstance(value, tuple) else value for value in values)
+        if key in seen:
+            item.add_marker("slow")
+        seen.add(key)

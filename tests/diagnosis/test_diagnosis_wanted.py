@@ -50,8 +50,8 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("text", "found"),
     [
         ("coulomb_friction(theta)", {str(FRICTION), str(SPRING)}),
-        ("cubic_spring@theta; coulomb_friction?", {str(FRICTION), str(SPRING)}),
-        ("elasticity(theta); *_spring?", {"elasticity@theta", str(SPRING)}),
+        pytest.param("cubic_spring@theta; coulomb_friction?", {str(FRICTION), str(SPRING)}, marks=pytest.mark.slow),
+        pytest.param("elasticity(theta); *_spring?", {"elasticity@theta", str(SPRING)}, marks=pytest.mark.slow),
         ("*_spring?", {str(SPRING)}),
     ],
 )

@@ -65,6 +65,7 @@ def test_what_the_controller_adds_beyond_the_noise_is_enough(case):
         assert np.abs(model.b_matrix[:2] - B).max() < 0.02
 
 
+@pytest.mark.first_of_each("case", "loud")
 @pytest.mark.parametrize("case", METHODS, ids=str)
 @pytest.mark.parametrize("loud", [0.3, 3.0])
 def test_open_loop_is_never_refused_whatever_the_noise(case, loud):

@@ -106,7 +106,7 @@ def test_they_say_what_they_need():
         (RecursiveLeastSquares(order=1, forgetting=0.97), "linear", 3000),
         (RecursivePolynomial(structure="arx", order=1), "log", 1000),
         (RecursivePolynomial(structure="arx", order=1, forgetting=0.97), "linear", 1000),
-        (FollowTheLeader("arx", {"order": 1}), "log", 1000),
+        pytest.param(FollowTheLeader("arx", {"order": 1}), "log", 1000, marks=pytest.mark.slow),
     ],
     ids=str,
 )

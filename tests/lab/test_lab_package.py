@@ -64,6 +64,7 @@ def test_the_records_are_those_of_the_study_and_tell_nothing(made: Path) -> None
         np.testing.assert_array_equal(ours.trajectory.u, theirs.trajectory.u)
 
 
+@pytest.mark.slow
 def test_a_secret_number_makes_other_records_and_the_truth_stays_outside(tmp_path: Path) -> None:
     mine, again, other = (
         read_truth(make(tmp_path / name, secret=secret, records=2))
@@ -83,6 +84,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_the_records_are_the_same(made: Path, tmp_path: Path) -> None:
     code = (
         "import sys; from sysid_lab.package import generate\n"
@@ -109,6 +111,7 @@ def test_killed_and_resumed_the_records_are_the_same(made: Path, tmp_path: Path)
     assert contents(killed) == contents(made)
 
 
+@pytest.mark.slow
 def test_a_record_that_breaks_is_said_by_name_and_costs_no_other(tmp_path: Path) -> None:
     planned = plan("all", base=BASES["judged"], plants=["pendulum"], cells=1, alarms=1)
     tasks = [task for task in planned if task.study != "cost"]

@@ -63,8 +63,8 @@ def test_no_coefficient_is_far_outside_its_interval_on_any_system(system, seed):
     [
         (StateLeastSquares(), 0.2, 0.0),
         (Arx(order=1, offset=False), 0.2, 0.0),
-        (StateLeastSquares(method="iv", least_excitation=0.0), 0.0, 0.3),
-        (StateLeastSquares(method="tls", least_excitation=0.0), 0.0, 0.3),
+        pytest.param(StateLeastSquares(method="iv", least_excitation=0.0), 0.0, 0.3, marks=pytest.mark.slow),
+        pytest.param(StateLeastSquares(method="tls", least_excitation=0.0), 0.0, 0.3, marks=pytest.mark.slow),
     ],
     ids=["ls", "arx", "iv", "tls"],
 )
@@ -82,7 +82,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(identifier, process, sens
     assert held.mean() <= 0.995 * given_
 
 
-@pytest.mark.parametrize("kind", ["oe", "armax"])
+@pytest.mark.parametrize("kind", ["oe", pytest.param("armax", marks=pytest.mark.slow)])
 def test_intervals_of_prediction_error_models_hold_the_truth_in_the_units_of_the_channels(kind):
     truth_of = {
         "oe": {"y: b1 of u": 100.0, "y: b2 of u": 50.0, "y: f1": -1.5, "y: f2": 0.7, "y: level": 7.0},

@@ -99,6 +99,7 @@ def test_exact_outputs_give_an_exact_model(case, system, seed):
     answers_a_pulse_as_the_system_does(model, system, held, 1e-3)
 
 
+@pytest.mark.first_of_each("case")
 @pytest.mark.parametrize("case", [*STATES, *OUTPUTS], ids=_name)
 @given(tempered_systems(measured_state=True, tempers=("stable", "lightly damped", "delayed")), SEEDS)
 @settings(max_examples=5)
@@ -114,6 +115,7 @@ def test_time_shift_and_repetition_under_a_seed_leave_the_model_and_the_data_alo
     assert np.array_equal(record.u, kept[1])
 
 
+@pytest.mark.first_of_each("case")
 @pytest.mark.parametrize("case", [*STATES, *OUTPUTS], ids=_name)
 @given(tempered_systems(measured_state=True, tempers=("stable", "lightly damped")), SEEDS)
 @settings(max_examples=5)

@@ -56,6 +56,7 @@ def growth(model):
     return float(np.abs(np.linalg.eigvals(a)).max())
 
 
+@pytest.mark.first_of_each("case")
 @pytest.mark.parametrize("case", METHODS, ids=str)
 @settings(max_examples=8)
 @given(growing())

@@ -81,6 +81,7 @@ def _name(case: tuple[str, dict[str, Any]]) -> str:
     return " ".join([case[0], *(f"{key}={value}" for key, value in case[1].items())])
 
 
+@pytest.mark.first_of_each("case")
 @pytest.mark.parametrize("case", OPTIONS, ids=_name)
 @given(
     linear_systems(max_states=3, max_outputs=3),
