@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Kind
-from harness.diagnosis.policy import EFFORT, POLICY, Policy
+from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.runs.simple_fits import SimpleFit, SimpleFits

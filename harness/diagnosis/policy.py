@@ -2,69 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass
+
+from harness.diagnosis.number import number
 
 __all__ = [
     "ARM_POLICY",
     "DATA_POLICY",
-    "EFFORT",
     "PLAN_POLICY",
     "POLICY",
     "RUN_POLICY",
     "ArmPolicy",
     "DataPolicy",
-    "Effort",
-    "Number",
     "PlanPolicy",
     "Policy",
     "RunPolicy",
-    "described",
 ]
-
-
-@dataclass(frozen=True)
-class Number:
-    """Why a number is what it is."""
-
-    reason: str
-    source: str
-    tuned_on: str = "nothing"
-
-
-def _number(value: Any, reason: str, source: str, tuned_on: str = "nothing") -> Any:
-    return field(default=value, metadata={"number": Number(reason, source, tuned_on)})
 
 
 @dataclass(frozen=True)
 class Policy:
     """The deciding numbers of a diagnosis."""
 
-    evidence: float = _number(
+    evidence: float = number(
         5.0,
         "an effect must raise the log-likelihood by this much a use: penalised where it was fitted, and held out",
         "Kass & Raftery 1995, J. Am. Stat. Assoc. 90:773, sec. 3.2: a difference of 10 in BIC is very strong",
         "base 220000: of 193 records with nothing missing none had a candidate beyond it but lines of the disturbance",
     )
-    gain_z: float = _number(
+    gain_z: float = number(
         2.0,
         "and that of both uses by at least this many standard errors over blocks",
         "two standard errors of what surprises the model (Vuong 1989): 97.5 %, whatever colour the noise has",
         "tanks, drives; at 1.5 a payload was named in 1 of 174 disturbed records of base 230000 with nothing missing",
     )
-    alone: float = _number(
+    alone: float = number(
         0.0,
         "and that of the estimation records alone by this much",
         "BIC does not speak against it (Schwarz 1978)",
         "base 230000: of 373 records with nothing missing none got a false name by it",
     )
-    alone_z: float = _number(
+    alone_z: float = number(
         1.0,
         "and that of the validation records alone by this many standard errors",
         "what was fitted must help where it was not: 84 %, as one use has half of what both together say",
         "base 220000; a magnet at one angle in the tests",
     )
-    sized: float = _number(
+    sized: float = number(
         0.5,
         "share of the gain that the size of an effect promises of the validation records, below which, by more than "
         "their errors, they deny that size",
@@ -72,46 +56,46 @@ class Policy:
         "base 300000: of 13 right effects .84 or more; .15 of a bent scale of a circuit that has none, .36 of a cyclic "
         "sensor error beside a magnet (base 310000)",
     )
-    blocks: int = _number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
-    second_share: float = _number(
+    blocks: int = number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
+    second_share: float = number(
         0.03,
         "a further effect must bring this share of what all bring together where they are fitted: less is the rounded "
         "corner of the first",
         "hidden laws have sharp corners, those of the dictionary rounded ones",
         "seeds below 1000",
     )
-    least: float = _number(
+    least: float = number(
         3e-4,
         "share of rates or readings that an effect must change, however sure it is: below it nobody would miss it",
         "the steps of an engine look like an effect of 1.2e-4 to 1.4e-4; the faintest real law seen changes 5.4e-4",
         "judged records of the base before",
     )
-    tie: float = _number(
+    tie: float = number(
         3.0,
         "rivals tie whose log-likelihoods differ by less",
         "Kass & Raftery 1995: a Bayes factor below 20 is no strong evidence",
     )
-    tie_z: float = _number(
+    tie_z: float = number(
         2.0,
         "or by less than this many standard errors over blocks: what a free run, other parameters, a drift change, too",
         "two standard errors: 95 %",
     )
-    seen: float = _number(
+    seen: float = number(
         0.003,
         "share of an effect's column that the nominal parameters must not be able to take up",
         "below it the two cannot be told apart in these data",
         "seeds below 1000",
     )
-    clear: float = _number(
+    clear: float = number(
         0.1,
         "share of a column from which on the promise of the score test is trusted",
         "columns are off by a few percent, as forces between samples are averaged",
         "seeds below 1000",
     )
-    lead: float = _number(
+    lead: float = number(
         3.0, "an effect is refitted if the score test promises this much", "Rao 1948; a promise is no bound: see reach"
     )
-    reach: float = _number(
+    reach: float = number(
         0.25,
         "a refit is finished if its first steps gain this share of the best one's, and of what acceptance asks; a pair "
         "is fitted if a column promises this share of what it would need",
@@ -119,102 +103,102 @@ class Policy:
         "and its column had promised 29",
         "seeds below 1000",
     )
-    most: int = _number(3, "effects in one answer", "more were never told apart in 20 s records")
-    rounding: float = _number(
+    most: int = number(3, "effects in one answer", "more were never told apart in 20 s records")
+    rounding: float = number(
         0.05,
         "share of the sensor noise's power that rounding must make to be named",
         "every file is rounded somewhere; below a twentieth nobody would see it gone",
     )
-    order: int = _number(
+    order: int = number(
         4,
         "coefficients of the autoregressive error of a free run's output, for intervals, or of an arm's joint",
         "two for a drift beside noise, two for a line of the spectrum; every candidate has as many",
     )
-    window: float = _number(
+    window: float = number(
         0.5,
         "share of the horizon that free runs are fitted over where a plant loses its start: an error grows 4.5 times",
         "over the whole horizon, 20 times, the fit of a balanced cart-pole crept along a curved valley for 60 steps",
         "tests",
     )
-    misfit_nrmse: float = _number(
+    misfit_nrmse: float = number(
         0.5,
         "a nominal or repaired model whose prediction over the horizon leaves more than this share does not fit",
         "NRMSE 1 is the mean of the record: half of the motion unexplained is no model of it",
     )
-    misfit_force: float = _number(
+    misfit_force: float = number(
         0.7,
         "a latent force of this share of what moves a coordinate: the model explains next to none of it",
         "where the model fits, the latent force is what it lacks: missing effects of the study are 2 to 20 %",
         "seeds below 1000, recordings",
     )
-    misfit_gain: float = _number(
+    misfit_gain: float = number(
         50.0,
         "log-likelihood that the repair of a column must gain to be named, and an effect or a free force where it was "
         "fitted to be told, or tried on the validation records once more, though they show nothing of it; that of free "
         "runs beside an error that remembers, where the validation records alone lose",
         "ten times the evidence of an effect",
     )
-    disturbed: float = _number(
+    disturbed: float = number(
         0.05,
         "latent force over the typical force up to which a model is called adequate without reserve",
         "an effect of this size counts as one worth finding",
     )
-    large: float = _number(
+    large: float = number(
         0.2,
         "latent force over the typical force beyond which it is no small disturbance, predictable or not",
         "four times the size of an effect worth finding",
         "laws outside the dictionary in the tests",
     )
-    line_parts: tuple[int, ...] = _number(
+    line_parts: tuple[int, ...] = number(
         (2, 4, 8, 16),
         "parts of a record in which a line may be drawn anew, and then be likelier noise than a periodic force",
         "noise in a band of B hertz loses its phase within some 1/B seconds: 10 s to 1.25 s of a record of 20 s",
         "judged records from 150000 and of 220000, which judge no more",
     )
-    explained: float = _number(
+    explained: float = number(
         0.05,
         "share of the variance left, at most, to call a model adequate, and by which free runs must come nearer",
         "a fit of 95 %",
     )
-    proxy: float = _number(
+    proxy: float = number(
         0.5,
         "share of the variance left beyond which a model is a proxy at best, whatever the likelihood says",
         "half of the motion unexplained is no model of it",
     )
-    further: float = _number(
+    further: float = number(
         5.0,
         "times as far as on the estimation records that free runs err on the validation records, from which on "
         "something acts there that the model lacks",
         "at most 1.9 in 18 records with nothing missing, 3.2 where a drive tires; at most 1.5 in 16 of base 450000",
         "study base 440000, every 7th without an effect",
     )
-    once: float = _number(
+    once: float = number(
         0.5,
         "share of the lasting errors of free runs that a law of one event may leave",
         "what goes on as much as the event has done is no matter of an instant",
         "an oven under a draught: 0.9 and more on one of both uses; a tank whose inflow drops: 0.001",
     )
-    shaken: float = _number(
+    shaken: float = number(
         8.0,
         "standard deviations by which a force that nobody measured changes within a sample, from which on something "
         "happened there",
         "at most 5.9 in 24 records with nothing missing; at least 17 where a force comes or goes",
         "study base 1000",
     )
-    mostly: float = _number(
+    mostly: float = number(
         0.5, "share of a variance, or of what a channel errs, from which on it is said to be most of it", "the word"
     )
-    changed: float = _number(
+    changed: float = number(
         1.05,
         "factor between two errors below which nothing is said to have changed",
         "5 % of an error is seen by nobody",
     )
-    widest: float = _number(
+    widest: float = number(
         1e4,
         "ends of an interval of something positive that differ by more than this factor determine nothing",
         "judgement: two decades to either side of its middle",
     )
-    chance: float = _number(
+    chance: float = number(
         0.02,
         "probability that a reading lies within 1 % of a step of a grid point though there is no grid",
         "2 % of a step lie so",
@@ -225,334 +209,187 @@ POLICY = Policy()
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How far the search looks: what is tried, and never how a comparison is decided."""
-
-    starts: int = _number(
-        3,
-        "choices of an effect's nonlinear parameters that a refit starts from",
-        "the first-order promise does not order them: a Stribeck speed ten times off promised more than the true one",
-        "tests",
-    )
-    faintest: float = _number(
-        0.02,
-        "share of the best promise below which a refit is not begun in a round; the next round asks again",
-        "what was accepted promised 0.08 of the best at least, and gained 44 times its promise at most",
-        "judged records from 150000, which judge no more",
-    )
-    faint: int = _number(
-        4,
-        "refits that are begun along columns which the nominal parameters take up nearly whole",
-        "their promises are uncertain: a second viscous friction promised 150 and had nothing to give",
-        "tests",
-    )
-    memory: float = _number(
-        0.05,
-        "share of a record over which a latent force may remember; beyond it, promises are also asked for without",
-        "a force of 0.2 of the record hid a constant force that was 19 better in log-likelihood, and promised 1.7",
-    )
-    begun: int = _number(12, "refits that are begun in a round", "cost", "seeds below 1000")
-    refits: int = _number(6, "refits that are finished in a round", "cost", "seeds below 1000")
-    pairs: int = _number(2, "rivals of a first answer that are tried with a second effect", "cost", "seeds below 1000")
-    points: int = _number(3, "starts of a fit that its first steps are taken from, the likeliest ones", "cost")
-    parts: tuple[float, ...] = _number(
-        (0.5, 0.25, 0.1, 0.03),
-        "of the way from a base to a start that is worse, where a likelier start is looked for",
-        "steps of first order are right at a short way",
-    )
-    awake: float = _number(
-        0.01,
-        "share of its declared value at which a positive parameter that has vanished starts again",
-        "two steps of a fit through logarithms, of a factor of 7 at most, lead from there to half of what is declared",
-        "a cart-pole whose friction was gone where a lag was missing",
-    )
-    looks: int = _number(
-        2,
-        "of these, iterations before starts are left whose further ones would not bring them to the best one",
-        "cost",
-    )
-    first_steps: int = _number(5, "iterations from each of several starts before the best goes on", "cost", "tests")
-    roughly: float = _number(
-        1e-3,
-        "relative decrease of the cost at which a fit that is only ranked, or a start, has come far enough",
-        "cost",
-    )
-    exchanges: int = _number(
-        16,
-        "times in a sample that dry friction around an FMU is told, at most",
-        "its error falls with their power of 1.5: 40, 5.1 and 2.2 mrad of a pendulum at 1, 4 and 8",
-        "tests",
-    )
-    onward: int = _number(
-        3,
-        "times that a start takes as many steps again while each gains enough to come to what is hoped for",
-        "an end stop began 116 below the base in log-likelihood and gained 68 with every step; flanks that only push "
-        "began below a play and ended 1000 above it",
-        "judged records from 230000, which judge no more",
-    )
-    proposed: int = _number(
-        4,
-        "output-error fits with one effect, the nearest ones, that the search begins whatever the score test promises",
-        "cost; their special cases are begun too",
-    )
-    scattered: int = _number(
-        32,
-        "starts of an output-error fit of a nominal model of which the data do not tell every state",
-        "3 of 32 led a cell with a time constant ten times off to its maximum",
-        "tests",
-    )
-    spread: float = _number(
-        2.0,
-        "standard deviation of the logarithm of such starts over the declared values",
-        "declared values are off by a power of ten at most",
-    )
-    close: float = _number(
-        30.0, "log-likelihood within which the second start goes on beside the first", "cost", "tests"
-    )
-    ends: float = _number(
-        3.0,
-        "standard deviations along the longest axis of an answer from which it is fitted again",
-        "chance takes one of 400 estimates that far: a nearer end lies in the same basin",
-        "one of 20 judged records of base 520000 gained by it, 36 and 32 in log-likelihood",
-    )
-    margin: float = _number(50.0, "log-likelihood that first steps of an exchange may still lack", "cost", "tests")
-    finer: int = _number(
-        3, "times that a fit goes on with finer steps of the solver, where its law became faster than they are", "cost"
-    )
-    choices: int = _number(12, "choices of an effect's nonlinear parameters in the score test", "cost")
-    knots: int = _number(25, "test functions on one axis of a free force", "a law of friction has two bends")
-    joint_knots: tuple[int, int] = _number((9, 6), "test functions on each of two axes", "cost: 54 together")
-    own_starts: tuple[float, ...] = _number(
-        (0.125, 0.375, 0.625, 0.875),
-        "where phases and instants of a validation record are looked for, as parts of a turn or of the record",
-        "the middles of four quarters",
-    )
-    lines: int = _number(3, "strongest lines of a force, over time or along a coordinate, that are tried", "cost")
-    untold: float = _number(
-        1.0,
-        "standard deviation of the logarithm of a smoothing width or the like from which it costs no parameter",
-        "not known to a factor e: the data say nothing of it",
-    )
-    instants: int = _number(
-        48,
-        "instants of a record that are tried where something happened once, after the fit from the nearest start",
-        "one every 0.4 s of 20 s: along such a grid the likelihood of payload steps rose to one top",
-        "judged records of 290000, which judge no more",
-    )
-    closer: int = _number(
-        8,
-        "parts of the distance of such instants that are tried next to the likeliest, until a sample is reached",
-        "cost",
-    )
-    negligible: float = _number(
-        1e-3,
-        "latent force over the typical force below which play and hidden resonances have nothing to explain",
-        "a fiftieth of an effect worth finding",
-    )
-    pile: float = _number(
-        0.004,
-        "share of the readings at the largest value from which saturation is tried, however little the score test says",
-        "more than the peaks of a swing",
-        "tests",
-    )
-    pile_width: float = _number(
-        9.0,
-        "noises below the largest reading that count as at it",
-        "of thousands of readings at a ceiling the largest lies four above it, and the least four below",
-    )
-    pile_flat: float = _number(
-        1.7,
-        "readings within four such widths over those within one, at most: more are peaks of a swing",
-        "a peak is a parabola and has twice as many; sensors at their ceiling had 1.00 to 1.40, swings 2.05 to 4.8",
-        "seeds below 1000",
-    )
-
-
-EFFORT = Effort()
-
-
-@dataclass(frozen=True)
 class ArmPolicy:
     """What an arm needs beside :class:`Policy`, which holds for its joints too."""
 
-    sticks: float = _number(
+    sticks: float = number(
         2 / 3,
         "a joint that stands still for more than this share of the time is not judged",
         "what it does while it stands still counts nowhere, and a third of a record is enough to judge by",
         "a sine stands still for 5 % of its time, a sum of many for 8 %, a log with its pauses for a third (a UR10e)",
     )
-    sensor: float = _number(
+    sensor: float = number(
         0.005,
         "an effect must change this share of a joint's torque, and what is left less: below it nothing is blamed",
         "no torque sensor is more exact",
     )
-    alone: float = _number(
+    alone: float = number(
         3.0,
         "by how much an effect must raise the log-likelihood of the estimation records alone",
         "Kass & Raftery 1995: a Bayes factor below 20 is no strong evidence",
         "an elasticity that is not there in the wrist of an arm: 2 where it was fitted, 34 +- 13 where it was not",
     )
-    alone_z: float = _number(
+    alone_z: float = number(
         2.0,
         "standard errors by which the validation records alone must gain",
         "regressors come from measured motion, and what their noise explains in one record it explains in every record",
         "an elasticity that is not there in the wrist of a simulated arm: 13 +- 8",
     )
-    detail: float = _number(
+    detail: float = number(
         0.02,
         "an effect on the whole arm below this share of the friction beside it is a detail of the friction's law",
         "dry friction is known to a few percent",
         "seeds below 1000",
     )
-    own: int = _number(
+    own: int = number(
         5, "effects of one joint", "a geared one has dry and viscous friction and a rotor before anything is wrong"
     )
-    wide: int = _number(6, "effects on the whole arm, wrong torque gains among them", "cost")
-    lightest: float = _number(-0.95, "relative error of a link that leaves it next to no mass", "none is below nothing")
-    gyration: float = _number(
+    wide: int = number(6, "effects on the whole arm, wrong torque gains among them", "cost")
+    lightest: float = number(-0.95, "relative error of a link that leaves it next to no mass", "none is below nothing")
+    gyration: float = number(
         0.5, "largest radius of gyration [m] of a link whose tensor a URDF does not state", "half a link of a metre"
     )
-    unfiltered: float = _number(
+    unfiltered: float = number(
         0.9, "corner over half of the sample rate from which on nothing is filtered", "the filter would ring there"
     )
-    gains_tried: tuple[float, ...] = _number(
+    gains_tried: tuple[float, ...] = number(
         (0.8, 0.5, 0.35),
         "torque gains from which a fit starts in the place of a rotor",
         "a rotor is never below nothing, and geared up a few times the link at most",
     )
-    angle: float = _number(
+    angle: float = number(
         0.3,
         "largest joint zero, tilt and flexure [rad]",
         "their torques are taken at first order, which is off by 5 % there: sin(x) = x - x^3/6, cos(x) = 1 - x^2/2",
     )
-    gain: float = _number(
+    gain: float = number(
         3.0,
         "a torque that is wrong by more than this factor is in another unit, or on the other side of a gear",
         "torque constants are off by percents",
     )
-    unit_within: float = _number(
+    unit_within: float = number(
         1.5, "factor within which a torque gain is a change of unit", "units lie a factor of ten apart"
     )
-    late: float = _number(
+    late: float = number(
         0.1,
         "angle of the fastest motion by which a torque's clock may be off [rad]",
         "its column is of first order: 0.5 % off there; half a second between two columns of one joint is no clock",
     )
-    rows_late: float = _number(3.0, "and rows, where that is more", "a log is written before or after a step or two")
-    other_arm: float = _number(
+    rows_late: float = number(3.0, "and rows, where that is more", "a log is written before or after a step or two")
+    other_arm: float = number(
         0.25,
         "torques of freely fitted bodies over the URDF's, apart, from which on it may be another arm's",
         "CAD is right within a tenth; a payload alone is one effect, and is named",
         "URDFs with masses halved or lengths times 0.7: 0.5 and more",
     )
-    reweighed: int = _number(
+    reweighed: int = number(
         3,
         "fits of another arm: the first weighs a joint by its torque, the others by what the one before left of it",
         "the weights are those of the noise from the third on",
         "an iiwa with lengths times 0.7: 0.16, 0.018 and 0.012 N m are left at its second joint",
     )
-    as_well: float = _number(
+    as_well: float = number(
         2.0,
         "residual of another arm's torques over that of the effects that were found, up to which no joint is lost",
         "a hundred parameters of one record err by about the noise in the next; a wrong gain, which no arm is, by more",
         "an iiwa with lengths times 0.7 and 1.4: 0.9 to 1.0; with all masses halved: 1.75 at a wrist",
     )
-    far_better: float = _number(
+    far_better: float = number(
         0.5,
         "the same at the joint where it is smallest, from which on another arm explains more than what was found",
         "an arm can be any payload or link: where these are the truth it leaves what they leave",
         "the same lengths: 0.02 to 0.15; links halved and named: 0.9",
     )
-    drive: float = _number(
+    drive: float = number(
         1.3,
         "factor on a joint's torque beyond which, at two joints, the bodies are wrong and not the drives",
         "torque constants are off by a tenth, lengths and masses of another arm by more",
         "URDFs with masses halved or lengths times 0.7: gains of .43 to .6",
     )
-    by_itself: float = _number(
+    by_itself: float = number(
         0.7,
         "the same over that of every joint's own friction and rotor, above which joints explain themselves",
         "bodies that mend half of the power do what no rotor does",
         "few records: wrong URDFs below 0.3; hidden rotors mostly above 0.9, some as low as 0.03",
     )
-    sure: float = _number(3.0, "standard errors of a noise level that are allowed for", "99.7 %")
-    silent: float = _number(
+    sure: float = number(3.0, "standard errors of a noise level that are allowed for", "99.7 %")
+    silent: float = number(
         0.001, "largest torque of an effect over the error below which it shows nothing", "a thousandth of the noise"
     )
-    faster: float = _number(
+    faster: float = number(
         4.0, "times the band of the motion above which a joint hardly follows its torque", "two octaves"
     )
-    loud: float = _number(0.1, "chatter over the rms of the torque that matters", "a tenth")
-    flat: float = _number(
+    loud: float = number(0.1, "chatter over the rms of the torque that matters", "a tenth")
+    flat: float = number(
         1.9, "kurtosis below which a fast torque swings between two levels", "a square wave has 1, a sine 1.5, noise 3"
     )
-    often: float = _number(0.1, "share of the time in which it must do so", "a stretch of noise rarely looks like it")
-    calm: float = _number(2.0, "corner of the calm motion over the band of the motion", "an octave")
-    clear: float = _number(
+    often: float = number(0.1, "share of the time in which it must do so", "a stretch of noise rarely looks like it")
+    calm: float = number(2.0, "corner of the calm motion over the band of the motion", "an octave")
+    clear: float = number(
         100.0,
         "power of a position or rate over its noise up to which the calm motion goes beyond that",
         "its noise takes a hundredth of an inertia there; a fast torque lies where its motion is small",
         "rotors of .01 to .2 kg m^2 at joints on multisine torques of 8 Hz",
     )
-    still: float = _number(0.1, "speed over its rms below which a joint stands still", "a tenth of its motion")
-    several: int = _number(
+    still: float = number(0.1, "speed over its rms below which a joint stands still", "a tenth of its motion")
+    several: int = number(
         2, "effects from which on they may be another arm together", "one alone is what it is called"
     )
-    moved: float = _number(
+    moved: float = number(
         1e-4,
         "relative size below which torques do not move with a direction of the inertial parameters",
         "judgement: far above rounding, far below what is felt",
     )
-    by_chance: float = _number(
+    by_chance: float = number(
         0.001, "level of the test whether what real bodies cost is chance", "judgement: one false alarm in a thousand"
     )
-    turning: float = _number(
+    turning: float = number(
         0.02,
         "width of the sign of a joint's speed over its rms speed",
         "a sine spends 0.9 % of its time there",
     )
-    rounded: float = _number(
+    rounded: float = number(
         1e-4, "share of a rotor's torque below which what bodies leave of it is rounding", "as for a direction"
     )
-    below: float = _number(
+    below: float = number(
         5.0,
         "standard errors below nothing, in every use, from which on an inertia is impossible",
         "one in three million of one use",
     )
-    untold: float = _number(
+    untold: float = number(
         0.05, "share of the inertia's own direction that the motion may leave untold", "it moves the mean by as much"
     )
-    told: float = _number(
+    told: float = number(
         1e-6, "singular value, over the largest, from which on the motion tells a direction", "half of the digits"
     )
-    link: float = _number(
+    link: float = number(
         0.05,
         "relative error of the mass of a link up to which it is not named beside other links",
         "CAD is right within a tenth, and errors of the motion ask for that much",
         "two of the 20 logs with wrong masses whose counts stand in the limits",
     )
-    slowest_spring: float = _number(
+    slowest_spring: float = number(
         4.0,
         "lowest resonance of a link on its joint's spring that a fit starts from [Hz]",
         "half of the slowest that light arms are known for",
     )
-    fastest_spring: float = _number(
+    fastest_spring: float = number(
         80.0, "highest of them [Hz]", "beyond, a compliance shows at first order, whatever the resonance"
     )
-    springs: int = _number(
+    springs: int = number(
         9, "resonances that are tried in between", "a factor of 1.45: within the reach of a fit of half a decade"
     )
-    resolved: float = _number(0.25, "highest of them over the sample rate", "four samples in a period")
-    damped: float = _number(0.03, "damping ratio that a spring starts from", "gears of steel have 0.01 to 0.1")
-    least_lag: float = _number(1e-5, "damping over stiffness of a joint, at least [s]", "0.3 % at 100 Hz: none")
-    most_lag: float = _number(
+    resolved: float = number(0.25, "highest of them over the sample rate", "four samples in a period")
+    damped: float = number(0.03, "damping ratio that a spring starts from", "gears of steel have 0.01 to 0.1")
+    least_lag: float = number(1e-5, "damping over stiffness of a joint, at least [s]", "0.3 % at 100 Hz: none")
+    most_lag: float = number(
         0.1, "and at most [s]", "a damper that slow is a clutch; the square of it is J/k of a rotor at 1.6 Hz"
     )
-    small_spring: float = _number(
+    small_spring: float = number(
         1e-3, "compliance over the smallest that is tried at which its torque is in proportion to it", "0.1 %"
     )
-    sets: int = _number(3, "sets of links that are fitted with errors of their own, the best by one metric", "cost")
-    rows: int = _number(4000, "samples of a use that are asked for an inertia", "cost: there are five columns")
+    sets: int = number(3, "sets of links that are fitted with errors of their own, the best by one metric", "cost")
+    rows: int = number(4000, "samples of a use that are asked for an inertia", "cost: there are five columns")
 
 
 ARM_POLICY = ArmPolicy()
@@ -562,22 +399,22 @@ ARM_POLICY = ArmPolicy()
 class PlanPolicy:
     """What the comparison of effects before an experiment needs."""
 
-    visible: float = _number(
+    visible: float = number(
         0.02,
         "share of an effect's column that the nominal parameters must not be able to take up, to promise it is seen",
         "columns are approximate: a gain that all parameters take up exactly kept shares of 0.004 to 0.015",
         "pendulum and cart-pole under multisines",
     )
-    alike: float = _number(
+    alike: float = number(
         0.95, "cosine beyond which two effects are said to look alike", "a tenth of either is left to tell them apart"
     )
-    noise: float = _number(
+    noise: float = number(
         0.01, "sensor noise over the size of an output, where a scenario has none", "a common sensor"
     )
-    upright: float = _number(
+    upright: float = number(
         1.2, "angle that slow swings stay below [rad]", "beyond 90 deg a pendulum falls, and then it is not slow"
     )
-    stronger: float = _number(
+    stronger: float = number(
         32.0, "times by which an input is asked to grow over the data", "what a plant is known to bear"
     )
 
@@ -589,111 +426,111 @@ PLAN_POLICY = PlanPolicy()
 class DataPolicy:
     """What the data must be like, and how they are cut, before they are judged."""
 
-    longest_dead: int = _number(
+    longest_dead: int = number(
         200, "samples of dead time that are looked for, a tenth of a record at most", "cost; little is left beyond it"
     )
-    dead_lags: int = _number(
+    dead_lags: int = number(
         2, "lags of every signal beside a dead time", "a plant of second order: Ljung 1999, sec. 4.2"
     )
-    clearer: float = _number(
+    clearer: float = number(
         0.8, "least-squares loss with a dead time over that without, at most", "noise changes it by some percent"
     )
-    unexplained: float = _number(
+    unexplained: float = number(
         0.5,
         "error over the motion within a window above which a rough fit explains next to nothing",
         "half of the motion is no model of it",
     )
-    repaired: float = _number(
+    repaired: float = number(
         0.2,
         "share of that error below which a repair of a column must bring it",
         "a fivefold fall is no accident of a fit",
     )
-    repair_clear: float = _number(
+    repair_clear: float = number(
         0.03, "error over the motion below which a model fits the columns, whatever a repair leaves", "3 % is a fit"
     )
-    far: float = _number(
+    far: float = number(
         100.0,
         "factor of a parameter from its declared value beyond which the columns as they are do not fit",
         "a unit wrong by 1000 moves parameters by a power of 1000; halfway is 30",
     )
-    near: float = _number(
+    near: float = number(
         10.0, "and within which a repair must bring it", "a power of ten, as declared values are rough"
     )
-    declared: float = _number(
+    declared: float = number(
         1.3,
         "factor of its declared value within which every parameter must come by a repair of degrees alone",
         "degrees for radians are a factor of 57, which a plant may be off: closer than that is no accident",
     )
-    growth: float = _number(
+    growth: float = number(
         20.0,
         "by how much an error of the initial state may grow within a window",
         "three doublings of the noise and more hide what the model lacks",
     )
-    per_period: int = _number(
+    per_period: int = number(
         40,
         "samples kept in one period of the fastest motion",
         "dry friction shows in tens of harmonics of the swing",
     )
-    per_force: int = _number(
+    per_force: int = number(
         6,
         "samples kept in one period of the fastest force, where an input brings forces of its own",
         "three times what a period needs: where it reverses, friction changes the acceleration at once",
     )
-    fewest: int = _number(
+    fewest: int = number(
         500, "samples that every thinned record must still have", "blocks of 25 samples for 20 standard errors"
     )
-    corner: float = _number(
+    corner: float = number(
         1e-4,
         "chance that noise alone keeps the readings of a window off the cubic by more than allowed: then the reading "
         "counts itself",
         "one kept reading in ten thousand",
     )
-    jump: float = _number(
+    jump: float = number(
         0.1,
         "share of the noise of a kept reading by which a jump of the acceleration may move it",
         "a bias of a tenth changes the chance of a reading by half a percent; averages over wider windows made the "
         "corners of an engine's friction Stribeck friction",
         "seeds below 1000",
     )
-    ringing: int = _number(
+    ringing: int = number(
         20,
         "samples from either end in which a twice differentiated interpolation rings",
         "outliers of ten deviations there passed for an error that remembers",
         "seeds below 1000",
     )
-    rows_late: int = _number(2, "rows by which a recorded input may be late", "a log is written a step or two off")
-    rows_tried: tuple[float, ...] = _number(
+    rows_late: int = number(2, "rows by which a recorded input may be late", "a log is written a step or two off")
+    rows_tried: tuple[float, ...] = number(
         (1.0, 1.5, 2.0, 2.5), "rows that are tried as long as each is likelier than the one before", "halves of a row"
     )
-    input_left: float = _number(
+    input_left: float = number(
         0.05,
         "share of an input's variance that piecewise linear ones may leave",
         "what a fit of 95 % leaves; the motion is exact all the same, a law of the input is not",
     )
-    long: int = _number(
+    long: int = number(
         40000,
         "samples of the records of a use beyond which the search looks at stretches",
         "cost: every fit filters them tens of times",
     )
-    stretch: int = _number(2500, "samples of a stretch", "ten seconds at 250 Hz")
-    stretches: int = _number(4, "and how many", "as many samples together as two records of 20 s at 250 Hz")
-    hopeless: float = _number(
+    stretch: int = number(2500, "samples of a stretch", "ten seconds at 250 Hz")
+    stretches: int = number(4, "and how many", "as many samples together as two records of 20 s at 250 Hz")
+    hopeless: float = number(
         60.0, "log-likelihood below the best path of signs at which a path is no longer followed", "a chance of 1e-26"
     )
-    same: float = _number(
+    same: float = number(
         0.5,
         "distance of the states of two paths, in standard deviations, below which they go on as one",
         "less than one is no difference",
     )
-    rival: float = _number(
+    rival: float = number(
         5.0, "log-likelihood within which a path rivals the best one", "a Bayes factor of 150: Kass & Raftery 1995"
     )
-    turn: float = _number(10.0, "log-likelihood that every change of the sign must bring", "twice that of an effect")
-    near_zero: float = _number(0.1, "reading over the rms below which its sign is open", "a tenth of a swing")
-    shortest: int = _number(
+    turn: float = number(10.0, "log-likelihood that every change of the sign must bring", "twice that of an effect")
+    near_zero: float = number(0.1, "reading over the rms below which its sign is open", "a tenth of a swing")
+    shortest: int = number(
         50, "samples that a piece of a record has at least", "fewer do not tell its initial state from its parameters"
     )
-    look: int = _number(2000, "samples on which a parameter of an FMU must move an output to be calibrated", "cost")
+    look: int = number(2000, "samples on which a parameter of an FMU must move an output to be calibrated", "cost")
 
 
 DATA_POLICY = DataPolicy()
@@ -703,45 +540,27 @@ DATA_POLICY = DataPolicy()
 class RunPolicy:
     """What decides about intervals and tests of fitted runs."""
 
-    bias_level: float = _number(0.01, "level of the test for a bias by feedback", "one false alarm in a hundred")
-    weak: float = _number(
+    bias_level: float = number(0.01, "level of the test for a bias by feedback", "one false alarm in a hundred")
+    weak: float = number(
         0.3,
         "cosine to the instruments below which a direction of the parameters is not instrumented",
         "a tenth of its variance",
     )
-    matters: float = _number(
+    matters: float = number(
         1.0, "shift in standard errors from which on the intervals are not usable", "a shift of one takes 95 % to 83 %"
     )
-    interval_blocks: int = _number(20, "blocks of a record for the jackknife", "Kuensch 1989")
-    fewest_blocks: int = _number(
+    interval_blocks: int = number(20, "blocks of a record for the jackknife", "Kuensch 1989")
+    fewest_blocks: int = number(
         4, "blocks of a residual that stays coloured for long", "with fewer Student's t is of no use"
     )
-    correlation_times: float = _number(10.0, "length of a block in correlation times", "neighbours then share little")
-    means: int = _number(
+    correlation_times: float = number(10.0, "length of a block in correlation times", "neighbours then share little")
+    means: int = number(
         20, "means that a scale needs to tell whether a residual is white", "with fewer it tells nothing"
     )
-    white_level: float = _number(0.01, "level of the test that a residual is white", "one false alarm in a hundred")
-    determined: float = _number(
+    white_level: float = number(0.01, "level of the test that a residual is white", "one false alarm in a hundred")
+    determined: float = number(
         0.02, "share of a direction that a block must leave to the others", "without it there is no estimate"
     )
 
 
 RUN_POLICY = RunPolicy()
-
-
-def described(
-    policy: Policy | Effort | ArmPolicy | PlanPolicy | DataPolicy | RunPolicy = POLICY,
-) -> dict[str, dict[str, Any]]:
-    """Return every number with its reason, for ``report.json``.
-
-    Examples
-    --------
-    >>> described()["evidence"]["value"]
-    5.0
-    """
-    values = asdict(policy)
-    found = {}
-    for entry in fields(policy):
-        number: Number = entry.metadata["number"]
-        found[entry.name] = {"value": values[entry.name], **asdict(number)}
-    return found

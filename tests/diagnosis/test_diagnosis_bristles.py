@@ -14,7 +14,8 @@ from sysid_lab.records import Records, make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
-from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.runs.compare import seen
 from harness.diagnosis.runs.form import FreeRunForm

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.first_steps import looked
 from harness.diagnosis.kinds import Equations
-from harness.diagnosis.policy import EFFORT
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.effects import builtin

@@ -12,8 +12,9 @@ import pytest
 from harness.diagnosis import close_loop
 from harness.diagnosis.arm.page import _cards, render_arm
 from harness.diagnosis.arm.report import _summary
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.fit_records import LikelihoodDetail
-from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.estimates import estimate, ratios, scaled_together
 from harness.diagnosis.report.evidence_page import _driven, render_evidence
 from harness.diagnosis.report.figures import Overlay, Pictures, ResidualView, draw

@@ -22,7 +22,8 @@ from linear_form import (
     table_of,
 )
 
-from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search import moves
 from harness.diagnosis.search.compare import Comparison, Judged, compared, judged
 from harness.diagnosis.search.fit import Begun, Fit, Suspect

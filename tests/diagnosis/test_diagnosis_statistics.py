@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harness.diagnosis import policy
-from harness.diagnosis.policy import described
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.number import described
+from harness.diagnosis.policy import DATA_POLICY, POLICY, RUN_POLICY
 from harness.diagnosis.runs import residual_tests as tests
 
 REPEATS = 400
@@ -61,7 +62,7 @@ def test_effective_samples_of_white_and_of_first_order_noise() -> None:
 
 
 def test_no_two_numbers_of_the_policy_share_a_name_and_each_has_a_reason() -> None:
-    groups = [described(one) for one in (policy.POLICY, policy.EFFORT, policy.DATA_POLICY, policy.RUN_POLICY)]
+    groups = [described(one) for one in (POLICY, EFFORT, DATA_POLICY, RUN_POLICY)]
     names = [name for group in groups for name in group]
     assert len(names) == len(set(names)), "one would hide the other in report.json"
     assert all(number["reason"] and number["source"] for group in groups for number in group.values())

@@ -11,7 +11,8 @@ import numpy as np
 from harness.diagnosis.arm.motion import ArmRun, low_passed, moving_rows
 from harness.diagnosis.arm.regression import Change
 from harness.diagnosis.arm.rotor import ON_LOAD, friction_of_the_load, rotor_inertia
-from harness.diagnosis.policy import ARM_POLICY, EFFORT, POLICY
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import ARM_POLICY, POLICY
 from harness.diagnosis.records.motion import Motion, motion_band
 from harness.diagnosis.runs.equation import decimated, expressible
 from harness.diagnosis.search.fit import WAVE

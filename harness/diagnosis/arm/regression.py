@@ -9,7 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
-from harness.diagnosis.policy import ARM_POLICY, EFFORT, POLICY, ArmPolicy
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.diagnosis.search.fit import Begun, Column, ColumnKind, Fit, InOneGo, Jump, Linearised, Suspect
 from harness.diagnosis.systems import Parametrised

@@ -12,7 +12,7 @@ import numpy as np
 from harness.diagnosis.directions.jumps import instants
 from harness.diagnosis.directions.lines import frequencies, short_waves, waves
 from harness.diagnosis.directions.trace import Along, Trace
-from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.fit import WAVE, ColumnKind
 from harness.diagnosis.systems import AnySystem
 from harness.effects.along import Signals

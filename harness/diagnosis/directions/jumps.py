@@ -8,7 +8,8 @@ import numpy as np
 from scipy.stats import norm
 
 from harness.diagnosis.directions.trace import Trace
-from harness.diagnosis.policy import EFFORT, Policy
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.fit import Jump
 from harness.signals import FloatArray
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.diagnosis.directions.trace import Trace
-from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.effort import EFFORT
 from harness.effects.effect import EffectParameter
 from harness.signals import FloatArray
 

@@ -15,7 +15,8 @@ from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.blackbox.system import FmuSystem
 from harness.calibration.search import drawn
-from harness.diagnosis.policy import DATA_POLICY, EFFORT
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.horizon import Horizon, short_window
 from harness.errors import HarnessError, InputError
 from harness.parts.files import describe_fmu

@@ -19,7 +19,7 @@ from harness.diagnosis.directions.directions import (
     reading_directions,
     spline_directions,
 )
-from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.fit import WAVE
 from harness.effects.effect import Placed
 from harness.effects.places import port_of

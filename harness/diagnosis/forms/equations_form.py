@@ -14,11 +14,12 @@ from harness.diagnosis.directions.directions import Direction, directions, line_
 from harness.diagnosis.directions.jumps import jumps
 from harness.diagnosis.directions.lightened import lightened
 from harness.diagnosis.directions.trace import Trace
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.innovations import answered
 from harness.diagnosis.forms.likelihood_form import USES, FirstSteps, LikelihoodForm
 from harness.diagnosis.forms.suspects import hidden
-from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.search.fit import Begun, Column, Fit, Jump, Suspect
 from harness.diagnosis.systems import by_equations

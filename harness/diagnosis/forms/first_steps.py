@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.named import per_record
-from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.policy import POLICY
 from harness.errors import FitError
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit, Point

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, cast
 
 import numpy as np
 
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.apart import Apart, apart
 from harness.diagnosis.forms.first_steps import from_instants, hopeful, in_sight, looked, stepped
 from harness.diagnosis.forms.fit_records import (
@@ -34,7 +35,7 @@ from harness.diagnosis.forms.predictive import Predictive, predictive, spread_of
 from harness.diagnosis.forms.robust import coloured_deviations
 from harness.diagnosis.forms.suspects import lost_signs, piled_up
 from harness.diagnosis.forms.system_form import SystemForm
-from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.fit import Begun, Fit, InOneGo, Linearised, Suspect
 from harness.diagnosis.systems import AnySystem, SystemT
 from harness.effects.dictionary import Dictionary

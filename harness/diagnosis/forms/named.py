@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
 from harness.effects.parameter import Role

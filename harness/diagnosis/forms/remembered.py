@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.form import WholeForm
-from harness.diagnosis.policy import DATA_POLICY, EFFORT, POLICY, described
+from harness.diagnosis.number import described
+from harness.diagnosis.policy import DATA_POLICY, POLICY
 from harness.diagnosis.search.fit import Begun, Column, Fit, InOneGo, Jump, Linearised, Suspect
 from harness.diagnosis.store import Store, data_fingerprint
 from harness.diagnosis.systems import AnySystem

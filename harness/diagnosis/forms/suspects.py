@@ -9,9 +9,9 @@ from typing import Protocol
 
 import numpy as np
 
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.form import WholeForm
-from harness.diagnosis.policy import EFFORT
 from harness.diagnosis.records.stretches import uncut
 from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.fit import Fit, Suspect

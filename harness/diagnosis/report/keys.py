@@ -6,7 +6,9 @@ from typing import Any
 
 from harness import __version__
 from harness.data.oddities import described as odd_numbers
-from harness.diagnosis.policy import ARM_POLICY, DATA_POLICY, EFFORT, PLAN_POLICY, RUN_POLICY, Policy, described
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.number import described
+from harness.diagnosis.policy import ARM_POLICY, DATA_POLICY, PLAN_POLICY, RUN_POLICY, Policy
 
 __all__ = ["FORMAT", "blank", "numbers"]
 

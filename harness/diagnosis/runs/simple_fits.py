@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT, Policy
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import Policy
 from harness.diagnosis.runs.compare import seen_values
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT, POLICY, Policy
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.coloured import coloured_likelihood
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.refusal import Kind, Refusal

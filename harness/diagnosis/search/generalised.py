@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.compare import impossible, pays
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.table import Table, named, value

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from harness.diagnosis.policy import EFFORT, Policy
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.compare import Judged, difference, wrong_signs
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.generalised import generalise, generalised, refined_twice

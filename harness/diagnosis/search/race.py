@@ -8,7 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT, POLICY, Policy
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import pays, wrong_signs
 from harness.diagnosis.search.fit import Begun, Fit
 from harness.diagnosis.search.scores import Lead, ScoreTest, score_test

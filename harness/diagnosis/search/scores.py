@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT, POLICY, Policy
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Column, Fit, Form
 from harness.effects.effect import Placed
 from harness.signals import FloatArray

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT, POLICY, Policy
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import Judged, difference
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.leftover import left_over

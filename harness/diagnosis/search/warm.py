@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
 
-from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.compare import impossible, violations
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.table import Table, named, value
