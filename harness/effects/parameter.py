@@ -62,6 +62,8 @@ class EffectParameter:
     grid : tuple of float
         Factors on the start value for several starts and for screens (local minima: gaps, change times, orders). A
         grid without 1 starts elsewhere than where the effect is simulated.
+    refined : tuple of float
+        Factors on the value of a special case of the law from which that is refined.
     meaning : str
         A few words for the report.
     """
@@ -83,6 +85,7 @@ class EffectParameter:
     floor: str = ""
     ceiling: str = ""
     grid: tuple[float, ...] = (1.0,)
+    refined: tuple[float, ...] = (1.0,)
     meaning: str = ""
 
     def start(self, sizes: Mapping[str, float]) -> float:

@@ -217,6 +217,26 @@ def test_a_law_that_does_not_pay_for_its_parameters_is_not_refined(gains: float,
     assert (form.begun == ["unilateral_backlash"]) is refined
 
 
+@pytest.mark.parametrize(("play", "tried"), [(60.0, True), (3.0, False)])
+def test_what_the_likeliest_law_is_a_limit_of_is_tried_though_what_it_refines_is_not_likely(
+    play: float, tried: bool
+) -> None:
+    """A joint that is soft at first is a rounded play, and no elasticity."""
+    form, fits = grown({"hardening_elasticity": 80.0, "unilateral_backlash": 50.0}, backlash=play, elasticity=2.0)
+    assert ("hardening_elasticity" in form.begun) is tried
+    assert any(placed.effect.name == "hardening_elasticity" for placed in fits) is tried
+
+
+def test_flanks_that_only_push_start_from_softer_ones_with_more_damping_too() -> None:
+    simple, rich = law("backlash"), law("unilateral_backlash")
+    values = {"gap": 0.05, "k": 1800.0, "Jm": 0.1, "d": 18.0, "c": 0.01}
+    fit = a_fit([simple], 60.0, {simple.name(name): value for name, value in values.items()})
+    starts = starts_of(rich, simple, fit, {}, {})
+    pairs = {(start[rich.name("k")], round(start[rich.name("d")], 9)) for start in starts}
+    assert pairs == {(1800.0, 18.0), (1080.0, 18.0), (1800.0, 23.4), (1080.0, 23.4)}
+    assert {start[rich.name("gap")] for start in starts} == {0.05}
+
+
 def test_it_starts_from_the_law_it_refines_and_from_what_others_know() -> None:
     simple, rich = law("coulomb_friction"), law("lugre_coulomb_friction")
     fit = a_fit([simple], 60.0, {"coulomb_friction@theta.Fc": 0.7, "J": 2.0})

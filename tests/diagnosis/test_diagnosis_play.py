@@ -17,6 +17,10 @@ from harness.physics import load_model
 pytestmark = pytest.mark.slow  # whole loops
 
 
+DROOPING = Task("confusion", "cart-pole", "hardware", ("backlash@x",), "nominal", "low", 0.0, 0, 0,
+                structure="drooping-drive")  # fmt: skip
+
+
 def task(engine: str, level: str, noise: str, disturbance: float, index: int) -> Task:
     return Task("confusion", "pendulum", engine, ("backlash@theta",), level, noise, disturbance, index, 0)
 
@@ -53,3 +57,16 @@ def test_play_is_named_and_not_the_elasticity_that_it_contains(
     diagnosis = diagnose(make_records(task(*row)).dataset, load_model("pendulum"))
     assert [str(one.placed) for one in diagnosis.outcome.accepted] == [name]
     assert diagnosis.grade == "explained"
+
+
+def test_flanks_that_part_beside_a_drooping_drive_are_no_play_with_a_dead_zone() -> None:
+    """From the play that pulls as well the fit ended below it, with 1400 in log-likelihood still to gain."""
+    diagnosis = diagnose(make_records(DROOPING).dataset, load_model("cart-pole"))
+    assert [str(one.placed) for one in diagnosis.outcome.accepted] == ["unilateral_backlash@x"]
+
+
+def test_a_joint_that_hardens_is_tied_with_a_play() -> None:
+    hidden = Task("confusion", "pendulum", "hardware", ("elasticity@theta",), "nominal", "high", 0.0, 0, 0)
+    diagnosis = diagnose(make_records(hidden).dataset, load_model("pendulum"))
+    (found,) = diagnosis.outcome.accepted
+    assert {str(one) for member in found.tie for one in member} >= {"hardening_elasticity@theta"}

@@ -168,7 +168,7 @@ def starts_of(
     """
     shared = set(simple.effect.parameter_names)
     choices = [
-        (fit.values[simple.name(parameter.name)],)
+        [fit.values[simple.name(parameter.name)] * factor for factor in parameter.refined]
         if parameter.name in shared
         else (*known.get(parameter.name, ()), *parameter.starts(sizes))
         for parameter in rich.effect.parameters

@@ -11,6 +11,7 @@ Process. 11:49: with a damper between the flanks a dead band in the force pulls 
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
@@ -157,7 +158,8 @@ def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
 
 
 @_transmission(
-    _play(),
+    # flanks that pull as well lose less in the damper and are stiffer, for the same motion
+    [replace(one, refined={"k": (1.0, 0.6), "d": (1.0, 1.3)}.get(one.name, (1.0,))) for one in _play()],
     formula="as backlash, each flank passing on k (|e| - gap) + d |e|' where that pushes, and nothing where it pulls",
     family=("backlash", "elasticity", "dead_zone", "hysteresis", "coulomb_friction"),
     nests=("backlash",),
