@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.compare import Judged, difference, wrong_signs
@@ -310,13 +312,38 @@ def specialise(table: Table, answer: Answer) -> Answer:
             model = answer.model
             starts = [start_between(simple, alone, rich, model), {**model.values, **own_values(simple, alone)}]
             fit = table.fit([*others, simple], starts, model, model)
-            if fit is None or not table.lawful(fit):
-                continue
-            trial = answer.exchanged(number, simple, fit, earlier.found)
-            if preferred(table, trial, answer, simpler=True):
+            trial = answer.exchanged(number, simple, fit, earlier.found) if fit and table.lawful(fit) else None
+            if trial is None or not preferred(table, trial, answer, simpler=True):
+                rivals = _beside_rivals(table, answer, number, simple, alone)
+                better = [one for one in rivals if preferred(table, one, answer)]
+                trial = max(better, key=lambda one: value(one.model), default=None)
+            if trial is not None:
                 answer = trial
                 break
     return answer
+
+
+def _beside_rivals(table: Table, answer: Answer, number: int, simple: Placed, alone: Fit) -> Iterator[Answer]:
+    """Yield answers with a special case in the place of a law, and a rival in that of the effect that was found last.
+
+    What made the law general may be what the rival explains and the last effect does not: beside the general law it
+    was as likely, and nothing but its evidence spoke against it.
+    """
+    place, last, earlier = len(answer.accepted) - 1, answer.accepted[-1], answer.accepted[number]
+    if number == place or last.given or last.found >= len(table.rounds):
+        return
+    past = table.rounds[last.found].candidates
+    known = max((total(row) for row in past if row.added == (last.placed,)), default=np.inf)
+    for row in past:
+        new, fit = row.added[0], row.fit
+        if fit is None or row.added == (last.placed,) or not physical(row) or total(row) < known - table.policy.tie:
+            continue
+        if named(fit.effects) != named([*answer.without(place), new]):
+            continue
+        effects = [placed for placed in fit.effects if placed != earlier.placed]
+        again = table.fit([*effects, simple], [start_between(simple, alone, earlier.placed, fit)], fit, answer.model)
+        if again is not None and table.lawful(again) and table.judged([new], again).passed:
+            yield answer.exchanged(number, simple, again, earlier.found).exchanged(place, new, again, last.found)
 
 
 # ---- drop ------------------------------------------------------------------------------------------------------------
