@@ -19,6 +19,7 @@ from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.stretches import stretched, windowed
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
 from harness.diagnosis.runs.simple_fits import SimpleFits
+from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome
@@ -33,6 +34,7 @@ __all__ = [
     "Progress",
     "Say",
     "again_by_free_runs",
+    "at_full_rate",
     "beaten",
     "candidates_of",
     "form_of",
@@ -150,6 +152,27 @@ def run_freely(
     output = kind.runs(form, dataset, reading_noise(outcome.model) / share, horizon)
     nearest = simple.nominal.values if simple is not None and form.latent and simple.nominal is not None else None
     return free_runs(output, horizon, outcome.nominal, outcome.model, nearest)
+
+
+def at_full_rate(remembered: Remembered, outcome: Outcome) -> Outcome:
+    """Return an outcome whose model has the values that all readings tell, as sure as these make them.
+
+    The search looks at fewer: they tell a law as well, and beside exact sensors its size half as sharply. A model that
+    does not come to its end there, or to what physics allows, stays as it was.
+
+    Parameters
+    ----------
+    remembered : Remembered
+        The likelihood of all readings.
+    outcome : Outcome
+    """
+    fit = outcome.model
+    found = remembered.fit(fit.effects, [fit.values], fit)
+    if found is None or not found.converged or any(impossible(remembered, one, found) for one in fit.effects):
+        return outcome
+    told = {name: getattr(found, name) for name in ("values", "deviations", "beside", "logarithmic", "on_bound", "own")}
+    model = replace(fit, **told)
+    return replace(outcome, nominal=model if fit is outcome.nominal else outcome.nominal, model=model)
 
 
 def widened(form: WholeForm, outcome: Outcome) -> Outcome:
