@@ -102,7 +102,7 @@ def identify(
     array([0.8+0.j])
     """
     refuse_overwrite(out, force=force)
-    from harness.scoring import equation_error, simulation_error
+    from harness.scoring import Torques, equation_error, simulation_error
     from harness.scoring.predictive import probability_score
 
     if y is not None:
@@ -154,6 +154,9 @@ def identify(
         probability,
         next(iter((*data.validation, *data.estimation)), None),
         _bounds_beside(fitted, measured, identifier, seed) if bounds else None,
+        {use: [fitted.torque_errors(one) for one in data.using(use)] for use in uses}
+        if isinstance(fitted, Torques)
+        else {},
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from harness.models.analysis import Findings
-    from harness.scoring import Score
+    from harness.scoring import Score, TorqueError
     from harness.scoring.predictive import ProbabilityScore
 
 _DRAWN = 20_000
@@ -37,6 +37,9 @@ class Identified(Usable):
     """The record that the picture in a notebook shows: the first that validates."""
     bounds: Findings | None = field(default=None, repr=False)
     """What theorems for finite samples promise beside what was measured, where it was asked for."""
+
+    torque_errors: dict[Use, list[tuple[TorqueError, ...]]] = field(default_factory=dict)
+    """Of an arm: rms and NRMSE of every joint's torque along the measured motion, by use and run; empty for others."""
 
     def plot(self) -> Figure:
         """Return the figure of the record that judges: its inputs, what was measured, and the free run of the model."""
@@ -65,7 +68,7 @@ class Identified(Usable):
 
     def to_dict(self) -> dict[str, Any]:
         """Return model, scores and warnings, ready for JSON."""
-        scores = {
+        scores: dict[str, Any] = {
             name: {
                 use: [{"rms": s.rms.tolist(), "nrmse": s.nrmse.tolist(), "samples": s.samples} for s in own]
                 for use, own in found.items()
@@ -73,7 +76,21 @@ class Identified(Usable):
             for name, found in (("equation_error", self.equation_error), ("simulation_error", self.simulation_error))
         }
         bounds = {} if self.bounds is None else {"bounds": self.bounds.to_dict()}
+        torques = {use: [[asdict(joint) for joint in run] for run in runs] for use, runs in self.torque_errors.items()}
+        if torques:
+            scores["torque_error"] = torques
         return {"model": self.model.to_dict(), **scores, "warnings": list(self.warnings), **bounds}
+
+    def torque_rows(self) -> list[tuple[str, ...]]:
+        """Return use, run, torque, rms with unit and NRMSE of every joint of an arm, of held-out runs if there are."""
+        uses: tuple[Use, ...] = ("validation", "test")
+        held_out = [use for use in uses if self.torque_errors.get(use)]
+        return [
+            (use, str(run), one.joint, f"{one.rms:.3g} {one.unit}", f"{one.nrmse:.3g}")
+            for use in held_out or self.torque_errors
+            for run, joints in enumerate(self.torque_errors[use])
+            for one in joints
+        ]
 
     def _rows(self) -> list[tuple[str, ...]]:
         """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
@@ -93,6 +110,8 @@ class Identified(Usable):
 
         titles = ["use", "run", "output", "NRMSE one step ahead", "NRMSE in free run", "rms in free run"]
         parts = [table(titles, self._rows())]
+        if torques := self.torque_rows():
+            parts.append(table(["use", "run", "torque", "rms", "NRMSE"], torques))
         if values := getattr(self.model, "parameters", None):
             spread, found = getattr(self.model, "deviations", {}), self.estimate
             units = {} if found is None else dict(zip(found.names, found.units, strict=True))

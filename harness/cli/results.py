@@ -139,6 +139,9 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     for use, scores_of_use in fitted.probability.items():
         for run, score in enumerate(scores_of_use):
             say(f"{use} {run}, one step ahead: {score}")
+    if torques := fitted.torque_rows():
+        say("torques along the measured motion, filtered as in the fit")
+        print_table(("use", "run", "torque", "rms", "NRMSE"), torques)
     estimate = estimate_of(fitted.model)
     named = getattr(fitted.model, "parameters", {})
     _print_parameters(fitted.model, named, estimate)

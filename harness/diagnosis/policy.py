@@ -332,9 +332,7 @@ class ArmPolicy:
         "rotors of .01 to .2 kg m^2 at joints on multisine torques of 8 Hz",
     )
     still: float = number(0.1, "speed over its rms below which a joint stands still", "a tenth of its motion")
-    several: int = number(
-        2, "effects from which on they may be another arm together", "one alone is what it is called"
-    )
+    several: int = number(2, "effects from which on they may be another arm together", "one alone is what it is called")
     moved: float = number(
         1e-4,
         "relative size below which torques do not move with a direction of the inertial parameters",
@@ -379,6 +377,12 @@ class ArmPolicy:
     springs: int = number(
         9, "resonances that are tried in between", "a factor of 1.45: within the reach of a fit of half a decade"
     )
+    spring: float = number(
+        0.002,
+        "change of a joint's torque below which a spring is not named",
+        "it acts where the torque is small, above the motion; a rotor or a gain of the torque would take its place",
+        "springs of 21 to 27 Hz along a motion clear to 10 Hz: .0023 to .0049, at log-likelihoods of 60 to 330",
+    )
     resolved: float = number(0.25, "highest of them over the sample rate", "four samples in a period")
     damped: float = number(0.03, "damping ratio that a spring starts from", "gears of steel have 0.01 to 0.1")
     least_lag: float = number(1e-5, "damping over stiffness of a joint, at least [s]", "0.3 % at 100 Hz: none")
@@ -408,9 +412,7 @@ class PlanPolicy:
     alike: float = number(
         0.95, "cosine beyond which two effects are said to look alike", "a tenth of either is left to tell them apart"
     )
-    noise: float = number(
-        0.01, "sensor noise over the size of an output, where a scenario has none", "a common sensor"
-    )
+    noise: float = number(0.01, "sensor noise over the size of an output, where a scenario has none", "a common sensor")
     upright: float = number(
         1.2, "angle that slow swings stay below [rad]", "beyond 90 deg a pendulum falls, and then it is not slow"
     )

@@ -14,6 +14,7 @@ from harness.scoring.prediction import (
 )
 from harness.scoring.regret import Regret, regret
 from harness.scoring.rounds import Round, interleaved
+from harness.scoring.torques import TorqueError, Torques
 
 __all__ = [
     "ControlRegret",
@@ -23,6 +24,8 @@ __all__ = [
     "Regret",
     "Round",
     "Score",
+    "TorqueError",
+    "Torques",
     "control_regret",
     "control_score",
     "equation_error",

@@ -1,18 +1,19 @@
 """Effects that act on several joints of an arm: payload, tilted base, wrong link, joint zero, elasticity, gain.
 
-All of them are linear in their parameters once the motion is measured.
+All but a joint's elasticity are linear in their parameters once the motion is measured.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.arm.rotor import LINK_SIDE, MOTOR_SIDE, Spring, ahead, swinging
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
 from harness.effects.effect import Effect, EffectParameter, Placed
 from harness.physics.arms.arm import ArmModel
@@ -34,16 +35,23 @@ class Wide:
     Attributes
     ----------
     placed : Placed
-        All of its parameters are linear, and 0 where it does nothing.
+        Its parameters are 0 where it does nothing, and linear but for those of ``bent``.
     columns : callable
         ``ArmRun -> (N, n, k)``: torque that the joints need more, for a parameter of 1.
     of_bodies : bool
         Another arm (other masses, lengths) can look like several of its kind together.
+    bent : callable, optional
+        ``ArmRun -> Spring``, which makes that torque of its parameters where it is not in proportion to them.
     """
 
     placed: Placed
     columns: Callable[[ArmRun], FloatArray]
     of_bodies: bool = True
+    bent: Callable[[ArmRun], Spring] | None = None
+
+    def torque(self, run: ArmRun, values: FloatArray) -> FloatArray:
+        """Return the torque (N, n) that the joints need more."""
+        return np.asarray(self.columns(run) @ values if self.bent is None else self.bent(run)(values))
 
     def __str__(self) -> str:
         return str(self.placed)
@@ -138,15 +146,7 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
         zero = _par("offset", channel.unit, "reading minus true position", policy.angle)
         words = "The zero of the position sensor is wrong.", f"{channel.name} = true position + offset", turning
         add(_effect("sensor_offset", [zero], words), channel.name, _zero(arm, k))
-        unit = f"{channel.unit}/({arm.inputs[k].unit})"
-        soft = _par("compliance", unit, "1/stiffness between motor and link",
-                    policy.angle / max(float(torques[k]), 1e-9), sign="+")  # fmt: skip
-        words = (
-            "The joint gives way under its torque; motor side measured.",
-            f"{channel.name} of the link = {channel.name} - compliance * {arm.inputs[k].name}",
-            "fast excitation (to half of the resonance sqrt(k/J)), or a position sensor on the link",
-        )
-        add(_effect("joint_elasticity", [soft], words), channel.name, _elastic(arm, k), of_bodies=False)
+        wide += _springs(arm, k, policy.angle / max(float(torques[k]), 1e-9))
     for number in arm.links:
         joint = arm.arm.joints[number]
         if joint.mass > 0:
@@ -164,6 +164,49 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
         words = "The torque of one joint is wrong by a factor.", "left to the search on the joint", heavier
         add(_effect(GAIN, [factor], words), channel.name, _gain(arm, k))
     return wide
+
+
+def _springs(arm: ArmModel, k: int, most: float) -> list[Wide]:
+    """Return the elasticity of a joint up to a compliance, seen from its motor, and from its link."""
+    channel, drive = arm.positions[k], arm.inputs[k]
+    faster = "fast excitation, through the resonance sqrt(k/J), with a position sensor on either side of the joint"
+    soft = replace(
+        _par("compliance", f"{channel.unit}/({drive.unit})", "1/stiffness between motor and link", most, sign="+"),
+        linear=False,
+    )
+    lag = EffectParameter(
+        "lag", "s", sign="+", minimum=ARM_POLICY.least_lag, maximum=ARM_POLICY.most_lag, nuisance=True,
+        meaning="damping between motor and link over the stiffness",
+    )  # fmt: skip
+    words = (
+        "The joint gives way under its torque, and its link swings on it; the motor's side is measured.",
+        f"k e + d e' = torque of the bodies at {channel.name} - e; k = 1/compliance, d = lag k",
+        faster,
+    )
+    of_motor = _effect(MOTOR_SIDE, [soft, lag], words)
+    rotor = replace(
+        _par("rotor_over_stiffness", "s^2", "inertia of the rotor over the stiffness", ARM_POLICY.most_lag**2,
+             sign="+"),
+        linear=False,
+    )  # fmt: skip
+    words = (
+        "The joint gives way under its torque, and its rotor runs ahead of it; the link's side is measured.",
+        f"{drive.name} = J theta'' + torque of the bodies = k e + d e', e = theta - {channel.name}",
+        faster,
+    )
+    of_link = _effect(LINK_SIDE, [rotor, lag], words)
+
+    def springs(effect: Effect, made: Callable[[ArmRun], Spring]) -> Wide:
+        def stiff(run: ArmRun) -> FloatArray:
+            """Return the torque of a stiff spring in proportion to its first parameter, and none for the lag."""
+            spring = made(run)
+            small = ARM_POLICY.small_spring * spring.starts()[-1][effect.parameter_names[0]]
+            first = spring(np.array([small, ARM_POLICY.least_lag])) / small
+            return np.stack([first, np.zeros_like(first)], axis=2)
+
+        return Wide(Placed(effect, channel.name), stiff, False, made)
+
+    return [springs(of_motor, swinging(arm, k)), springs(of_link, ahead(arm, k))]
 
 
 def _tensor(joint: Joint) -> Effect:
@@ -193,34 +236,6 @@ def _zero(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
         step[k] = STEP
         high, low = arm.torques(m.q + step, m.v, m.a), arm.torques(m.q - step, m.v, m.a)
         return np.asarray(-(high - low)[:, :, None] / (2 * STEP))
-
-    return columns
-
-
-def _elastic(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
-    """Return the column of a joint's compliance: the link lags the motor by compliance times torque.
-
-    The torque through the spring is what the link needs, so the torques of the motion are those at
-    q - c tau, v - c tau', a - c tau'' of the joint (Spong, J. Dyn. Sys. Meas. Control 109 (1987) 310), to first order
-    in c. That torque is what the bodies need along the measured motion: the measured one holds the motor's friction and
-    rotor, which no spring carries, and its noise, which is in the residual too, always asks for a spring through its
-    second derivative.
-    """
-    bodies = arm.arm.parameters
-
-    def columns(run: ArmRun) -> FloatArray:
-        m, dt = run.calm, run.motion.sample_time
-        tau = arm.torques(m.q, m.v, m.a, parameters=bodies)[:, k]
-        rate = np.gradient(tau, dt)
-        step = STEP / max(float(np.abs(tau).max()), 1e-9)
-        parts = []
-        for sign in (1.0, -1.0):
-            q, v, a = m.q.copy(), m.v.copy(), m.a.copy()
-            q[:, k] += sign * step * tau
-            v[:, k] += sign * step * rate
-            a[:, k] += sign * step * np.gradient(rate, dt)
-            parts.append(arm.torques(q, v, a, parameters=bodies))
-        return np.asarray(-(parts[0] - parts[1])[:, :, None] / (2 * step))
 
     return columns
 

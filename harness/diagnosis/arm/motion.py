@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,9 +15,13 @@ from harness.diagnosis.runs.equation import decimated
 from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["ArmRun", "arm_runs", "low_passed", "moving_rows", "standstill", "white_noise"]
+__all__ = ["ArmRun", "arm_runs", "clear_runs", "low_passed", "moving_rows", "standstill", "white_noise"]
 
 USES = ("estimation", "validation", "test")
+KEPT = 0.4
+"""Band that a decimation keeps, over the rate of its rows; see :func:`harness.diagnosis.runs.equation.decimated`."""
+FEWEST = 200
+"""Rows that a record keeps at least."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,8 @@ class ArmRun:
         Of the calm motion [Hz].
     noise : array (n,)
         Of the samples of the measured torques, before any filter.
+    clear : float
+        Up to where all accelerations are free of noise [Hz].
     """
 
     motion: Motion
@@ -48,6 +54,7 @@ class ArmRun:
     rigid: FloatArray
     corner: float
     noise: FloatArray
+    clear: float
 
     @property
     def sharp(self) -> ArmRun:
@@ -120,14 +127,38 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
         rate = f"{position.name}_rate"
         columns[position.name] = (k, names.index(rate) if rate in names else None)
     motion = smooth_motion(record, columns, intersample, by_rates=True)
+    differenced = [intersample == "zoh" and rate is None for _, rate in columns.values()]
+    motion = replace(motion, a=_of_held_torques(motion.a, differenced))
     rigid = arm.torques(motion.q, motion.v, motion.a) + arm.damped(motion.v)
     band = max(motion_band(record.y[:, k], motion.sample_time)[0] for k in range(arm.n))
     still = np.abs(motion.v) <= ARM_POLICY.still * np.sqrt(np.mean(motion.v[motion.inside] ** 2, axis=0))
     motion = replace(motion, counts=1.0 - (still | _pauses(still, motion)))
-    corner = max(ARM_POLICY.calm * band, _clear(record, columns, motion))
+    clear = _clear(record, columns)
+    corner = max(ARM_POLICY.calm * band, min(clear, 0.5 / (motion.factor * motion.sample_time)))
     calm = _calmed(motion, corner)
+    calm = replace(calm, a=_of_held_torques(calm.a, differenced))
     noise = np.array([white_noise(record.u[:, k]) for k in range(arm.n)])
-    return ArmRun(motion, calm, np.gradient(calm.u, motion.sample_time, axis=0), rigid, corner, noise)
+    return ArmRun(
+        motion,
+        calm,
+        np.gradient(calm.u, motion.sample_time, axis=0),
+        rigid,
+        corner,
+        noise,
+        max(clear, ARM_POLICY.calm * band),
+    )
+
+
+def _of_held_torques(a: FloatArray, differenced: Sequence[bool]) -> FloatArray:
+    """Return accelerations (N, n) that go with the means of held torques.
+
+    An inertia under held torques has second differences of its position that are these means, ``4 sin(x/2)^2`` over
+    the square of a step at x radians a step; differenced twice centrally it has ``sin(x)^2``, less by ``x^2/4``. Its
+    measured rate has no such error.
+    """
+    more = np.zeros_like(a)
+    more[1:-1] = np.diff(a, 2, axis=0) / 4
+    return np.asarray(a - more * np.asarray(differenced))
 
 
 def _pauses(still: NDArray[np.bool_], motion: Motion) -> NDArray[np.bool_]:
@@ -152,11 +183,26 @@ def white_noise(signal: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(d - np.median(d)))) / float(np.sqrt(70.0))
 
 
-def _clear(record: Trajectory, columns: dict[str, tuple[int | None, int | None]], motion: Motion) -> float:
-    """Return up to where all accelerations are free of noise [Hz], within what the decimated residual holds."""
+def _clear(record: Trajectory, columns: dict[str, tuple[int | None, int | None]]) -> float:
+    """Return up to where all accelerations are free of noise [Hz]."""
     parts = [record.y[:, position if rate is None else rate] for position, rate in columns.values()]
-    clear = min(motion_band(part, record.spec.sample_time, ARM_POLICY.clear)[1] for part in parts)
-    return min(clear, 0.5 / (motion.factor * motion.sample_time))
+    return min(motion_band(part, record.spec.sample_time, ARM_POLICY.clear)[1] for part in parts)
+
+
+def clear_runs(runs: Mapping[str, Sequence[ArmRun]]) -> dict[str, tuple[ArmRun, ...]]:
+    """Return the records with their true motion, decimated to the band in which all of it is free of noise.
+
+    A calm motion, whose filter bends what lies near its corner, would pass for a spring, and so would the noise of a
+    sharp one beyond that band.
+    """
+    every = [run for parts in runs.values() for run in parts]
+    most = min((run.motion.inside.stop - run.motion.inside.start) // FEWEST for run in every)
+    factor = max(min(int(KEPT / (min(run.clear, run.motion.cutoff) * run.motion.sample_time)) for run in every), 1)
+    factor = min(factor, max(most, 1))
+    return {
+        use: tuple(replace(run.sharp, motion=replace(run.motion, factor=factor)) for run in parts)
+        for use, parts in runs.items()
+    }
 
 
 def _calmed(motion: Motion, corner: float) -> Motion:

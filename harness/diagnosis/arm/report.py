@@ -34,7 +34,8 @@ import numpy as np
 from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.diagnosis.arm.regression import regression_detail
-from harness.diagnosis.arm.rotor import ROTOR, in_the_bodies
+from harness.diagnosis.arm.rotor import LINK_SIDE, ROTOR, SPRINGS, in_the_bodies
+from harness.diagnosis.arm.wide_regression import ROTOR as WIDE_ROTOR
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.estimates import effect_data, known
 from harness.diagnosis.report.experiments import separating
@@ -46,6 +47,7 @@ from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.stand_in import stand_in_reasons
+from harness.effects.effect import Placed
 
 __all__ = ["arm_report"]
 
@@ -164,7 +166,10 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
     ties: list[list[dict[str, str]]] = []
     apart: list[list[str]] = []
     for accepted in found.wide.accepted:
-        effects.append(effect_data(found.wide.fit, accepted))
+        data = effect_data(found.wide.fit, accepted)
+        if accepted.placed.effect.name in SPRINGS:
+            data["parameters"] = {"stiffness": _stiffness(found, accepted.placed), **data["parameters"]}
+        effects.append(data)
         members = _members(accepted)
         members += [{"name": name, "at": at} for name, at in accepted.placed.effect.same_as.items()]
         ties.append(members)
@@ -183,6 +188,29 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
             ties.append(members)
             apart.append(separating([placed for group in accepted.tie for placed in group]))
     return effects, ties, apart
+
+
+def _stiffness(found: ArmDiagnosis, spring: Placed) -> dict[str, Any]:
+    """Return the stiffness of a joint with its interval: seen from the link, through the rotor that was fitted there.
+
+    Parameters of a spring are fitted by their logarithms, a rotor is not; the two errors are taken for independent.
+    """
+    fit, main = found.wide.fit, spring.name(spring.effect.parameter_names[0])
+    k = [channel.name for channel in found.arm.positions].index(spring.at)
+    value, spread = 1 / fit.values[main], fit.deviations[main]
+    if spring.effect.name == LINK_SIDE:
+        name = f"{spring.at} {WIDE_ROTOR}"
+        rotor = fit.values[name] + float(found.arm.motor_inertia[k])
+        value, spread = value * rotor, float(np.hypot(spread, fit.deviations[name] / rotor))
+    told = np.isfinite(spread)
+    return {
+        "value": known(value),
+        "low": known(value * np.exp(-1.96 * spread)) if told else None,
+        "high": known(value * np.exp(1.96 * spread)) if told else None,
+        "unit": f"{found.arm.inputs[k].unit}/{found.arm.positions[k].unit}",
+        "state": "determined" if told else "not_determined",
+        "meaning": "stiffness between motor and link",
+    }
 
 
 def _members(accepted: Accepted) -> list[dict[str, str]]:

@@ -1,10 +1,22 @@
-"""The motor and the gear of a joint: a rotor behind the gear, and friction in its teeth, which no URDF has."""
+"""The motor and the gear of a joint, which no URDF has: a rotor, friction in the teeth, and a spring before the link.
+
+The model is that of Spong 1987 (J. Dyn. Sys. Meas. Control 109:310): a link that needs tau(q, q', q'') hangs on its
+rotor by a spring k and a damper d, so that ``tau(q) = k e + d e'`` and ``u = J theta'' + friction + tau(q)`` with the
+twist ``e = theta - q``. Which encoder was logged decides what is known of it:
+
+- Of the motor, theta: the link swings behind it. To first order in the twist ``M e'' + C e' + G e + d e' + k e =
+  tau(theta)``, with the gradients M, C, G of the torques by acceleration, speed and position of the joint, and every
+  joint needs ``M e'' + C e' + G e`` less: in proportion to the compliance where it is small, with a resonance where it
+  is not.
+- Of the link, q: the torque through the spring is tau(q), whatever the spring. The rotor runs ahead by the twist, and
+  needs ``J e''`` more: the second derivative of the torque times J/k, behind the lag d/k of the damper.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -13,8 +25,23 @@ from harness.diagnosis.policy import ARM_POLICY
 from harness.effects.effect import Effect, effect, par
 from harness.effects.functions import sign, tanh
 from harness.physics.arms.arm import ArmModel
+from harness.signals import FloatArray
 
-__all__ = ["ON_LOAD", "ROTOR", "friction_of_the_load", "in_the_bodies", "rotor_inertia"]
+__all__ = [
+    "LINK_SIDE",
+    "MOTOR_SIDE",
+    "ON_LOAD",
+    "ROTOR",
+    "SPRINGS",
+    "Ahead",
+    "Spring",
+    "Swinging",
+    "ahead",
+    "friction_of_the_load",
+    "in_the_bodies",
+    "rotor_inertia",
+    "swinging",
+]
 
 ROTOR = "rotor_inertia"
 ON_LOAD = "load_dependent_friction"
@@ -94,3 +121,169 @@ def in_the_bodies(arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], joint: in
     x = x[:, size > 0] / size[size > 0]
     left = wanted - x @ np.linalg.lstsq(x, wanted, rcond=1e-9)[0]
     return bool(np.linalg.norm(left) < ARM_POLICY.rounded * np.linalg.norm(wanted))
+
+
+MOTOR_SIDE, LINK_SIDE = "joint_elasticity", "joint_elasticity_of_link"
+SPRINGS = (MOTOR_SIDE, LINK_SIDE)
+"""Names of the effects: the encoder of the motor was logged, or that of the link."""
+STEP = 1e-4
+
+
+class Spring(Protocol):
+    """What a spring makes of the torques along one record."""
+
+    def starts(self) -> list[dict[str, float]]:
+        """Return values of the parameters from which a fit starts."""
+        ...
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Return by how much more torque (N, n) the joints need, for values of the parameters."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Swinging:
+    """A link that swings behind its motor along one record.
+
+    Attributes
+    ----------
+    joint : int
+        From 0.
+    torque : array (N,)
+        That bodies need at the joint along the motor's motion.
+    mass, drag, pull : array (N, n)
+        Gradients of all torques by the acceleration, the speed and the position of the joint.
+    dt : float
+        [s]
+    """
+
+    joint: int
+    torque: FloatArray
+    mass: FloatArray
+    drag: FloatArray
+    pull: FloatArray
+    dt: float
+
+    @property
+    def inertia(self) -> float:
+        """Of all that swings about the joint, typically."""
+        return max(float(np.median(self.mass[:, self.joint])), 1e-12)
+
+    def starts(self) -> list[dict[str, float]]:
+        """Return compliances with resonances from the slowest to the fastest that are tried, lightly damped."""
+        last = min(ARM_POLICY.fastest_spring, ARM_POLICY.resolved / self.dt)
+        found = []
+        for frequency in np.geomspace(ARM_POLICY.slowest_spring, last, ARM_POLICY.springs):
+            w = 2 * np.pi * frequency
+            found.append({"compliance": 1 / (self.inertia * w**2), "lag": 2 * ARM_POLICY.damped / w})
+        return found
+
+    def twist(self, compliance: float, lag: float) -> FloatArray:
+        """Return the twist (N,) of a spring: ``c M e'' + (lag + c C) e' + (1 + c G) e = c tau``, at rest at first.
+
+        Central differences; the weights of the neighbours in what is not differentiated give the discrete spring the
+        frequency of the continuous one (1/12 where it is slow: Numerov's method), and keep it stable where it is fast.
+        """
+        from scipy.linalg import solve_banded
+
+        k, dt = self.joint, self.dt
+        x = dt / np.sqrt(compliance * self.inertia)
+        weight = 1 / (4 * np.sin(min(x, 3.0) / 2) ** 2) - 1 / x**2
+        inertia = compliance * self.mass[1:-1, k] / dt**2
+        loss = (lag + compliance * self.drag[1:-1, k]) / (2 * dt)
+        still, forced = 1 + compliance * self.pull[:, k], compliance * self.torque
+        rows = np.zeros((3, len(forced)))
+        rows[0, :2] = 1.0
+        rows[0, 2:] = inertia + loss + weight * still[2:]
+        rows[1, 1:-1] = (1 - 2 * weight) * still[1:-1] - 2 * inertia
+        rows[2, :-2] = inertia - loss + weight * still[:-2]
+        wanted = np.concatenate([(forced / still)[:2], weighted(forced, weight)])
+        return np.asarray(solve_banded((2, 0), rows, wanted, check_finite=False))
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Return by how much more torque (N, n) the joints need, for a compliance and a lag."""
+        e = self.twist(float(values[0]), float(values[1]))
+        bent = _second(e, self.dt)[:, None]
+        return -(self.mass * bent + self.drag * np.gradient(e, self.dt)[:, None] + self.pull * e[:, None])
+
+
+def weighted(values: FloatArray, weight: float) -> FloatArray:
+    """Return means (N - 2,) of neighbours, the outer ones with a weight each."""
+    return np.asarray(weight * (values[2:] + values[:-2]) + (1 - 2 * weight) * values[1:-1])
+
+
+def swinging(arm: ArmModel, joint: int) -> Callable[[ArmRun], Swinging]:
+    """Return what makes the record of a link behind a spring.
+
+    The torque through the spring is what the bodies need along the measured motion: the measured torque holds the
+    motor's friction and rotor, which no spring carries, and its noise, which is in the residual too, would always ask
+    for a spring.
+    """
+    bodies = arm.arm.parameters
+
+    def made(run: ArmRun) -> Swinging:
+        m, step = run.calm, np.zeros(arm.n)
+        step[joint] = STEP
+
+        def slope(which: int) -> FloatArray:
+            sides = []
+            for side in (1.0, -1.0):
+                motion = [m.q, m.v, m.a]
+                motion[which] = motion[which] + side * step
+                sides.append(arm.torques(motion[0], motion[1], motion[2], parameters=bodies))
+            return np.asarray((sides[0] - sides[1]) / (2 * STEP))
+
+        torque = arm.torques(m.q, m.v, m.a, parameters=bodies)[:, joint]
+        return Swinging(joint, torque, slope(2), slope(1), slope(0), run.motion.sample_time)
+
+    return made
+
+
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """A rotor that runs ahead of its link along one record.
+
+    Attributes
+    ----------
+    bent : array (N, n)
+        Second derivative of the torque that bodies need at the joint; 0 at the others.
+    dt : float
+        [s]
+    """
+
+    bent: FloatArray
+    dt: float
+
+    def starts(self) -> list[dict[str, float]]:
+        """Return the rotor over the stiffness of the stiffest spring that is tried, lightly damped."""
+        w = 2 * np.pi * ARM_POLICY.fastest_spring
+        return [{"rotor_over_stiffness": w**-2.0, "lag": 2 * ARM_POLICY.damped / w}]
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Return by how much more torque (N, n) the joints need, for J/k and a lag."""
+        from scipy import signal
+
+        half = 2 * float(values[1]) / self.dt  # trapezoidal rule
+        behind = signal.lfilter([1.0, 1.0], [1 + half, 1 - half], self.bent, axis=0)
+        return np.asarray(float(values[0]) * behind)
+
+
+def ahead(arm: ArmModel, joint: int) -> Callable[[ArmRun], Ahead]:
+    """Return what makes the record of a rotor ahead of its link."""
+    bodies = arm.arm.parameters
+
+    def made(run: ArmRun) -> Ahead:
+        m, dt = run.calm, run.motion.sample_time
+        bent = np.zeros_like(m.q)
+        bent[:, joint] = _second(arm.torques(m.q, m.v, m.a, parameters=bodies)[:, joint], dt)
+        return Ahead(bent, dt)
+
+    return made
+
+
+def _second(values: FloatArray, dt: float) -> FloatArray:
+    """Return the second derivative (N,), by central differences of fourth order."""
+    bent = np.zeros_like(values)
+    bent[1:-1] = np.diff(values, 2)
+    bent[2:-2] -= np.diff(bent[1:-1], 2) / 12
+    return bent / dt**2

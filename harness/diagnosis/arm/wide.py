@@ -15,13 +15,15 @@ import numpy as np
 
 from harness.diagnosis.arm.effects import GAIN, Wide
 from harness.diagnosis.arm.links import LINK, LinkSet, exchanged
-from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.arm.motion import ArmRun, clear_runs
 from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.rotor import LINK_SIDE, MOTOR_SIDE, SPRINGS
 from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.search.compare import compared, impossible
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome
+from harness.diagnosis.search.scores import score_test
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, named, value
 from harness.effects.effect import Placed
@@ -72,7 +74,7 @@ class WideResult:
             values = np.array(
                 [self.fit.values[accepted.placed.name(p.name)] for p in accepted.placed.effect.parameters]
             )
-            result += self.effects[str(accepted.placed)].columns(run.sharp) @ values
+            result += self.effects[str(accepted.placed)].torque(run.sharp, values)
         return result
 
 
@@ -87,6 +89,10 @@ def wide_search(
     arm_policy: ArmPolicy = ARM_POLICY,
 ) -> WideResult:
     """Find what acts on the whole arm.
+
+    Where a joint's elasticity promises evidence, all effects are searched on the true motion, see
+    :func:`harness.diagnosis.arm.motion.clear_runs`; that answer holds if a spring is in it. Else they are searched on
+    the calm motion, without springs.
 
     Parameters
     ----------
@@ -107,27 +113,41 @@ def wide_search(
     FitError
         If the torques are not finite.
     """
-    regression = WideRegression(arm, runs, joints, calibrated, arm_policy)
-    form = RegressionForm(regression, arm_policy)
-    nominal = form.fit((), [{}], None)
-    if nominal is None:
-        raise FitError(
-            f"the torques of arm {arm.name}",
-            expected="finite torques along the measured motion",
-            got="others",
-            remedy="check units and spikes of the positions",
-        )
-    candidates = [effect.placed for effect in regression.effects.values()]
     own = replace(
         policy, most=arm_policy.wide, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z
     )
-    outcome = search(form, nominal, candidates, policy=own, say=say)
+
+    def lean(turning: Sequence[int] | None) -> RegressionForm:
+        return RegressionForm(WideRegression(arm, records, joints, calibrated, arm_policy, turning), arm_policy)
+
+    def searched(*without: str) -> tuple[RegressionForm, Outcome]:
+        form = lean(None)
+        nominal = form.fit((), [{}], None)
+        if nominal is None:
+            raise FitError(
+                f"the torques of arm {arm.name}",
+                expected="finite torques along the measured motion",
+                got="others",
+                remedy="check units and spikes of the positions",
+            )
+        every = [effect.placed for effect in _wide(form).effects.values()]
+        candidates = [placed for placed in every if placed.effect.name not in without]
+        if MOTOR_SIDE not in without and not _promised(form, nominal, candidates, own):
+            return form, Outcome(form, nominal, nominal, (), ())
+        least = own.least if MOTOR_SIDE in without else arm_policy.spring
+        return form, search(form, nominal, candidates, policy=replace(own, least=least), say=say)
+
+    # springs are told on the true motion alone; beside bodies that are free no rotor is known, nor a stiffness from it
+    records: Mapping[str, Sequence[ArmRun]] = clear_runs(runs)
+    form, outcome = searched(*([LINK_SIDE] if len(calibrated) else []))
+    springs = [one.placed for one in outcome.accepted if one.placed.effect.name in SPRINGS]
+    if not springs or not all(_has_rotor(outcome.model, one, policy) for one in springs):
+        springs, records = [], runs
+        form, outcome = searched(*SPRINGS)
+    regression = _wide(form)
     outcome, notes = _without_small(form, outcome, arm_policy)
-
-    def lean(turning: Sequence[int]) -> RegressionForm:
-        return RegressionForm(WideRegression(arm, runs, joints, calibrated, arm_policy, turning), arm_policy)
-
-    outcome, beside = (outcome, None) if len(calibrated) else _as_a_set(form, outcome, lean, policy, own)
+    fixed = len(calibrated) or springs
+    outcome, beside = (outcome, None) if fixed else _as_a_set(form, outcome, lean, policy, own)
     gains = {
         accepted.placed.at: tuple(other for group in accepted.tie[1:] for other in group)
         for accepted in outcome.accepted
@@ -139,15 +159,32 @@ def wide_search(
         rotors = {k: fit.values[regression.own_name(k, ROTOR)] for k in beside}
         return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
     rotors = {k: fit.values[name] for k in joints if _seen(fit, name := f"{arm.positions[k].name} {ROTOR}", policy)}
-    if outcome.accepted:  # a rotor that is not there would take a part of what is, a few grams of a payload
+    # a rotor that is not there would take a part of what is, a few grams of a payload
+    if outcome.accepted and not springs:
         fit = lean(list(rotors)).fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
     return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
 
 
+def _wide(form: RegressionForm) -> WideRegression:
+    """Return what a form of the whole arm is about."""
+    assert isinstance(form.regression, WideRegression)
+    return form.regression
+
+
+def _promised(form: RegressionForm, nominal: Fit, candidates: Sequence[Placed], policy: Policy) -> bool:
+    """Return whether an elasticity promises the evidence of an effect, alone: only then it is looked for."""
+    springs = [placed for placed in candidates if placed.effect.name in SPRINGS]
+    return any(lead.penalised >= policy.evidence for lead in score_test(form, nominal, springs, policy).leads)
+
+
+def _has_rotor(fit: Fit, spring: Placed, policy: Policy) -> bool:
+    """Return whether a spring is known: seen from the link, its stiffness is known through the rotor alone."""
+    return spring.effect.name != LINK_SIDE or _seen(fit, f"{spring.at} {ROTOR}", policy)
+
+
 def _without_small(form: RegressionForm, outcome: Outcome, policy: ArmPolicy) -> tuple[Outcome, list[str]]:
     """Return an outcome without what its joint's friction hides, and what is to be said of that."""
-    regression = form.regression
-    assert isinstance(regression, WideRegression)
+    regression = _wide(form)
     small = [
         accepted
         for accepted in outcome.accepted

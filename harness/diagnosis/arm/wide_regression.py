@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from harness.diagnosis.arm.effects import Wide, wide_effects
 from harness.diagnosis.arm.motion import ArmRun, moving_rows
 from harness.diagnosis.arm.regression import USES, Change
+from harness.diagnosis.arm.rotor import Spring
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
 from harness.diagnosis.search.fit import Fit
 from harness.effects.effect import Placed
@@ -23,6 +24,10 @@ ROTOR = "rotor"
 OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
 """Columns of each joint in :func:`own_columns`."""
 FRICTION = ("dry", "load")
+STEP = 1e-4
+"""Relative step of a derivative by a parameter."""
+SOFTEST = 1e-6
+"""Smallest value of a parameter that is fitted by its logarithm, over its largest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +56,45 @@ class Linear:
 
 @dataclass(frozen=True, eq=False)
 class LinearEquation:
-    """Columns times parameters minus the torque; see :class:`harness.diagnosis.arm.regression.Equation`."""
+    """Columns times parameters minus the torque; see :class:`harness.diagnosis.arm.regression.Equation`.
+
+    ``bent`` gives for the place of the first of some parameters the torques that are not in proportion to them.
+    """
 
     system: Linear
     target: Mapping[str, Sequence[FloatArray]]
     columns: Mapping[str, Sequence[FloatArray]]
+    bent: Mapping[int, Bent] = field(default_factory=dict)
 
     def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
         """Return for every record the residual torque (rows, n) and the columns (rows, n, np)."""
-        return [(x @ p - y, x) for x, y in zip(self.columns[use], self.target[use], strict=True)]
+        found = []
+        for number, (x, y) in enumerate(zip(self.columns[use], self.target[use], strict=True)):
+            residual, slopes = x @ p - y, x.copy() if self.bent else x
+            for first, bent in self.bent.items():
+                values = p[first : first + bent.count]
+                torque = bent.torque(values, use, number)
+                residual = residual + torque
+                for k, value in enumerate(values):
+                    moved = values.copy()
+                    moved[k] = value * (1 + STEP)
+                    slopes[:, :, first + k] = (bent.torque(moved, use, number) - torque) / (value * STEP)
+            found.append((residual, slopes))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Bent:
+    """Torques that are not in proportion to their parameters, along all records, decimated."""
+
+    runs: Mapping[str, Sequence[ArmRun]]
+    joints: Sequence[int]
+    made: Mapping[str, Sequence[Spring]]
+    count: int
+
+    def torque(self, values: FloatArray, use: str, number: int) -> FloatArray:
+        """Return the torque (rows, n) that the joints need more along one record."""
+        return self.runs[use][number].slim(self.made[use][number](values)[:, self.joints], self.joints)
 
 
 class WideRegression:
@@ -115,6 +150,15 @@ class WideRegression:
         self.size = torques[self.joints]
         self.effects = {str(effect): effect for effect in wide_effects(arm, torques, policy)}
         self._columns: dict[str, dict[str, list[FloatArray]]] = {}
+        self._bent: dict[str, Bent] = {}
+
+    def bent(self, effect: Wide) -> Bent | None:
+        """Return the torques of an effect that are not in proportion to its parameters, made once."""
+        key = str(effect)
+        if effect.bent is not None and key not in self._bent:
+            made = {use: [effect.bent(run) for run in self.runs[use]] for use in USES}
+            self._bent[key] = Bent(self.runs, self.joints, made, len(effect.placed.effect.parameters))
+        return self._bent.get(key)
 
     def _slim(self, run: ArmRun, columns: FloatArray) -> FloatArray:
         """Return columns (N, n) or (N, n, k) of the joints, decimated."""
@@ -136,24 +180,43 @@ class WideRegression:
         """Return the equation with effects, the parameters of the effects last."""
         parameters = list(self.nominal.parameters)
         columns = {use: [[part] for part in parts] for use, parts in self._base.items()}
+        places: dict[int, Bent] = {}
         for placed in effects:
-            parameters += [
-                Parameter(placed.name(parameter.name), parameter.unit, 0.0, parameter.minimum, parameter.maximum)
-                for parameter in placed.effect.parameters
-            ]
-            for use, parts in self.columns(self.effects[str(placed)]).items():
+            effect = self.effects[str(placed)]
+            bent = self.bent(effect)
+            if bent is not None:
+                places[len(parameters)] = bent
+            for parameter in placed.effect.parameters:
+                low = parameter.minimum if bent is None else max(parameter.minimum, SOFTEST * parameter.maximum)
+                value = 0.0 if bent is None else low
+                parameters.append(Parameter(placed.name(parameter.name), parameter.unit, value, low, parameter.maximum))
+            for use, parts in self.columns(effect).items():
                 for whole, part in zip(columns[use], parts, strict=True):
-                    whole.append(part)
+                    whole.append(part if bent is None else np.zeros_like(part))
         joined = {use: [np.concatenate(parts, axis=2) for parts in each] for use, each in columns.items()}
-        return LinearEquation(Linear(tuple(parameters)), self._target, joined)
+        return LinearEquation(Linear(tuple(parameters)), self._target, joined, places)
 
     def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
-        """Return the columns of candidates."""
+        """Return the columns of candidates, and the whole of what is not in proportion at several choices."""
         del values
-        return [
-            Change(placed, {}, placed.effect.parameter_names, self.columns(self.effects[str(placed)]))
-            for placed in candidates
-        ]
+        found = []
+        for placed in candidates:
+            effect = self.effects[str(placed)]
+            bent, columns, names = self.bent(effect), self.columns(effect), placed.effect.parameter_names
+            if bent is None:
+                found.append(Change(placed, {}, names, columns))
+                continue
+            for given in bent.made["estimation"][0].starts():
+                at = np.array([given[name] for name in names])
+                torque = {
+                    use: [bent.torque(at, use, k)[:, :, None] for k in range(len(self.runs[use]))] for use in USES
+                }
+                found.append(Change(placed, given, ("effect",), torque))
+            last = {name: given[name] for name in names[1:]}
+            found.append(
+                Change(placed, last, names[:1], {use: [x[:, :, :1] for x in each] for use, each in columns.items()})
+            )
+        return found
 
     def free_torques(self) -> list[Change]:
         """Return nothing: what is left is asked joint by joint."""
@@ -166,7 +229,8 @@ class WideRegression:
     def beside_friction(self, placed: Placed, fit: Fit) -> float:
         """Return the torque of an effect over that of the dry friction at the joint where it weighs most."""
         own = np.array([fit.values[placed.name(parameter.name)] for parameter in placed.effect.parameters])
-        torque = np.concatenate(self.columns(self.effects[str(placed)])["estimation"]) @ own
+        effect = self.effects[str(placed)]
+        torque = np.concatenate([self._slim(run, effect.torque(run, own)) for run in self.runs["estimation"]])
         size = np.sqrt(np.mean(torque**2, axis=0))
         joint = int(np.argmax(size))
         places = [len(OWN) * joint + OWN.index(word) for word in FRICTION]

@@ -15,6 +15,7 @@ from harness.specs import spec_from_dict, spec_to_dict
 
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
+    from harness.scoring import TorqueError
 
 __all__ = ["ArmDynamics"]
 
@@ -77,6 +78,19 @@ class ArmDynamics:
 
         rigid = self.arm.torques(q, v, a, parameters=self.inertial)
         return np.asarray(rigid + self.damping * v + self.friction * np.tanh(v / REST) + self.motor_inertia * a)
+
+    def torque_errors(self, record: Trajectory) -> tuple[TorqueError, ...]:
+        """Return the errors of the torques along the measured motion of a record, joint by joint, filtered as the fit.
+
+        Raises
+        ------
+        InputError
+            If the record has other channels.
+        """
+        from identifiers.mechanics.arms.torque_errors import torque_errors
+
+        same_language(self.spec, record)
+        return torque_errors(self.arm, self.torques, record, self.notes.get("torques_seen", {}))
 
     def to_urdf(self) -> str:
         """Return the URDF with these bodies, damping, friction and rotors."""

@@ -16,6 +16,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.row_solvers import whitening
 from identifiers.mechanics.arms.arm_model import ArmDynamics
+from identifiers.mechanics.arms.torque_errors import low_pass
 from identifiers.mechanics.motion import Motion, Smoothing, motion, noisier
 
 if TYPE_CHECKING:
@@ -39,8 +40,6 @@ CORNERS = 10.0
 """Corner of the filter over the band of the rates: the motion's squares reach twice as far, what dry friction does at a
 turn is seen to its ninth harmonic, and above there is noise. On public logs of two arms (bands 0.4 and 0.5 Hz) any
 corner from 4 to 15 Hz errs alike; without one held-out torques of one of them are up to five times as far off."""
-THINNED = 2.5
-"""Rows that are kept in a period of the corner: two tell what is below it, the filter is not steep."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,12 @@ class Inertial:
             condition=condition,
         )
         cost = problem.cost(x)  # of a body that no mass makes it is infinite, beside a prior
-        notes = {"estimate": record.to_dict(), "torque_rms": rms.tolist(), "cost": cost if np.isfinite(cost) else None}
+        notes = {
+            "estimate": record.to_dict(),
+            "torque_rms": rms.tolist(),
+            "cost": cost if np.isfinite(cost) else None,
+            "torques_seen": {"smoothing": self.smoothing, "intersample": self.intersample, "corner": corner},
+        }
         return ArmDynamics(
             spec, self.model, inertial, found["damping"], found["friction"], found["motor_inertia"], notes
         )
@@ -326,7 +330,7 @@ class Equations:
         """
         from scipy import signal
 
-        taps, step = _filter(corner * float(moved.t[1] - moved.t[0]), len(moved.t))
+        taps, step = low_pass(corner * float(moved.t[1] - moved.t[0]), len(moved.t))
         reach, n, target = len(taps) // 2, self.arm.n, self.target(moved)
         for first in range(reach, len(target) - reach, BLOCK * step):
             part = slice(first - reach, min(first + BLOCK * step, len(target) - reach) + reach)
@@ -405,17 +409,6 @@ def band(moved: Sequence[Motion]) -> float:
         frequencies = np.fft.rfftfreq(len(v), float(smoothed.t[1] - smoothed.t[0]))
         highest = max(highest, float(frequencies[np.argmax(held, axis=0)].max(initial=0.0)))
     return highest
-
-
-def _filter(corner: float, rows: int) -> tuple[FloatArray, int]:
-    """Return the taps of a low pass at a corner (a share of the sample rate), and how far its output is thinned."""
-    from scipy import signal
-
-    step = int(1 / (THINNED * corner)) if corner > 0 else 1
-    count = 4 * step + 1
-    if step < 2 or 4 * count > rows:  # nothing to take out, or a record that its ends would eat up
-        return np.ones(1), 1
-    return np.asarray(signal.firwin(count, corner, fs=1.0)), step
 
 
 def speaks(arm: ArmModel, spec: PlantSpec, what: str) -> None:
