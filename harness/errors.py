@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from unicodedata import category
@@ -25,6 +25,7 @@ __all__ = [
     "no_file",
     "printable",
     "refuse_no_file",
+    "unknown_name",
     "unread",
 ]
 
@@ -146,6 +147,18 @@ def as_written(file: str | Path, wanted: str) -> AbstractContextManager[None]:
             file=file,
         )
     )
+
+
+def unknown_name(what: str, name: str, known: Iterable[str]) -> InputError:
+    """Return the refusal of a name that is none of those that are known.
+
+    Examples
+    --------
+    >>> print(unknown_name("unknown parameter", "mas", ["m", "k"]))
+    unknown parameter: expected one of m, k, got 'mas'; remedy: correct the name
+    """
+    expected = f"one of {', '.join(known) or '(none)'}"
+    return InputError(what, expected=expected, got=repr(name), remedy="correct the name")
 
 
 def as_described(what: str, *, remedy: str = "write the model anew") -> AbstractContextManager[None]:

@@ -49,13 +49,7 @@ class _Run(NamedTuple):
 
 
 class FmuSimulator(BySample):
-    """Free runs of an FMU with effects, and their derivatives.
-
-    Parameters
-    ----------
-    system : FmuSystem
-    runner : Runner
-    """
+    """Free runs of an FMU with effects, and their derivatives."""
 
     def __init__(self, system: FmuSystem, runner: Runner) -> None:
         self.system, self.runner = system, runner

@@ -59,10 +59,6 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     lags : int
         Samples of the outputs' past.
 
-    Returns
-    -------
-    Feedback
-
     Examples
     --------
     >>> from harness.signals import Channel, PlantSpec

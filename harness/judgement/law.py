@@ -104,14 +104,6 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
     An input that its own past foretells wholly is a sum of lines, or part of a motion from a start alone. Lines obey
     any law of as many coefficients as they have dimensions; a law of fewer that holds to rounding is a controller's.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-
-    Returns
-    -------
-    Law or None
-
     Examples
     --------
     >>> spec, rng = PlantSpec((Channel("u"),), (Channel("y"),), 1.0), np.random.default_rng(0)

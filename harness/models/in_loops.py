@@ -25,10 +25,6 @@ def innovations(records: Sequence[Trajectory]) -> list[FloatArray] | None:
     """Return what a long ARX model leaves of the outputs (N, ny) of every record, None where no loop is closed.
 
     The first samples, which it needs, are zeros.
-
-    Parameters
-    ----------
-    records : sequence of Trajectory
     """
     spec, some, left = records[0].spec, [], ASKED
     for record in records:

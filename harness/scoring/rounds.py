@@ -64,10 +64,6 @@ def interleaved(
     q, r : array, optional
         Weights of the LQR; identities by default.
     rng : numpy.random.Generator
-
-    Returns
-    -------
-    list of Round
     """
     nx, nu = np.shape(plant[1])
     q = np.eye(nx) if q is None else q

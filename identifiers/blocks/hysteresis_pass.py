@@ -26,13 +26,11 @@ _COLUMNS = 64
 @functools.cache
 def library() -> Any:
     """Return the compiled run, or None where there is no C compiler."""
-    compiled = native.library("hysteresis_loop")
-    if compiled is not None:
-        run, slopes = compiled.sysid_hysteresis_run, compiled.sysid_hysteresis_slopes
-        run.restype, slopes.restype = ctypes.c_long, None
-        run.argtypes = [ctypes.c_long] * 6 + [ctypes.c_void_p] * 5 + [ctypes.c_double] + [ctypes.c_void_p] * 6
-        slopes.argtypes = [ctypes.c_long] * 6 + [ctypes.c_void_p] * 8
-    return compiled
+    run = [ctypes.c_long] * 6 + [ctypes.c_void_p] * 5 + [ctypes.c_double] + [ctypes.c_void_p] * 6
+    slopes = [ctypes.c_long] * 6 + [ctypes.c_void_p] * 8
+    return native.declared(
+        "hysteresis_loop", sysid_hysteresis_run=(ctypes.c_long, run), sysid_hysteresis_slopes=(None, slopes)
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ from harness.models.damped import Damping
 from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.hysteresis_fit import Pair, Point, descended, started
 from identifiers.blocks.hysteresis_pass import Layout, Run, played
+from identifiers.common.described import Described
 from identifiers.common.judge.told import told
 from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
@@ -32,11 +32,10 @@ _PROBE = 8
 """Rounds of the descent after which what draws the hysteresis is chosen."""
 _LOOP = 400
 """Points of a hysteresis loop that is drawn."""
-_TABLES = ("theta", "radii", "u_scale", "y_scale", "state_mean", "state_root", "std")
 
 
 @dataclass(frozen=True, eq=False)
-class PrandtlIshlinskiiModel:
+class PrandtlIshlinskiiModel(Described):
     """``x+ = A x + B u + E w``, ``y = C x + D u + F w``, ``w`` hysteresis of ``z = G x + H u``, in scaled signals.
 
     ``w_i = sum_j W_ij (z_i - p_ij)`` with plays ``p_ij`` of radius ``r_ij``. A stop ``z - p`` is never beyond its
@@ -70,6 +69,7 @@ class PrandtlIshlinskiiModel:
     state_root: FloatArray
     std: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "prandtl-ishlinskii"
     burn_in: ClassVar[int] = 0
     """None: the initial state is estimated from the record."""
 
@@ -150,22 +150,14 @@ class PrandtlIshlinskiiModel:
         return z[_LOOP:], w[_LOOP:]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
+        """Return a JSON-ready description, the sizes of the layout in a row."""
         size = self.layout
-        return {
-            "kind": "prandtl-ishlinskii",
-            "spec": spec_to_dict(self.spec),
-            "layout": [size.nx, size.nu, size.ny, size.nz, size.stops],
-            **{name: getattr(self, name).tolist() for name in _TABLES},
-            "notes": self.notes,
-        }
+        return {**super().to_dict(), "layout": [size.nx, size.nu, size.ny, size.nz, size.stops]}
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> PrandtlIshlinskiiModel:
+    def from_dict(cls, content: Mapping[str, Any]) -> PrandtlIshlinskiiModel:
         """Return the model of a description."""
-        tables = {name: np.array(content[name], dtype=float) for name in _TABLES}
-        layout, notes = Layout(*map(int, content["layout"])), dict(content.get("notes", {}))
-        return cls(spec_from_dict(content["spec"]), layout, **tables, notes=notes)
+        return cls.read(content, layout=Layout(*map(int, content["layout"])))
 
     def _run(self, x: FloatArray, u: FloatArray) -> Run | None:
         """Return the free run from a state, or None where it diverges."""

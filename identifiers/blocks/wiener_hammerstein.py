@@ -20,6 +20,7 @@ from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.curve import Knots
 from identifiers.blocks.wiener_hammerstein_fit import Blocks, descended, shared_out
 from identifiers.common.judge.told import told
+from identifiers.common.named import wrong_options
 from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.linear.prediction_error import PredictionError
@@ -242,11 +243,8 @@ class WienerHammerstein:
         """Return the model; where the records determine the linear model that it starts from stands in its notes."""
         what = "wiener-hammerstein"
         if self.order < 1 or self.knots < 4 or self.between < 1:
-            raise FitError(
-                f"{what}: options",
-                expected="order at least 1, knots at least 4, at least 1 point between",
-                got=f"order={self.order}, knots={self.knots}, between={self.between}",
-                remedy="correct the options",
+            raise wrong_options(
+                self, what, "order at least 1, knots at least 4, at least 1 point between", "order knots between"
             )
         records, spec = usable(trajectories, samples=10 * (self.order + self.knots), what=what)
         real_signals(spec, what)

@@ -269,11 +269,6 @@ def excited_lags(records: Sequence[Trajectory], most: int) -> int:
     excites each further lag less, in steps; that is no end, nor is rounding when it is reached that way (Ljung 1999,
     *System Identification*, definition 13.2; a model of order n asks for 2 n, theorem 13.1).
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    most : int
-
     Examples
     --------
     >>> from harness.signals import Channel
@@ -310,13 +305,7 @@ def excited_lags(records: Sequence[Trajectory], most: int) -> int:
 
 
 def unexcited(records: Sequence[Trajectory], needed: int) -> str:
-    """Return what is wrong where the inputs excite fewer lags than a model asks for, in words; empty where they do.
-
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    needed : int
-    """
+    """Return what is wrong where the inputs excite fewer lags than a model asks for, in words; empty where they do."""
     lags = excited_lags(records, needed)
     if lags >= needed:
         return ""

@@ -11,8 +11,8 @@ import numpy as np
 from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_to_dict
 from identifiers.common.bands import Bands
+from identifiers.common.described import Described
 from identifiers.common.observers import fitted_start, run_in_steps
 
 __all__ = ["LagModel", "Scaling", "regression_data"]
@@ -28,7 +28,7 @@ _FAR = 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class Scaling:
+class Scaling(Described):
     """Mean and size of regressors and targets, so that learners see numbers about 1.
 
     Parameters
@@ -58,18 +58,9 @@ class Scaling:
         """Return scaled targets."""
         return np.asarray((values - self.y_mean) / self.y_std)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {name: getattr(self, name).tolist() for name in ("x_mean", "x_std", "y_mean", "y_std")}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Scaling:
-        """Return the scaling of a description."""
-        return cls(*(np.array(content[name], dtype=float) for name in ("x_mean", "x_std", "y_mean", "y_std")))
-
 
 @dataclass(frozen=True, eq=False)
-class LagModel(ABC):
+class LagModel(Described, ABC):
     """``y[k+1] = f(y[k], ..., y[k-L+1], u[k], ..., u[k-L+1])`` with an error of known size.
 
     The state is ``[y[k], ..., y[k-L+1], u[k-1], ..., u[k-L+1], v, steps]``, where v (ny,) is the variance of y[k]: 0
@@ -97,10 +88,6 @@ class LagModel(ABC):
     @abstractmethod
     def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (..., ny) of the next output from regressors (..., p), all in the units of data."""
-
-    @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
 
     @property
     def y_size(self) -> FloatArray:
@@ -193,17 +180,6 @@ class LagModel(ABC):
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
         return run_in_steps(self, x, u)
-
-    def head(self, kind: str) -> dict[str, Any]:
-        """Return the entries that the descriptions of all kinds have."""
-        return {
-            "kind": kind,
-            "spec": spec_to_dict(self.spec),
-            "lags": self.lags,
-            "scaling": self.scaling.to_dict(),
-            "bands": None if self.bands is None else self.bands.to_dict(),
-            "notes": self.notes,
-        }
 
 
 def regression_data(records: list[Trajectory], lags: int) -> tuple[FloatArray, FloatArray]:

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from harness.signals import FloatArray
+from identifiers.common.described import Described
 
 __all__ = ["InLibrary", "Library", "equation_text"]
 
 
 @dataclass(frozen=True)
-class Library:
+class Library(Described):
     """Monomials of the arguments up to a degree, optionally with sines and cosines of some of them.
 
     Parameters
@@ -154,29 +155,6 @@ class Library:
     def __call__(self, values: FloatArray) -> FloatArray:
         """Return the functions (..., p) of arguments (..., n)."""
         return np.moveaxis(self.rows([values[..., i] for i in range(values.shape[-1])]), 0, -1)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {
-            "arguments": list(self.arguments),
-            "degree": self.degree,
-            "angles": list(self.angles),
-            "harmonics": self.harmonics,
-            "constant": self.constant,
-            "products": self.products,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Library:
-        """Return the library of a description."""
-        return cls(
-            tuple(map(str, content["arguments"])),
-            int(content["degree"]),
-            tuple(map(int, content["angles"])),
-            int(content["harmonics"]),
-            bool(content["constant"]),
-            bool(content["products"]),
-        )
 
 
 class InLibrary:

@@ -1,4 +1,4 @@
-"""Parts by their id, for analyses that are told which identifier or scenario to use."""
+"""Parts by their id and options, for analyses that are told which to use; options that make no sense."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from importlib.metadata import entry_points
 from typing import Any, Literal
 
-from harness.errors import InputError
+from harness.errors import FitError, InputError
 from harness.options import meant_options
 
-__all__ = ["named"]
+__all__ = ["named", "wrong_options"]
 
 
 def named(kind: Literal["identifiers", "scenarios", "plants"], name: str, options: Mapping[str, Any]) -> Any:
@@ -48,3 +48,9 @@ def named(kind: Literal["identifiers", "scenarios", "plants"], name: str, option
         raise InputError(
             f"options of {name}", expected="those of its reference page", got=str(error), remedy="correct them"
         ) from error
+
+
+def wrong_options(identifier: Any, what: str, expected: str, names: str) -> FitError:
+    """Return the refusal of an identifier whose options of these names are not what is expected of them."""
+    got = ", ".join(f"{name}={getattr(identifier, name)}" for name in names.split())
+    return FitError(f"{what}: options", expected=expected, got=got, remedy="correct the options")

@@ -8,7 +8,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-__all__ = ["library", "pointers"]
+__all__ = ["declared", "library", "pointers"]
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +31,16 @@ def library(name: str) -> Any:
     except (build.BuildError, OSError) as error:
         log.info("%s runs in numpy: %s", name, error)
         return None
+
+
+def declared(name: str, **calls: tuple[Any, list[Any]]) -> Any:
+    """Return the library of :func:`library`, with the type of the result and of the arguments of its functions."""
+    compiled = library(name)
+    if compiled is not None:
+        for call, (result, arguments) in calls.items():
+            function = getattr(compiled, call)
+            function.restype, function.argtypes = result, arguments
+    return compiled
 
 
 def pointers(*arrays: Any) -> list[int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.signals import FloatArray
+from identifiers.common.described import Described
 
 __all__ = ["Reach"]
 
@@ -43,7 +43,7 @@ _AFFINE_RIDGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
+class Reach(Described):
     """Where the rows of a learned function lie, and the standard deviation of its error for each unit beyond.
 
     Held-out data say nothing about what happens outside. So it is rehearsed: a network with a random first layer learns
@@ -122,17 +122,6 @@ class Reach:
     def std(self, rows: FloatArray) -> FloatArray:
         """Return the standard deviation (..., ny) that distance adds to the error at scaled rows (..., p)."""
         return np.asarray(self.beyond(rows)[..., None] * self.growth)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {"centres": self.centres.tolist(), "inside": self.inside, "growth": self.growth.tolist()}
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> Reach:
-        """Return the reach of a description."""
-        arrays = (np.array(content[name], dtype=float) for name in ("centres", "growth"))
-        centres, growth = arrays
-        return cls(centres, float(content["inside"]), growth)
 
 
 def _spread_out(rows: FloatArray) -> FloatArray:

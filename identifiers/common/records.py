@@ -129,10 +129,6 @@ def filled(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
     """Return the records with a straight line between the readings where one is missing, still marked as missing.
 
     For whatever only scales, starts or judges; a fit passes over what is marked.
-
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
     """
     found = []
     for record in trajectories:

@@ -82,10 +82,6 @@ def solve(
     sums : NormalEquations, optional
         Those of the blocks, where they are known already.
 
-    Returns
-    -------
-    Solution
-
     Raises
     ------
     FitError

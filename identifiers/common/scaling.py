@@ -86,10 +86,6 @@ def noise_levels(records: Sequence[Trajectory]) -> FloatArray:
     Records too short for that regression leave its roughness, the fourth difference over ``sqrt(70)``, what white
     noise makes of it. Never below 1e-3 of the size.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-
     Examples
     --------
     >>> from harness.signals import Channel, PlantSpec

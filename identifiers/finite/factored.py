@@ -5,7 +5,7 @@ from __future__ import annotations
 import string
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from harness.errors import FitError
 from harness.models.distributions import Categories
 from harness.scoring import same_language
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.records import usable
 
 __all__ = ["Factor", "FactoredCounting", "FactoredModel"]
@@ -40,7 +40,7 @@ class Factor:
 
 
 @dataclass(frozen=True, eq=False)
-class FactoredModel:
+class FactoredModel(Described):
     """A finite process of several factors; the state of the model is the distribution of every factor, side by side.
 
     One step from a measured state is exact. Over several steps the factors are taken as independent at every step
@@ -56,7 +56,8 @@ class FactoredModel:
 
     spec: PlantSpec
     factors: tuple[Factor, ...]
-    burn_in: int = 0
+    kind = "factored"
+    burn_in: ClassVar[int] = 0
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -108,27 +109,6 @@ class FactoredModel:
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
         """Return the distributions (..., nx) that are certain of the outputs just seen."""
         return self._certain(np.broadcast_to(y, (*np.shape(x)[:-1], self.spec.ny)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        factors = [
-            {"parents": list(factor.parents), "table": factor.table.tolist(), "visits": factor.visits.tolist()}
-            for factor in self.factors
-        ]
-        return {"kind": "factored", "spec": spec_to_dict(self.spec), "factors": factors, "notes": self.notes}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> FactoredModel:
-        """Return the model of a description."""
-        factors = tuple(
-            Factor(
-                tuple(factor["parents"]),
-                np.array(factor["table"], dtype=float),
-                np.array(factor["visits"], dtype=float),
-            )
-            for factor in content["factors"]
-        )
-        return cls(spec_from_dict(content["spec"]), factors, notes=dict(content.get("notes", {})))
 
     def _parts(self, x: FloatArray) -> list[FloatArray]:
         """Return the distribution of each factor."""

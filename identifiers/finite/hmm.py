@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from harness.errors import FitError, InputError
 from harness.models.distributions import Categories
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.records import usable
 from identifiers.finite.hmm_pass import Record, expected_counts, filtered_beliefs
 from identifiers.finite.mdp import finite_sizes, moved_beliefs
@@ -34,7 +34,7 @@ SHOWN, LIKELY = 8, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class HmmModel:
+class HmmModel(Described):
     """A partially observed finite process; the state of the model is the belief, the distribution over hidden states.
 
     Parameters
@@ -53,7 +53,8 @@ class HmmModel:
     initial: FloatArray
     transition: FloatArray
     emission: FloatArray
-    burn_in: int = 0
+    kind = "hidden-markov"
+    burn_in: ClassVar[int] = 0
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -113,7 +114,6 @@ class HmmModel:
             self.initial[index],
             self.transition[index][:, :, index],
             self.emission[index],
-            self.burn_in,
             self.notes,
         )
 
@@ -123,20 +123,6 @@ class HmmModel:
 
         cost = np.abs(np.asarray(emission)[:, None] - self.emission[None]).sum(axis=2)
         return self.relabelled(linear_sum_assignment(cost)[1])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        tables = {name: getattr(self, name).tolist() for name in ("initial", "transition", "emission")}
-        return {"kind": "hidden-markov", "spec": spec_to_dict(self.spec), **tables, "notes": self.notes}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> HmmModel:
-        """Return the model of a description."""
-        initial, transition, emission = (
-            np.array(content[name], dtype=float) for name in ("initial", "transition", "emission")
-        )
-        notes = dict(content.get("notes", {}))
-        return cls(spec_from_dict(content["spec"]), initial, transition, emission, notes=notes)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.signals import FloatArray
-from identifiers.common.native import library, pointers
+from identifiers.common.native import declared, pointers
 
 __all__ = ["Counts", "Record", "expected_counts", "filtered_beliefs", "native_library"]
 
@@ -42,12 +42,8 @@ class Counts:
 @functools.cache
 def native_library() -> Any:
     """Return the compiled recursions, or None where there is no C compiler."""
-    compiled = library("hmm_loop")
-    if compiled is not None:
-        call = compiled.sysid_hmm_pass
-        call.restype = ctypes.c_double
-        call.argtypes = [ctypes.c_long] * 2 + [ctypes.c_void_p] * 7 + [ctypes.c_int] + [ctypes.c_void_p] * 5
-    return compiled
+    arguments = [ctypes.c_long] * 2 + [ctypes.c_void_p] * 7 + [ctypes.c_int] + [ctypes.c_void_p] * 5
+    return declared("hmm_loop", sysid_hmm_pass=(ctypes.c_double, arguments))
 
 
 def expected_counts(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from harness.models.distributions import Categories
 from harness.protocols import Growth, Hindsight
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.records import usable
 
 __all__ = [
@@ -84,7 +84,7 @@ def weissman_bound(count: FloatArray, states: int, confidence: float = 0.95) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class MdpModel:
+class MdpModel(Described):
     """Transition probabilities of a finite process; the state of the model is the distribution over its states.
 
     Parameters
@@ -99,7 +99,8 @@ class MdpModel:
     spec: PlantSpec
     transition: FloatArray
     visits: FloatArray
-    burn_in: int = 0
+    kind = "mdp"
+    burn_in: ClassVar[int] = 0
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -168,26 +169,6 @@ class MdpModel:
 
     def _certain(self, y: FloatArray) -> FloatArray:
         return np.eye(self.transition.shape[0])[np.asarray(y)[..., 0].astype(np.int64)]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {
-            "kind": "mdp",
-            "spec": spec_to_dict(self.spec),
-            "transition": self.transition.tolist(),
-            "visits": self.visits.tolist(),
-            "notes": self.notes,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> MdpModel:
-        """Return the model of a description."""
-        return cls(
-            spec_from_dict(content["spec"]),
-            np.array(content["transition"], dtype=float),
-            np.array(content["visits"], dtype=float),
-            notes=dict(content.get("notes", {})),
-        )
 
 
 @dataclass(frozen=True)

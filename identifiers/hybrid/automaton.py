@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict
-from identifiers.common.lag_state import LagModel, Scaling
+from identifiers.common.lag_state import LagModel
 from identifiers.common.records import real_signals, usable
 from identifiers.hybrid.jumps import Jump, find_jumps
 from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel, affine
@@ -31,7 +29,6 @@ _TOLD = 0.02
 """Directions in which the states before the jumps scatter less than this, beside the largest, tell nothing."""
 
 _RATE = "_rate"
-_TABLES = ("guard", "within", "reset", "jump_variance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +54,7 @@ class HybridModel(LagModel):
     within: FloatArray
     reset: FloatArray
     jump_variance: FloatArray
+    kind = "hybrid-automaton"
 
     def mode(self, rows: FloatArray) -> npt.NDArray[np.intp]:
         """Return the flow's mode (...) of regressors (..., p)."""
@@ -95,24 +93,6 @@ class HybridModel(LagModel):
             mean[at] = self._over_a_jump(rows[at])
             variance[at] = self.jump_variance
         return mean, variance
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        tables = {name: getattr(self, name).tolist() for name in _TABLES}
-        return {**self.head("hybrid-automaton"), **tables, "flow": self.flow.to_dict()}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> HybridModel:
-        """Return the model of a description."""
-        tables: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _TABLES}
-        return cls(
-            spec_from_dict(content["spec"]),
-            int(content["lags"]),
-            Scaling.from_dict(content["scaling"]),
-            PiecewiseAffineModel.from_dict(content["flow"]),
-            **tables,
-            notes=dict(content.get("notes", {})),
-        )
 
     @cached_property
     def _approach(self) -> FloatArray:

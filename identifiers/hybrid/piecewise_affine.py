@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,6 @@ import numpy.typing as npt
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict
 from identifiers.common.excitation import Columns, law_of_part
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
@@ -43,15 +42,6 @@ _TRIAL_ROUNDS, _ROUNDS = 12, 60
 """Reassignments at most, of every start and of the best one; they settle in about ten."""
 
 
-_TREE: dict[str, Any] = {
-    "feature": np.intp,
-    "threshold": np.float64,
-    "left": np.intp,
-    "right": np.intp,
-    "value": np.float64,
-}
-
-
 @dataclass(frozen=True, eq=False)
 class PiecewiseAffineModel(LagModel):
     """Affine models and the regions in which they hold.
@@ -72,6 +62,7 @@ class PiecewiseAffineModel(LagModel):
     regions: FloatArray
     variance: FloatArray
     tree: Tree | None = None
+    kind = "piecewise-affine"
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -114,30 +105,6 @@ class PiecewiseAffineModel(LagModel):
             here = chosen == number
             mean[here] = rows[here] @ table[:, :-1].T + table[:, -1]
         return mean, self.variance[chosen]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        tables = {name: getattr(self, name).tolist() for name in ("coefficients", "regions", "variance")}
-        if self.tree is not None:
-            tables["tree"] = {name: getattr(self.tree, name).tolist() for name in _TREE}
-        return {**self.head("piecewise-affine"), **tables}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> PiecewiseAffineModel:
-        """Return the model of a description."""
-        coefficients, regions, variance = (
-            np.array(content[name], dtype=float) for name in ("coefficients", "regions", "variance")
-        )
-        return cls(
-            spec_from_dict(content["spec"]),
-            int(content["lags"]),
-            Scaling.from_dict(content["scaling"]),
-            coefficients,
-            regions,
-            variance,
-            Tree(**{n: np.array(content["tree"][n], dtype=_TREE[n]) for n in _TREE}) if "tree" in content else None,
-            notes=dict(content.get("notes", {})),
-        )
 
 
 def affine(weights: FloatArray, names: Sequence[str]) -> str:

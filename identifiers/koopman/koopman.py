@@ -21,6 +21,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.judge.told import told
+from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import LARGEST, coefficients_without, spread_of
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import lifted_estimate
@@ -421,12 +422,11 @@ class Edmdc:
         """Refuse options that go beyond their ranges, or not together."""
         counts = min(self.radial, self.fourier, self.learned) >= 0 and self.horizon >= 1
         if self.degree < 1 or self.delays < 1 or not counts or not 0 <= self.threshold < 1:
-            raise FitError(
-                "edmdc: options",
-                expected="degree >= 1, delays >= 1, radial, fourier and learned >= 0, horizon >= 1, 0 <= threshold < 1",
-                got=f"degree={self.degree}, delays={self.delays}, radial={self.radial}, fourier={self.fourier}, "
-                f"learned={self.learned}, horizon={self.horizon}, threshold={self.threshold}",
-                remedy="correct the options",
+            raise wrong_options(
+                self,
+                "edmdc",
+                "degree >= 1, delays >= 1, radial, fourier and learned >= 0, horizon >= 1, 0 <= threshold < 1",
+                "degree delays radial fourier learned horizon threshold",
             )
         if self.stable and self.threshold > 0:
             raise FitError(

@@ -40,6 +40,7 @@ class AttentionModel(LagNetwork):
 
     tables: dict[str, FloatArray]
     heads: int
+    kind = "attention"
 
     def change(self, x: FloatArray) -> FloatArray:
         """Return the scaled addition (..., ny) of the network at scaled rows (..., p)."""
@@ -50,17 +51,6 @@ class AttentionModel(LagNetwork):
         """Return the weights (n, heads, L) of the past samples, newest first, at regressors (n, p)."""
         tables = [self.tables[name] for name in _TABLES]
         return np.asarray(_weights(np, tables, _tokens(tables, self.scaling.rows(rows)), self.heads))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        tables = {name: table.tolist() for name, table in self.tables.items()}
-        return {**self.head("attention"), "tables": tables, "heads": self.heads}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> AttentionModel:
-        """Return the model of a description."""
-        tables = {name: np.array(content["tables"][name], dtype=float) for name in _TABLES}
-        return cls.read(content, tables=tables, heads=int(content["heads"]))
 
 
 @dataclass(frozen=True, eq=False)

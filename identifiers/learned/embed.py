@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from harness.errors import FitError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.judge.told import told
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains
 from identifiers.common.scaling import centred
@@ -83,6 +82,7 @@ class LatentModel(StateNetwork):
     rest: FloatArray
     filter_gain: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "embed-to-control"
 
     @property
     def a_matrix(self) -> FloatArray:
@@ -128,27 +128,15 @@ class LatentModel(StateNetwork):
             return np.where(np.abs(new).max(axis=-1, keepdims=True) <= _FAR, new, np.nan)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        names = ("u_mean", "u_std", "y_mean", "y_std", "rest", "filter_gain")
-        return {
-            "kind": "embed-to-control",
-            "spec": spec_to_dict(self.spec),
-            "lags": self.lags,
-            "tables": {name: self.tables[name].tolist() for name in _TABLES},
-            "shapes": {name: list(self.tables[name].shape) for name in _TABLES},
-            **{name: getattr(self, name).tolist() for name in names},
-            "notes": self.notes,
-        }
+        """Return a JSON-ready description, with the shapes of the tables, of which some may be empty."""
+        return {**super().to_dict(), "shapes": {name: list(table.shape) for name, table in self.tables.items()}}
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> LatentModel:
+    def from_dict(cls, content: Mapping[str, Any]) -> LatentModel:
         """Return the model of a description."""
-        spec = spec_from_dict(content["spec"])
         shapes = content["shapes"]
-        tables = {name: np.array(content["tables"][name], dtype=float).reshape(shapes[name]) for name in _TABLES}
-        names = ("u_mean", "u_std", "y_mean", "y_std", "rest", "filter_gain")
-        arrays = {name: np.array(content[name], dtype=float) for name in names}
-        return cls(spec, tables, int(content["lags"]), **arrays, notes=dict(content.get("notes", {})))
+        tables = {name: np.array(table, float).reshape(shapes[name]) for name, table in content["tables"].items()}
+        return cls.read(content, tables=tables)
 
     def _jacobian(self, function: Any, at: FloatArray) -> FloatArray:
         """Return the derivative (m, n) of a function of rows by central differences."""

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from harness.models.distributions import NormalMixture
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.bands import drawn_together
+from identifiers.common.described import Described
 
 __all__ = ["Ensemble", "own_spread"]
 
@@ -45,7 +46,7 @@ def own_spread(misses: FloatArray, disagreement: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Ensemble(ABC):
+class Ensemble(Described, ABC):
     """Several models of the same kind; the state is theirs side by side, so that each follows its own run.
 
     The output is their mean; the predicted distribution is the equal mixture of theirs (Lakshminarayanan, Pritzel and
@@ -63,7 +64,6 @@ class Ensemble(ABC):
     members: tuple[Any, ...]
     notes: dict[str, Any] = field(default_factory=dict)
 
-    kind: ClassVar[str]
     member: ClassVar[type[Any]]
 
     @property
@@ -101,16 +101,10 @@ class Ensemble(ABC):
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
         return np.asarray(np.mean([member.free_run(part, u) for member, part in self.parts(x)], axis=0))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        members = [member.to_dict() for member in self.members]
-        return {"kind": self.kind, "spec": spec_to_dict(self.spec), "members": members, "notes": self.notes}
-
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Any:
+    def from_dict(cls, content: Mapping[str, Any]) -> Self:
         """Return the model of a description."""
-        members = tuple(cls.member.from_dict(member) for member in content["members"])
-        return cls(spec_from_dict(content["spec"]), members, dict(content.get("notes", {})))
+        return cls.read(content, members=tuple(map(cls.member.from_dict, content["members"])))
 
     def parts(self, x: FloatArray) -> list[tuple[Any, FloatArray]]:
         """Return every member with its part of states (..., nx)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.signals import FloatArray, Trajectory
-from harness.specs import spec_from_dict
 from identifiers.common.bands import Bands, held_out_folds, held_out_runs
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
@@ -126,6 +125,7 @@ class GaussianProcessModel(LagModel):
     """
 
     posteriors: tuple[Posterior, ...]
+    kind = "gaussian-process"
 
     def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (..., ny) of the next output."""
@@ -138,43 +138,14 @@ class GaussianProcessModel(LagModel):
         return rows[..., : self.spec.ny] + change, variance * self.scaling.y_std**2
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        outputs = [
-            {
-                "lengths": posterior.kernel.lengths.tolist(),
-                "signal": posterior.kernel.signal,
-                "slope": posterior.kernel.slope,
-                "noise": posterior.kernel.noise,
-                "points": posterior.points.tolist(),
-                "root": posterior.root.tolist(),
-                "target": posterior.target.tolist(),
-                "extra": posterior.extra.tolist(),
-            }
-            for posterior in self.posteriors
-        ]
-        return {**self.head("gaussian-process"), "outputs": outputs}
+        """Return a JSON-ready description: a posterior and its kernel stand side by side."""
+        content = super().to_dict()
+        return content | {"outputs": [{**one.pop("kernel"), **one} for one in content.pop("posteriors")]}
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> GaussianProcessModel:
+    def from_dict(cls, content: Mapping[str, Any]) -> GaussianProcessModel:
         """Return the model of a description."""
-        posteriors = tuple(
-            Posterior(
-                Kernel(np.array(stored["lengths"], dtype=float), stored["signal"], stored["slope"], stored["noise"]),
-                np.array(stored["points"], dtype=float),
-                np.array(stored["root"], dtype=float),
-                np.array(stored["target"], dtype=float),
-                np.array(stored["extra"], dtype=float).reshape(len(stored["points"]), -1),
-            )
-            for stored in content["outputs"]
-        )
-        return cls(
-            spec_from_dict(content["spec"]),
-            int(content["lags"]),
-            Scaling.from_dict(content["scaling"]),
-            posteriors,
-            bands=Bands.from_dict(content.get("bands")),
-            notes=dict(content.get("notes", {})),
-        )
+        return cls.read({**content, "posteriors": [{**one, "kernel": one} for one in content["outputs"]]})
 
 
 @dataclass(frozen=True)

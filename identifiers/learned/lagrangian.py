@@ -13,7 +13,6 @@ from harness.errors import FitError
 from harness.physics.fitting.smoothing import smooth
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.bands import Bands, banded, refuse_share
 from identifiers.common.observers import alpha_beta_gains, best_gain, fitted_start
 from identifiers.common.records import moving, real_signals, usable
@@ -21,9 +20,6 @@ from identifiers.learned.state_network import BandedNetwork
 from identifiers.learned.training import Trained, need_torch, train_tables
 
 __all__ = ["LagrangianModel", "LagrangianNetwork"]
-
-_TABLES = ("mass_in", "mass_bias", "mass_out", "mass_at", "well_in", "well_bias", "well_out", "damping")
-"""Trained, in this order."""
 
 _RATE_SUFFIXES = ("_rate", "_dot")
 """How the rate of a coordinate is called, as everywhere in this project."""
@@ -157,6 +153,7 @@ class LagrangianModel(BandedNetwork):
     filter_gain: FloatArray
     bands: Bands | None = None
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "lagrangian"
     called: ClassVar[str] = "lagrangian-network"
 
     def initial_state(self, data: Trajectory) -> FloatArray:
@@ -193,35 +190,6 @@ class LagrangianModel(BandedNetwork):
     def mass_matrix(self, q: FloatArray) -> FloatArray:
         """Return the mass matrix (..., n, n) at coordinates q (..., n): positive definite everywhere."""
         return np.asarray(self.form.energies(np, self.tables, np.asarray(q, dtype=float))[0])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        form = {name: list(getattr(self.form, name)) for name in Form.__dataclass_fields__}
-        return {
-            "kind": "lagrangian",
-            "spec": spec_to_dict(self.spec),
-            "form": form,
-            "tables": {name: self.tables[name].tolist() for name in _TABLES},
-            "columns": list(self.columns),
-            "scale": self.scale.tolist(),
-            "filter_gain": self.filter_gain.tolist(),
-            "bands": None if self.bands is None else self.bands.to_dict(),
-            "notes": self.notes,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> LagrangianModel:
-        """Return the model of a description."""
-        return cls(
-            spec_from_dict(content["spec"]),
-            Form(**{name: tuple(values) for name, values in content["form"].items()}),
-            {name: np.array(content["tables"][name], dtype=float) for name in _TABLES},
-            tuple(map(int, content["columns"])),
-            np.array(content["scale"], dtype=float),
-            np.array(content["filter_gain"], dtype=float),
-            Bands.from_dict(content.get("bands")),
-            dict(content.get("notes", {})),
-        )
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ class NetworkModel(LagNetwork):
     """
 
     layers: Layers
+    kind = "network"
 
     def change(self, x: FloatArray) -> FloatArray:
         """Return the scaled addition (..., ny) of the network at scaled rows (..., p)."""
@@ -38,16 +39,6 @@ class NetworkModel(LagNetwork):
             x = np.tanh(x @ weight + bias)
         weight, bias = self.layers[-1]
         return np.asarray(x @ weight + bias)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {**self.head("network"), "layers": [[weight.tolist(), bias.tolist()] for weight, bias in self.layers]}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> NetworkModel:
-        """Return the model of a description."""
-        layers = ((np.array(weight, dtype=float), np.array(bias, dtype=float)) for weight, bias in content["layers"])
-        return cls.read(content, layers=tuple(layers))
 
 
 @dataclass(frozen=True, eq=False)

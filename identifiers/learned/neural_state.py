@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.bands import Bands, banded, refuse_share
 from identifiers.common.judge.told import told
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains
@@ -60,7 +59,7 @@ class NeuralStateModel(BandedNetwork):
     lags: int
     bands: Bands | None = None
     notes: dict[str, Any] = field(default_factory=dict)
-    called: ClassVar[str] = "neural-state-space"
+    kind = called = "neural-state-space"
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (nx + 1,) whose free run fits the start of the record best."""
@@ -89,31 +88,6 @@ class NeuralStateModel(BandedNetwork):
             new = x @ t["A"].T + v @ t["B"].T + t["drift"] + hidden @ t["W2"]
             near = np.abs(new).max(axis=-1, keepdims=True) <= _FAR
             return np.concatenate([np.where(near, new, np.nan), since], axis=-1)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        names = ("u_mean", "u_std", "y_mean", "y_std", "filter_gain")
-        return {
-            "kind": "neural-state-space",
-            "spec": spec_to_dict(self.spec),
-            "lags": self.lags,
-            "tables": {name: self.tables[name].tolist() for name in _TABLES},
-            **{name: getattr(self, name).tolist() for name in names},
-            "bands": None if self.bands is None else self.bands.to_dict(),
-            "notes": self.notes,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> NeuralStateModel:
-        """Return the model of a description."""
-        spec, lags = spec_from_dict(content["spec"]), int(content["lags"])
-        tables = {name: np.array(content["tables"][name], dtype=float) for name in _TABLES}
-        nx = len(tables["A"])
-        tables["B"], tables["D"] = tables["B"].reshape(nx, spec.nu), tables["D"].reshape(spec.ny, spec.nu)
-        names = ("u_mean", "u_std", "y_mean", "y_std", "filter_gain")
-        arrays = {name: np.array(content[name], dtype=float) for name in names}
-        bands = Bands.from_dict(content.get("bands"))
-        return cls(spec, tables, **arrays, lags=lags, bands=bands, notes=dict(content.get("notes", {})))
 
 
 @dataclass(frozen=True)

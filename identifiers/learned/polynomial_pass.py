@@ -26,12 +26,8 @@ Counts = npt.NDArray[np.int64]
 @functools.cache
 def library() -> Any:
     """Return the compiled run, or None where there is no C compiler."""
-    compiled = native.library("polynomial_loop")
-    if compiled is not None:
-        call = compiled.sysid_polynomial_run
-        call.restype = ctypes.c_long
-        call.argtypes = [ctypes.c_long] * 7 + [ctypes.c_void_p] * 6 + [ctypes.c_double] + [ctypes.c_void_p] * 4
-    return compiled
+    arguments = [ctypes.c_long] * 7 + [ctypes.c_void_p] * 6 + [ctypes.c_double] + [ctypes.c_void_p] * 4
+    return native.declared("polynomial_loop", sysid_polynomial_run=(ctypes.c_long, arguments))
 
 
 @functools.cache
@@ -172,7 +168,7 @@ class Polynomials:
         self._filled(theta, start, u, states, None, True)
         return states
 
-    def description(self) -> dict[str, int]:
+    def to_dict(self) -> dict[str, int]:
         """Return its sizes and switches by name."""
         return {name: int(value) for name, value in asdict(self).items()}
 

@@ -70,7 +70,7 @@ class Recurrence(Protocol):
     def states(self, theta: FloatArray, start: FloatArray, u: FloatArray) -> FloatArray:
         """Return the states (N, nx) of a free run."""
 
-    def description(self) -> list[int] | dict[str, Any]:
+    def to_dict(self) -> list[int] | dict[str, Any]:
         """Return its sizes, JSON-ready."""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,7 +13,6 @@ from harness.models.distributions import NormalMixture, normal
 from harness.rng import stream
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.bands import Ahead, Bands, held_out_runs
 from identifiers.common.observers import best_gain, riccati_gains, run_in_steps
 from identifiers.common.reach import Reach
@@ -97,6 +96,7 @@ class RecurrentModel(StateNetwork):
     bands: Bands | None = None
     edges: FloatArray | None = None
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "recurrent"
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the likeliest state at the first sample (nx + 1 + ny,), from the first 50 and what is usual."""
@@ -181,35 +181,10 @@ class RecurrentModel(StateNetwork):
             return np.asarray(np.isfinite(inner).all(axis=-1))
         return np.asarray(((inner > self.edges[0]) & (inner < self.edges[1])).all(axis=-1))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        layout = self.layout
-        return {
-            "kind": "recurrent",
-            "spec": spec_to_dict(self.spec),
-            "layout": layout.description(),
-            "fit_error": self.fit_error,
-            **{name: getattr(self, name).tolist() for name in _ARRAYS},
-            "reach": None if self.reach is None else self.reach.to_dict(),
-            "fade": self.fade,
-            "bands": None if self.bands is None else self.bands.to_dict(),
-            "edges": None if self.edges is None else self.edges.tolist(),
-            "notes": self.notes,
-        }
-
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> RecurrentModel:
+    def from_dict(cls, content: Mapping[str, Any]) -> RecurrentModel:
         """Return the model of a description."""
-        spec = spec_from_dict(content["spec"])
-        layout = _layout_of(content["layout"])
-        arrays: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
-        fit_error, notes = float(content["fit_error"]), dict(content.get("notes", {}))
-        reach = None if content.get("reach") is None else Reach.from_dict(content["reach"])
-        fade = float(content["fade"])
-        edges = None if content.get("edges") is None else np.array(content["edges"], dtype=float)
-        bands = Bands.from_dict(content.get("bands"))
-        more: dict[str, Any] = {"reach": reach, "fade": fade, "bands": bands, "edges": edges}
-        return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, **more, **arrays)
+        return cls.read(content, layout=_layout_of(content["layout"]))
 
 
 def _layout_of(sizes: Any) -> Recurrence:
@@ -219,20 +194,6 @@ def _layout_of(sizes: Any) -> Recurrence:
     if "inner" in sizes:
         return Integrating(Layout(*map(int, sizes["inner"])), tuple(map(float, sizes["size"])))
     return Polynomials.of(sizes)
-
-
-_ARRAYS = (
-    "theta",
-    "u_mean",
-    "u_std",
-    "y_mean",
-    "y_std",
-    "x_mean",
-    "x_std",
-    "filter_gain",
-    "spread",
-    "unseen",
-)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,12 +22,8 @@ FAR = 1e3
 @functools.cache
 def library() -> Any:
     """Return the compiled run, or None where there is no C compiler."""
-    compiled = native.library("recurrent_loop")
-    if compiled is not None:
-        call = compiled.sysid_recurrent_run
-        call.restype = ctypes.c_long
-        call.argtypes = [ctypes.c_long] * 6 + [ctypes.c_void_p] * 3 + [ctypes.c_double] + [ctypes.c_void_p] * 3
-    return compiled
+    arguments = [ctypes.c_long] * 6 + [ctypes.c_void_p] * 3 + [ctypes.c_double] + [ctypes.c_void_p] * 3
+    return native.declared("recurrent_loop", sysid_recurrent_run=(ctypes.c_long, arguments))
 
 
 @dataclass(frozen=True)
@@ -132,7 +128,7 @@ class Layout:
             x = self.step(theta, x, held)
         return states
 
-    def description(self) -> list[int]:
+    def to_dict(self) -> list[int]:
         """Return its sizes."""
         return [self.nx, self.nu, self.ny, self.hidden, self.outside]
 
@@ -242,6 +238,6 @@ class Integrating:
         inner = self.inner.states(theta, start[: self.inner.nx], u)
         return np.hstack([inner, self.run(theta, start, u, sensitivities=False)[0]])
 
-    def description(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return its sizes, JSON-ready."""
-        return {"inner": self.inner.description(), "size": list(self.size)}
+        return {"inner": self.inner.to_dict(), "size": list(self.size)}

@@ -10,12 +10,13 @@ import numpy as np
 from harness.models.distributions import NormalMixture, normal
 from harness.signals import FloatArray, PlantSpec, residual
 from identifiers.common.bands import Bands, told
+from identifiers.common.described import Described
 from identifiers.common.observers import run_in_steps
 
 __all__ = ["BandedNetwork", "StateNetwork"]
 
 
-class StateNetwork(ABC):
+class StateNetwork(Described, ABC):
     """A model whose state begins with the network's own (nx), which the error of an output that was seen moves.
 
     What follows in the state counts the steps since then. Where signals are scaled, a subclass has ``u_mean``,

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
-from harness.specs import spec_from_dict
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.records import moving, real_signals, usable
@@ -145,6 +144,7 @@ class ForestModel(LagModel):
     trees: tuple[Tree, ...]
     variance: FloatArray
     increments: bool
+    kind = "forest"
 
     def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (..., ny) of the next output."""
@@ -172,40 +172,6 @@ class ForestModel(LagModel):
         for name in ("left", "right"):  # what a leaf has there is never asked for
             joined[name] = joined[name] + shift
         return Tree(**joined), roots
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        names = ("feature", "threshold", "left", "right", "value")
-        trees = [{name: getattr(tree, name).tolist() for name in names} for tree in self.trees]
-        return {
-            **self.head("forest"),
-            "trees": trees,
-            "variance": self.variance.tolist(),
-            "increments": self.increments,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> ForestModel:
-        """Return the model of a description."""
-        trees = tuple(
-            Tree(
-                np.array(tree["feature"], dtype=np.intp),
-                np.array(tree["threshold"], dtype=float),
-                np.array(tree["left"], dtype=np.intp),
-                np.array(tree["right"], dtype=np.intp),
-                np.array(tree["value"], dtype=float),
-            )
-            for tree in content["trees"]
-        )
-        return cls(
-            spec_from_dict(content["spec"]),
-            int(content["lags"]),
-            Scaling.from_dict(content["scaling"]),
-            trees,
-            np.array(content["variance"], dtype=float),
-            bool(content["increments"]),
-            notes=dict(content.get("notes", {})),
-        )
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from harness.judgement import refuse_undetermined
 from harness.models.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.excitation import excited_lags
 from identifiers.common.judge.told import told
 from identifiers.common.records import moving, real_signals, usable
@@ -29,7 +29,7 @@ _RIDGES = (1e-8, 1e-6, 1e-4, 1e-2, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class VolterraModel:
+class VolterraModel(Described):
     """``y[k] = h0 + sum_i h1[i] u[k-i] + sum_{i<=j} h2[i,j] u[k-i] u[k-j]`` with i, j = 0 .. memory - 1.
 
     The state is the scaled past inputs ``[u[k-1], ..., u[k-memory+1]]``; outputs correct nothing, because the series
@@ -56,6 +56,7 @@ class VolterraModel:
     std: FloatArray
     order: int = 2
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "volterra"
 
     @property
     def burn_in(self) -> int:
@@ -99,30 +100,6 @@ class VolterraModel:
             for low in range(0, n, _BLOCK):
                 outputs[i, low : low + _BLOCK] = self.regressors(windows[low : low + _BLOCK]) @ self.coefficients
         return outputs
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        tables = {name: getattr(self, name).tolist() for name in ("coefficients", "mean", "scale", "std")}
-        return {
-            "kind": "volterra",
-            "spec": spec_to_dict(self.spec),
-            "memory": self.memory,
-            "order": self.order,
-            **tables,
-            "notes": self.notes,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> VolterraModel:
-        """Return the model of a description."""
-        tables = {name: np.array(content[name], dtype=float) for name in ("coefficients", "mean", "scale", "std")}
-        return cls(
-            spec_from_dict(content["spec"]),
-            int(content["memory"]),
-            **tables,
-            order=int(content["order"]),
-            notes=dict(content.get("notes", {})),
-        )
 
     def _window(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the inputs of the present window (..., memory * nu), newest first, scaled."""

@@ -76,10 +76,6 @@ def lively_directions(records: Sequence[Trajectory]) -> Directions | None:
     future follows. A regression on many outputs that are nearly the same signals has such noise, magnified, in its
     regressors. Units do not matter.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-
     Examples
     --------
     >>> from harness.signals import PlantSpec

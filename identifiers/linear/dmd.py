@@ -18,6 +18,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.one_step_estimate import least_squares_estimate
 from identifiers.common.records import missing_notes, moving, real_signals, usable
@@ -136,11 +137,11 @@ class Dmdc:
         wrong = self.delays < 1 or (self.total is not False and (self.rank is None or self.delays != 1))
         wrong = wrong or (isinstance(self.rank, str) and self.rank != "auto")
         if wrong or (isinstance(self.total, str) and self.total != "auto"):
-            raise FitError(
-                f"{what}: options",
-                expected='delays >= 1, rank a number or "auto"; with total a rank and delays = 1',
-                got=f"delays={self.delays}, rank={self.rank}, total={self.total}",
-                remedy="correct the options",
+            raise wrong_options(
+                self,
+                what,
+                'delays >= 1, rank a number or "auto"; with total a rank and delays = 1',
+                "delays rank total",
             )
         if self.rank is not None and self.delays > 1:
             raise FitError(

@@ -19,6 +19,7 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import coefficients_without, spread_of
 from identifiers.common.normal import scaled_equations, solved
 from identifiers.common.observers import stationary_gain
@@ -236,12 +237,7 @@ class HoKalman:
         if self.observer == "auto":
             return self._chosen(records, what, rng)
         if self.markov < 3 or (self.observer is not None and self.observer < 1):
-            raise FitError(
-                f"{what}: options",
-                expected="markov >= 3, observer >= 1",
-                got=f"markov={self.markov}, observer={self.observer}",
-                remedy="correct the options",
-            )
+            raise wrong_options(self, what, "markov >= 3, observer >= 1", "markov observer")
         if self.observer is not None:
             records = without_holes(records, samples=self.observer + 2, what=what)
         moving(records, what)

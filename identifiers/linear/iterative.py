@@ -145,10 +145,6 @@ def learn_input(
         Relative to the mean square gain of the model.
     weights : array (ny,), optional
         Errors are divided by these; ones by default.
-
-    Returns
-    -------
-    Learned
     """
     size = np.ones(reference.shape[1]) if weights is None else np.asarray(weights, dtype=float)
     u = np.array(first, dtype=float)

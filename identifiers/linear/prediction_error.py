@@ -20,6 +20,7 @@ from identifiers.common.excitation import excited_lags, refuse_feedback_of_recor
 from identifiers.common.judge.loops import ANSWERED, COLOURED
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import spread_of, steps_without
 from identifiers.common.observers import innovation_form
 from identifiers.common.one_step_estimate import whiteness
@@ -50,8 +51,6 @@ _ROUNDING = 1e-7
 _LOST = 1e-15
 # Samples of the past in which a controller's law is looked for beside a fit.
 _LAW = 4
-# Samples of delay that are looked for at most.
-_DELAYS = 30
 
 
 @dataclass(frozen=True)
@@ -252,11 +251,11 @@ class PredictionError:
                 remedy="leave them out, or take structure oe, arx, armax or bj",
             )
         if not fine or (self.order is not None and self.order < 1) or (isinstance(self.nk, str) and self.nk != "auto"):
-            raise FitError(
-                f"{what}: options",
-                expected="structure auto, state-space, oe, arx, armax or bj, order >= 1, delay >= 0, nk as nb or auto",
-                got=f"structure={self.structure}, order={self.order}, delay={self.delay}, nk={self.nk}",
-                remedy="correct the options",
+            raise wrong_options(
+                self,
+                what,
+                "structure auto, state-space, oe, arx, armax or bj, order >= 1, delay >= 0, nk as nb or auto",
+                "structure order delay nk",
             )
 
     def _looped(self, records: Sequence[Trajectory], feedback: Feedback, white: Sequence[float], what: str) -> str:

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from harness.errors import FitError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.excitation import Columns, refuse_feedback
+from identifiers.common.named import wrong_options
 from identifiers.common.normal import solved
 from identifiers.common.one_step_estimate import EXACT
 from identifiers.common.records import moving, real_signals, usable
@@ -33,7 +34,7 @@ _FOLDS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class AlongTrajectoryModel:
+class AlongTrajectoryModel(Described):
     """``y[k+1] = theta[k]' [lags of y, lags of u, 1]``; the state holds the lags, and k as its last component.
 
     Parameters
@@ -52,6 +53,7 @@ class AlongTrajectoryModel:
     lags: int = 1
     start: float = 0.0
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "along-trajectory"
 
     @property
     def burn_in(self) -> int:
@@ -102,26 +104,6 @@ class AlongTrajectoryModel:
         c[:, :, :ny] = np.eye(ny)
         return TimeVarying(a, b, c, np.zeros((count, ny, nu)))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {
-            "kind": "along-trajectory",
-            "spec": spec_to_dict(self.spec),
-            "coefficients": self.coefficients.tolist(),
-            "lags": self.lags,
-            "start": self.start,
-            "notes": self.notes,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> AlongTrajectoryModel:
-        """Return the model of a description."""
-        spec = spec_from_dict(content["spec"])
-        lags = int(content["lags"])
-        shape = (-1, lags * (spec.ny + spec.nu) + 1, spec.ny)
-        coefficients = np.array(content["coefficients"], dtype=float).reshape(shape)
-        return cls(spec, coefficients, lags, float(content["start"]), dict(content.get("notes", {})))
-
     def _places(self, x: FloatArray) -> npt.NDArray[np.intp]:
         index = np.nan_to_num(np.asarray(x)[..., -1])
         return np.clip(np.round(index), 0, len(self.coefficients) - 1).astype(np.intp)
@@ -171,12 +153,7 @@ class AlongTrajectory:
         """Return the model along the repeated motion."""
         what = "along-trajectory"
         if self.order < 1 or (self.width is not None and self.width < 0):
-            raise FitError(
-                f"{what}: options",
-                expected="order at least 1, width at least 0",
-                got=f"order={self.order}, width={self.width}",
-                remedy="correct the options",
-            )
+            raise wrong_options(self, what, "order at least 1, width at least 0", "order width")
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -12,53 +13,66 @@ from harness.errors import FitError
 from harness.judgement import refuse_law
 from harness.models.determined import KEY, determined_bands
 from harness.protocols import OnlineIdentifier, Tracking
-from harness.signals import PlantSpec, Trajectory
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import missing_notes, moving, real_signals, usable
 
-__all__ = ["along", "learned", "told_of_pass"]
+__all__ = ["OnePass", "along", "sizes_of", "told_of_pass"]
 
 
-def learned(
-    online: OnlineIdentifier,
-    trajectories: Sequence[Trajectory],
-    what: str,
-    *,
-    rng: np.random.Generator,
-    least: Callable[[PlantSpec], int],
-) -> tuple[Any, list[Trajectory]]:
-    """Return what an online identifier knows after records of real signals, in their order, and the records used.
+class OnePass(ABC):
+    """Online identifier of linear models, which fits records by one pass over them.
 
-    Parameters
-    ----------
-    online : OnlineIdentifier
-        With ``least_excitation``, as of ``least-squares``.
-    trajectories : sequence of Trajectory
-        A hole ends a record.
-    what : str
-        Name of the identifier, for messages.
-    rng : numpy.random.Generator
-    least : callable
-        Samples that have to be learned from, given the signals.
-
-    Raises
-    ------
-    FitError
-        If there are fewer samples, nothing moves, or a controller alone moves the inputs.
+    Options of it are ``least_excitation``, as of ``least-squares``, and what a subclass adds.
     """
-    records, spec = usable(trajectories, samples=2, what=what)
-    real_signals(spec, what)
-    moving(records, what)
-    refuse_law(records, what, online.least_excitation)  # type: ignore[attr-defined]
-    heard, samples = sum(len(record) - 1 for record in records), least(spec)
-    if heard < samples:
-        raise FitError(
-            f"{what}: records too short",
-            expected=f"at least {samples} samples to learn from",
-            got=str(heard),
-            remedy="record longer, or lower the order or burn_in",
-        )
-    return along(online, online.init(spec, rng=rng), records), records
+
+    called: ClassVar[str]
+    """Name of the identifier, for messages."""
+    least_excitation: float
+
+    @abstractmethod
+    def waits(self, spec: PlantSpec) -> int:
+        """Return how many samples have to be learned from, given the signals."""
+
+    @abstractmethod
+    def fitted(self, state: Any, records: list[Trajectory]) -> LinearModel:
+        """Return the model of the state after records."""
+
+    @told
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return the model after one pass over the records.
+
+        Raises
+        ------
+        FitError
+            If the records are shorter than what is waited for, or do not tell what the inputs do.
+        """
+        state, records = self.learned(trajectories, rng=rng)
+        return told_of_pass(self.fitted(state, records), trajectories, records)
+
+    def learned(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> tuple[Any, list[Trajectory]]:
+        """Return what is known after records of real signals, in their order, and the records used.
+
+        Raises
+        ------
+        FitError
+            If there are fewer samples than are waited for, nothing moves, or a controller alone moves the inputs.
+        """
+        what, online = self.called, cast(OnlineIdentifier, self)
+        records, spec = usable(trajectories, samples=2, what=what)
+        real_signals(spec, what)
+        moving(records, what)
+        refuse_law(records, what, self.least_excitation)
+        heard, samples = sum(len(record) - 1 for record in records), self.waits(spec)
+        if heard < samples:
+            raise FitError(
+                f"{what}: records too short",
+                expected=f"at least {samples} samples to learn from",
+                got=str(heard),
+                remedy="record longer, or lower the order or burn_in",
+            )
+        return along(online, online.init(spec, rng=rng), records), records
 
 
 def along(online: OnlineIdentifier, state: Any, records: Sequence[Trajectory]) -> Any:
@@ -93,3 +107,9 @@ def told_of_pass(model: LinearModel, trajectories: Sequence[Trajectory], records
         KEY: determined_bands(model.matrices, records),
     }
     return replace(model, notes=notes)
+
+
+def sizes_of(squares: FloatArray, samples: int) -> FloatArray:
+    """Return the sizes of signals from their squares, summed over samples; one that is silent has the size 1."""
+    size = np.sqrt(squares / samples)
+    return np.where(size > 0, size, 1.0)

@@ -12,18 +12,19 @@ from harness.errors import FitError, InputError
 from harness.protocols import Model, Plant
 from harness.scoring import same_language
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.records import usable
 
 __all__ = ["HoldLast", "HoldModel", "PlantModel", "TrueModel"]
 
 
 @dataclass(frozen=True, eq=False)
-class HoldModel:
+class HoldModel(Described):
     """Predicts that nothing changes: the state is the last output seen."""
 
     spec: PlantSpec
-    burn_in: int = 0
+    kind = "hold"
+    burn_in: ClassVar[int] = 0
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the first output (ny,)."""
@@ -41,15 +42,6 @@ class HoldModel:
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
         """Return the output just seen (..., ny)."""
         return y
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {"kind": "hold", "spec": spec_to_dict(self.spec)}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> HoldModel:
-        """Return the model of a description."""
-        return cls(spec_from_dict(content["spec"]))
 
 
 @dataclass(frozen=True)

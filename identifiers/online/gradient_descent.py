@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from harness.errors import FitError
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.named import wrong_options
 from identifiers.common.records import moving, real_signals
-from identifiers.online.along import learned, told_of_pass
+from identifiers.online.along import OnePass, sizes_of
 
 __all__ = ["GradientDescent", "GradientState", "acquiescent"]
 
@@ -61,7 +60,7 @@ class GradientState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class GradientDescent:
+class GradientDescent(OnePass):
     """Output-error transfer function learned by gradient descent from its own simulation errors.
 
     ``y[k+1] = sum_i C_i w[k-i] + c`` with ``w = u / (1 + a_1 z^-1 + ... + a_n z^-n)``, all poles shared. After each
@@ -102,43 +101,36 @@ class GradientDescent:
     rate: float = 0.5
     burn_in: int = 20
     least_excitation: float = 2.0
+    called = "gradient-descent"
 
-    @told
-    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
-        """Return the transfer function after one pass over the records; how far it still is from its optimum is open.
+    def waits(self, spec: PlantSpec) -> int:
+        """Return the samples of the burn-in and a block."""
+        return self.burn_in + self.block
 
-        Raises
-        ------
-        FitError
-            If not a single step is made on the records, or they do not tell what the inputs do.
-        """
-        what = "gradient-descent"
-        state, records = learned(self, trajectories, what, rng=rng, least=lambda _: self.burn_in + self.block)
-        model = self.model(state, records[0].spec)
-        return told_of_pass(replace(model, notes={"steps": state.steps}), trajectories, records)
+    def fitted(self, state: Any, records: list[Trajectory]) -> LinearModel:
+        """Return the model of the state after records."""
+        return self.model(state, records[0].spec)
 
     def model(self, state: GradientState, spec: PlantSpec) -> LinearModel:
         """Return the transfer function of a state as a linear model: ``x = [w[k-1], ..., w[k-n-1]]``."""
         nu, ny, n = spec.nu, spec.ny, self.order
-        size = self._size(state.squares)
+        size = sizes_of(state.squares, self.burn_in)
         den, gains, offset = self._parts(state.theta, nu, ny)
         nx = (n + 1) * nu
         a, b = np.eye(nx, k=-nu), np.eye(nx, nu) / size[:nu]
         a[:nu, : n * nu] = np.kron(-den, np.eye(nu))
         c = (gains * size[nu:]).transpose(2, 0, 1).reshape(ny, nx)
         none = np.zeros((ny, nu))
-        return LinearModel(spec, a, b, c, none, np.zeros((nx, ny)), np.zeros(nx), offset * size[nu:], burn_in=n + 1)
+        offset, notes = offset * size[nu:], {"steps": state.steps}
+        return LinearModel(spec, a, b, c, none, np.zeros((nx, ny)), np.zeros(nx), offset, burn_in=n + 1, notes=notes)
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> GradientState:
         """Return the state before any data."""
         if self.order < 1 or self.block < 4 or not self.rate > 0 or self.burn_in < 1:
-            raise FitError(
-                "gradient-descent: options",
-                expected="order >= 1, block >= 4, rate > 0, burn_in >= 1",
-                got=f"order={self.order}, block={self.block}, rate={self.rate}, burn_in={self.burn_in}",
-                remedy="correct the options",
+            raise wrong_options(
+                self, "gradient-descent", "order >= 1, block >= 4, rate > 0, burn_in >= 1", "order block rate burn_in"
             )
-        real_signals(spec, "gradient-descent")
+        real_signals(spec, self.called)
         size = self.order + (self.order + 1) * spec.nu * spec.ny + spec.ny
         return GradientState(
             np.zeros(size), np.zeros((self.order, spec.nu)), (), np.zeros(spec.ny), 0, np.zeros(spec.nu + spec.ny), 0
@@ -152,7 +144,7 @@ class GradientDescent:
         """Return the output (ny,) that ``u`` leads to; the last output during the burn-in."""
         if state.seen < self.burn_in:
             return state.last.copy()
-        size, nu = self._size(state.squares), len(u)
+        size, nu = sizes_of(state.squares, self.burn_in), len(u)
         a, gains, offset = self._parts(state.theta, nu, len(state.last))
         inputs = np.array([row[:nu] for row in state.block] + [u]) / size[:nu]
         w = _filtered(a, inputs, state.w)
@@ -173,7 +165,7 @@ class GradientDescent:
         from identifiers.linear.prediction_error import PredictionError
 
         spec = trajectories[0].spec
-        moving(trajectories, "gradient-descent")
+        moving(trajectories, self.called)
         fit = PredictionError(order=self.order, least_excitation=0.0)
         model = fit.fit(list(trajectories), rng=np.random.default_rng(0))
         losses, waited = [], 0
@@ -191,7 +183,7 @@ class GradientDescent:
 
     def _stepped(self, state: GradientState, block: FloatArray, nu: int) -> GradientState:
         """Return the state after a step on a block."""
-        size, ny = self._size(state.squares), len(state.last)
+        size, ny = sizes_of(state.squares, self.burn_in), len(state.last)
         inputs, y = block[:, :nu] / size[:nu], block[:, nu:] / size[nu:]
         a, gains, offset = self._parts(state.theta, nu, ny)
         n, first = self.order, len(block) // 4
@@ -217,11 +209,6 @@ class GradientDescent:
         theta[:n] = acquiescent(theta[:n])
         kept = np.vstack([_filtered(theta[:n], inputs, before)[::-1], before])[:n]
         return state._replace(theta=theta, w=kept, block=(), steps=state.steps + 1)
-
-    def _size(self, squares: FloatArray) -> FloatArray:
-        """Return the size (nu + ny,) of the signals in the burn-in."""
-        size = np.sqrt(squares / self.burn_in)
-        return np.where(size > 0, size, 1.0)
 
     def _parts(self, theta: FloatArray, nu: int, ny: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return a (n,), gains (n + 1, nu, ny) and the offset (ny,)."""

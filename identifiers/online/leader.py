@@ -12,7 +12,7 @@ from harness.errors import FitError, InputError
 from harness.models.estimate import estimate_of
 from harness.protocols import Growth, Hindsight, Identifier, Model
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from identifiers.common.named import named
+from identifiers.common.named import named, wrong_options
 from identifiers.common.records import real_signals
 
 __all__ = ["FollowTheLeader", "LeaderState"]
@@ -99,12 +99,7 @@ class FollowTheLeader:
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> LeaderState:
         """Return the state before any data."""
         if self.burn_in < 1 or not self.growth >= 1.0:
-            raise FitError(
-                "follow-the-leader: options",
-                expected="burn_in >= 1, growth >= 1",
-                got=f"burn_in={self.burn_in}, growth={self.growth}",
-                remedy="correct the options",
-            )
+            raise wrong_options(self, "follow-the-leader", "burn_in >= 1, growth >= 1", "burn_in growth")
         real_signals(spec, "follow-the-leader")
         self._made()
         return LeaderState(spec, int(rng.integers(2**31)), (), 0, self.burn_in, 0, None, None)

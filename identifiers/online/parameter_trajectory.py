@@ -87,11 +87,6 @@ class Recursion:
 def recursion_along(online: RecursivePolynomial, trajectories: Sequence[Trajectory]) -> Recursion:
     """Run a recursive model over records and keep its way.
 
-    Parameters
-    ----------
-    online : RecursivePolynomial
-    trajectories : sequence of Trajectory
-
     Examples
     --------
     >>> from harness.signals import Channel, PlantSpec

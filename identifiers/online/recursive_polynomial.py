@@ -12,7 +12,6 @@ from harness.errors import FitError
 from harness.models.estimate import Estimate
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.observers import innovation_form
 from identifiers.common.one_step_estimate import quotient
@@ -21,7 +20,7 @@ from identifiers.common.scaling import Scaling, sizes
 from identifiers.linear.polynomials.model import Orders, Polynomials, block_form
 from identifiers.linear.polynomials.orders import Counts, orders_by_output
 from identifiers.linear.prediction_error import PredictionError
-from identifiers.online.along import learned, told_of_pass
+from identifiers.online.along import OnePass
 
 __all__ = ["OutputFilter", "RecursivePolynomial", "RecursiveState"]
 
@@ -169,7 +168,7 @@ class RecursiveOptions:
 
 
 @dataclass(frozen=True)
-class RecursivePolynomial(RecursiveOptions):
+class RecursivePolynomial(RecursiveOptions, OnePass):
     """Recursive ARX, ARMAX or output-error model, as an online identifier.
 
     Recursive prediction errors (Ljung 1999, eq. 11.41 to 11.44): ``theta += P psi e / (lambda + psi' P psi)`` with psi
@@ -211,20 +210,14 @@ class RecursivePolynomial(RecursiveOptions):
     """
 
     least_excitation: float = 2.0
+    called = "recursive-polynomial"
 
-    @told
-    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
-        """Return the model after one pass over the records, its coefficients in the notes.
+    def waits(self, spec: PlantSpec) -> int:
+        """Return the samples of the burn-in."""
+        return self._waits_for(self._orders(spec, self.called))
 
-        Raises
-        ------
-        FitError
-            If the records are shorter than the burn-in, or do not tell what the inputs do.
-        """
-        what = "recursive-polynomial"
-        state, records = learned(
-            self, trajectories, what, rng=rng, least=lambda spec: self._waits_for(self._orders(spec, what))
-        )
+    def fitted(self, state: RecursiveState, records: list[Trajectory]) -> LinearModel:
+        """Return the model of the state after records, its coefficients in the notes."""
         model, spec = self.model(state), state.spec
         values, deviations = state.coefficients
         units = []
@@ -240,7 +233,7 @@ class RecursivePolynomial(RecursiveOptions):
             np.diag(deviations**2),
             method="no interval: the deviations of a recursion hold for coefficients that stay as they are",
         )
-        return told_of_pass(replace(model, notes={"estimate": estimate.to_dict()}), trajectories, records)
+        return replace(model, notes={"estimate": estimate.to_dict()})
 
     def model(self, state: RecursiveState) -> LinearModel:
         """Return the model of a state after the burn-in, in innovation form."""

@@ -12,12 +12,12 @@ from harness.errors import FitError
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.excitation import Columns, refuse_feedback
-from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.named import wrong_options
 from identifiers.common.one_step_estimate import DEPENDENT, least_squares_estimate
 from identifiers.common.records import lagged, moving, real_signals, usable
 from identifiers.linear.arx import lag_model, one_step, solution_notes
-from identifiers.online.along import learned, told_of_pass
+from identifiers.online.along import OnePass
 from identifiers.online.rls_pass import Layout, learn, run
 
 __all__ = ["RecursiveLeastSquares", "RlsState"]
@@ -45,7 +45,7 @@ class RlsState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RecursiveLeastSquares:
+class RecursiveLeastSquares(OnePass):
     """Recursive least squares on an ARX model, as an online identifier.
 
     ``y[k+1] = theta' [y[k], ..., y[k-n+1], u[k], ..., u[k-n+1], 1]``. Each new row is rotated into the triangle of a QR
@@ -89,18 +89,17 @@ class RecursiveLeastSquares:
     forgetting: float = 1.0
     burn_in: int | None = None
     least_excitation: float = 2.0
+    called = "rls"
 
-    @told
-    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
-        """Return the ARX model after one pass over the records: without forgetting, that of the batch.
+    def fitted(self, state: RlsState, records: list[Trajectory]) -> LinearModel:
+        """Return the ARX model of the state after records: without forgetting, that of the batch.
 
         Raises
         ------
         FitError
             If the records, taken together, do not determine the coefficients.
         """
-        what = "rls"
-        state, records = learned(self, trajectories, what, rng=rng, least=self._parameters)
+        what = self.called
         records, spec = usable(records, samples=self.order + 1, what=what)
         solution = one_step(records, self.order, self.offset, self.prior, what)
         refuse_feedback(solution, Columns(spec, self.order), self.least_excitation, what, ridge=self.prior)
@@ -110,8 +109,7 @@ class RecursiveLeastSquares:
         if self.forgetting == 1 and told_apart:
             estimate = least_squares_estimate(records, solution, self.order, self.offset)
         notes |= {} if estimate is None else {"estimate": estimate.to_dict()}
-        model = lag_model(spec, state.coefficients, self.order, self.offset, notes)
-        return told_of_pass(model, trajectories, records)
+        return lag_model(spec, state.coefficients, self.order, self.offset, notes)
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> RlsState:
         """Return the state before any data."""
@@ -121,11 +119,11 @@ class RecursiveLeastSquares:
             or not self.prior > 0
             or (self.burn_in is not None and self.burn_in < 1)
         ):
-            raise FitError(
-                "rls: options",
-                expected="order >= 1, 0 < forgetting <= 1, prior > 0, burn_in >= 1",
-                got=f"order={self.order}, forgetting={self.forgetting}, prior={self.prior}, burn_in={self.burn_in}",
-                remedy="correct the options",
+            raise wrong_options(
+                self,
+                "rls",
+                "order >= 1, 0 < forgetting <= 1, prior > 0, burn_in >= 1",
+                "order forgetting prior burn_in",
             )
         real_signals(spec, "rls")
         burn_in = self._burn_in(spec)
@@ -229,10 +227,10 @@ class RecursiveLeastSquares:
         growth = Growth.of_least_squares(p, self.forgetting)
         return Hindsight(each.sum(axis=1), exact=exact, details=details, per_output=each, growth=growth)
 
-    def _parameters(self, spec: PlantSpec) -> int:
-        """Return the number of parameters of each output."""
+    def waits(self, spec: PlantSpec) -> int:
+        """Return the number of parameters of each output: so many equations determine them."""
         return self.order * (spec.ny + spec.nu) + int(self.offset)
 
     def _burn_in(self, spec: PlantSpec) -> int:
         """Return how many equations are waited for."""
-        return 2 * self._parameters(spec) if self.burn_in is None else max(self.burn_in, self._parameters(spec))
+        return 2 * self.waits(spec) if self.burn_in is None else max(self.burn_in, self.waits(spec))

@@ -5,17 +5,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from harness.errors import FitError
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import moving, real_signals
-from identifiers.online.along import learned, told_of_pass
+from identifiers.online.along import OnePass, sizes_of
 
 __all__ = ["SpectralFiltering", "SpectralState", "wave_filters"]
 
@@ -59,7 +58,7 @@ class SpectralState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SpectralFiltering:
+class SpectralFiltering(OnePass):
     """Predict from inputs convolved with fixed filters, linearly: a convex problem whatever the system's poles.
 
     ``y[k+1] = M [sigma_j^(1/4) (phi_j * u)[k-1], u[k-1], u[k], y[k], 1]`` with the filters of :func:`wave_filters`
@@ -103,24 +102,20 @@ class SpectralFiltering:
     prior: float = 1e-3
     burn_in: int = 20
     least_excitation: float = 2.0
+    called = "spectral-filtering"
 
-    @told
-    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
-        """Return what was learned after one pass over the records; the model's state is the output and past inputs.
+    def waits(self, spec: PlantSpec) -> int:
+        """Return the samples of the burn-in, and one for each feature."""
+        return self.burn_in + self._count(spec)
 
-        Raises
-        ------
-        FitError
-            If the records are shorter than the burn-in and the features, or do not tell what the inputs do.
-        """
-        what = "spectral-filtering"
-        state, records = learned(self, trajectories, what, rng=rng, least=lambda spec: self.burn_in + self._count(spec))
-        return told_of_pass(self.model(state, records[0].spec), trajectories, records)
+    def fitted(self, state: Any, records: list[Trajectory]) -> LinearModel:
+        """Return the model of the state after records."""
+        return self.model(state, records[0].spec)
 
     def model(self, state: SpectralState, spec: PlantSpec) -> LinearModel:
         """Return the predictor of a state as a linear model: ``x = [y[k], u[k-1], ..., u[k-L]]``."""
         nu, ny, length = spec.nu, spec.ny, self.window
-        size = self._size(state.squares)
+        size = sizes_of(state.squares, self.burn_in)
         values, filters = wave_filters(length, self.filters)
         weights = state.weights * size[nu:]
         waves = weights[: self.filters * nu].reshape(self.filters, nu, ny)
@@ -149,7 +144,7 @@ class SpectralFiltering:
                 f"prior={self.prior}, burn_in={self.burn_in}",
                 remedy="correct the options",
             )
-        real_signals(spec, "spectral-filtering")
+        real_signals(spec, self.called)
         p = self._count(spec)
         curvature = np.eye(p) / self.prior if self.update_by == "newton" else np.zeros((1, 1))
         return SpectralState(
@@ -169,7 +164,7 @@ class SpectralFiltering:
         """Return the output (ny,) that ``u`` leads to; the last output during the burn-in."""
         if state.seen < self.burn_in:
             return state.last.copy()
-        size = self._size(state.squares)
+        size = sizes_of(state.squares, self.burn_in)
         guess: FloatArray = self._features(state, u, size) @ state.weights * size[len(u) :]
         return guess
 
@@ -180,7 +175,7 @@ class SpectralFiltering:
         if state.seen < self.burn_in:
             squares = squares + np.concatenate([u, y]) ** 2
         else:
-            size = self._size(squares)
+            size = sizes_of(squares, self.burn_in)
             x = self._features(state, u, size)
             wrong = y / size[len(u) :] - x @ weights
             if self.update_by == "newton":
@@ -198,17 +193,18 @@ class SpectralFiltering:
     def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
         """Return the losses of the best fixed M (least squares), with the same held predictions in the burn-in."""
         spec = trajectories[0].spec
-        moving(trajectories, "spectral-filtering")
+        moving(trajectories, self.called)
         state = self.init(spec, rng=np.random.default_rng(0))
         rows, held = [], []
         for record in trajectories:
             state = self.start(state, record.y[0])
             for u, y in zip(record.u[:-1], record.y[1:], strict=True):
-                size = self._size(state.squares) if state.seen >= self.burn_in else np.ones(spec.nu + spec.ny)
+                waits = state.seen < self.burn_in
+                size = np.ones(spec.nu + spec.ny) if waits else sizes_of(state.squares, self.burn_in)
                 rows.append(self._features(state, u, size))
                 held.append(state.last)
                 past = np.vstack([u[None], state.past[:-1]])
-                squares = state.squares + (state.seen < self.burn_in) * np.concatenate([u, y]) ** 2
+                squares = state.squares + waits * np.concatenate([u, y]) ** 2
                 state = state._replace(past=past, last=y, seen=state.seen + 1, squares=squares)
         targets = np.concatenate([record.y[1:] for record in trajectories])
         guesses = np.array(held)
@@ -234,11 +230,6 @@ class SpectralFiltering:
     def _count(self, spec: PlantSpec) -> int:
         """Return the number of features."""
         return (self.filters + 2) * spec.nu + spec.ny + 1
-
-    def _size(self, squares: FloatArray) -> FloatArray:
-        """Return the size (nu + ny,) of the signals in the burn-in."""
-        size = np.sqrt(squares / self.burn_in)
-        return np.where(size > 0, size, 1.0)
 
     def _features(self, state: SpectralState, u: FloatArray, size: FloatArray) -> FloatArray:
         """Return the scaled features (p,) of the next output."""

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.signals import FloatArray, PlantSpec
-from harness.specs import spec_from_dict
-from identifiers.common.lag_state import LagModel, Scaling
+from identifiers.common.lag_state import LagModel
 from identifiers.common.library import InLibrary, Library, equation_text
 
 __all__ = ["NarxModel", "argument_names"]
@@ -62,6 +61,7 @@ class NarxModel(InLibrary, LagModel):
     library: Library
     coefficients: FloatArray
     std: FloatArray
+    kind = "narx"
 
     @property
     def terms(self) -> tuple[tuple[str, ...], ...]:
@@ -139,23 +139,4 @@ class NarxModel(InLibrary, LagModel):
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
-        return {
-            **self.head("narx"),
-            "library": self.library.to_dict(),
-            "coefficients": self.coefficients.tolist(),
-            "std": self.std.tolist(),
-            "equations": list(self.equations),
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> NarxModel:
-        """Return the model of a description."""
-        return cls(
-            spec_from_dict(content["spec"]),
-            int(content["lags"]),
-            Scaling.from_dict(content["scaling"]),
-            Library.from_dict(content["library"]),
-            np.array(content["coefficients"], dtype=float),
-            np.array(content["std"], dtype=float),
-            notes=dict(content.get("notes", {})),
-        )
+        return {**super().to_dict(), "equations": list(self.equations)}

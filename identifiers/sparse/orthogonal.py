@@ -91,13 +91,6 @@ def frols(equations: NormalEquations, column: int, most: int) -> Path:
 def helpful(equations: NormalEquations, column: int, keep: list[int], count: int) -> list[int]:
     """Return so many terms of the largest error reduction ratio beyond those that are kept.
 
-    Parameters
-    ----------
-    equations : NormalEquations
-    column : int
-    keep : list of int
-    count : int
-
     Examples
     --------
     >>> phi = np.random.default_rng(0).normal(size=(6, 200))
@@ -121,12 +114,6 @@ def helpful(equations: NormalEquations, column: int, keep: list[int], count: int
 
 def lost_share(equations: NormalEquations, column: int, keep: list[int]) -> float:
     """Return the share of a target's square that some terms leave, never less than rounding.
-
-    Parameters
-    ----------
-    equations : NormalEquations
-    column : int
-    keep : list of int
 
     Examples
     --------

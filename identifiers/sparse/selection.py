@@ -104,11 +104,6 @@ def best_subset(equations: NormalEquations, most: int = 12) -> tuple[FloatArray,
     term that helps most, and terms are exchanged one by one until no exchange helps (Miller 2002, *Subset Selection in
     Regression*, sec. 3.4), which finds the best subset in most cases but not by proof.
 
-    Parameters
-    ----------
-    equations : NormalEquations
-    most : int
-
     Examples
     --------
     >>> phi = np.random.default_rng(0).normal(size=(6, 200))

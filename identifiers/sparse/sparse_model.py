@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.library import InLibrary, Library, equation_text
 from identifiers.common.linear_model import freeze
 from identifiers.common.observers import fitted_start
@@ -25,7 +25,7 @@ _FAR = 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class SparseModel(InLibrary):
+class SparseModel(InLibrary, Described):
     """``y' = Xi f(y, u)``, ``y'' = Xi f(y, y', u)`` or ``y[k+1] = Xi f(y[k], u[k])`` with few terms.
 
     Continuous equations are stepped by the classical Runge-Kutta method, the input held. A state that leaves
@@ -58,6 +58,7 @@ class SparseModel(InLibrary):
     filter_gain: FloatArray
     substeps: int = 1
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "sparse"
 
     def __post_init__(self) -> None:
         ny, nx = self.spec.ny, self.order * self.spec.ny
@@ -201,31 +202,4 @@ class SparseModel(InLibrary):
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
-        return {
-            "kind": "sparse",
-            "spec": spec_to_dict(self.spec),
-            "library": self.library.to_dict(),
-            "coefficients": self.coefficients.tolist(),
-            "order": self.order,
-            "time": self.time,
-            "scale": self.scale.tolist(),
-            "filter_gain": self.filter_gain.tolist(),
-            "substeps": self.substeps,
-            "equations": list(self.equations),
-            "notes": self.notes,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> SparseModel:
-        """Return the model of a description."""
-        return cls(
-            spec_from_dict(content["spec"]),
-            Library.from_dict(content["library"]),
-            np.array(content["coefficients"], dtype=float),
-            int(content["order"]),
-            content["time"],
-            np.array(content["scale"], dtype=float),
-            np.array(content["filter_gain"], dtype=float),
-            int(content["substeps"]),
-            dict(content.get("notes", {})),
-        )
+        return {**super().to_dict(), "equations": list(self.equations)}

@@ -9,14 +9,13 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec
-from plants.base import BasePlant
-from plants.checking import checked_inputs, initial_values, positive
-from plants.finite.mdp import category_number
+from plants.checking import initial_values, positive
+from plants.finite.mdp import FinitePlant, category_number
 
 __all__ = ["MachinesMdp"]
 
 
-class MachinesMdp(BasePlant):
+class MachinesMdp(FinitePlant):
     """A ring of machines, each up (1) or down (0); every step one of them, or none, is rebooted.
 
     A machine that runs fails more often while the one before it in the ring is down; a machine that is down comes back
@@ -86,24 +85,9 @@ class MachinesMdp(BasePlant):
         self._state = np.array([category_number(v, c) for v, c in zip(values, self.spec.states, strict=True)])
         return self.truth()
 
-    def step(self, u: FloatArray) -> FloatArray:
-        """Reboot machine ``u`` (1,), none for the number of machines; returns the next states (machines,)."""
-        row = checked_inputs(np.atleast_2d(u), self.spec)[0]
-        self._move(category_number(row[0], self.spec.inputs[0]))
-        return self.truth()
-
-    def rollout(self, inputs: FloatArray) -> FloatArray:
-        """Take actions ``inputs`` (N, 1) in order; row k of the result (N, machines) is what ``step`` returned."""
-        actions = [category_number(u, self.spec.inputs[0]) for u in checked_inputs(inputs, self.spec)[:, 0]]
-        outputs = np.empty((len(actions), self.machines))
-        for k, action in enumerate(actions):
-            self._move(action)
-            outputs[k] = self._state
-        return outputs
-
     def truth(self) -> FloatArray:
         """Return the states (machines,)."""
-        return self._state.astype(float)
+        return np.asarray(self._state, dtype=float)
 
     def get_state(self) -> Any:
         """Return the states and a copy of the generator's state."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,13 +14,48 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive
 
-__all__ = ["FiniteMdp", "category_number", "checked_distribution", "cumulated", "grid_mdp"]
+__all__ = ["FiniteMdp", "FinitePlant", "category_number", "checked_distribution", "cumulated", "grid_mdp"]
 
 TOLERANCE = 1e-9
 """How far a distribution's sum may be from 1."""
 
 
-class FiniteMdp(BasePlant):
+class FinitePlant(BasePlant, ABC):
+    """A plant of categories that one action moves at every step."""
+
+    _state: Any
+
+    @abstractmethod
+    def truth(self) -> FloatArray:
+        """Return the states (nx,)."""
+
+    @abstractmethod
+    def _move(self, action: int) -> None:
+        """Draw the next states."""
+
+    def step(self, u: FloatArray) -> FloatArray:
+        """Take action ``u`` (1,) and return the next states (nx,).
+
+        Raises
+        ------
+        InputError
+            If the action is not one of 0 .. A-1.
+        """
+        row = checked_inputs(np.atleast_2d(u), self.spec)[0]
+        self._move(category_number(row[0], self.spec.inputs[0]))
+        return self.truth()
+
+    def rollout(self, inputs: FloatArray) -> FloatArray:
+        """Take actions ``inputs`` (N, 1) in order; row k of the result (N, nx) is what ``step`` returned."""
+        actions = [category_number(u, self.spec.inputs[0]) for u in checked_inputs(inputs, self.spec)[:, 0]]
+        outputs = np.empty((len(actions), self.spec.ny))
+        for k, action in enumerate(actions):
+            self._move(action)
+            outputs[k] = self._state
+        return outputs
+
+
+class FiniteMdp(FinitePlant):
     """A finite Markov decision process as a plant: action in, state out.
 
     Parameters
@@ -97,27 +133,6 @@ class FiniteMdp(BasePlant):
         (value,) = initial_values(x0, self.spec.states, [drawn])
         self._state = category_number(value, self.spec.states[0])
         return np.array([float(self._state)])
-
-    def step(self, u: FloatArray) -> FloatArray:
-        """Take action ``u`` (1,) and return the next state (1,).
-
-        Raises
-        ------
-        InputError
-            If the action is not one of 0 .. A-1.
-        """
-        row = checked_inputs(np.atleast_2d(u), self.spec)[0]
-        self._move(category_number(row[0], self.spec.inputs[0]))
-        return np.array([float(self._state)])
-
-    def rollout(self, inputs: FloatArray) -> FloatArray:
-        """Take actions ``inputs`` (N, 1) in order; row k of the result (N, 1) is what ``step`` returned."""
-        actions = [category_number(u, self.spec.inputs[0]) for u in checked_inputs(inputs, self.spec)[:, 0]]
-        outputs = np.empty((len(actions), 1))
-        for k, action in enumerate(actions):
-            self._move(action)
-            outputs[k, 0] = self._state
-        return outputs
 
     def truth(self) -> FloatArray:
         """Return the state (1,)."""

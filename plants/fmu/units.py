@@ -73,10 +73,6 @@ def si_conversion(text: str | None, definition: Any = None) -> Conversion:
     definition : fmpy.model_description.Unit, optional
         The FMU's own definition by base units; it decides where there is one (FMI 2.0.5 sec. 2.2.2).
 
-    Returns
-    -------
-    Conversion
-
     Examples
     --------
     >>> si_conversion("N.m").unit, si_conversion("kg.m2").unit

@@ -19,6 +19,8 @@ from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.mechanics.surprise import Surprise
 from identifiers.online.filters_online import ekf, ukf
 
+from .conftest import passed
+
 TRUTH = {"J": 0.2, "b": 0.05, "mgl": 1.3}
 
 
@@ -31,20 +33,11 @@ def stream(seed=0, n=1200, noise=2e-3, truth=TRUTH):
     return Trajectory(np.arange(n) * 0.02, u, y + noise * rng.normal(size=y.shape), spec)
 
 
-def run(online, records):
-    state = online.init(records[0].spec, rng=np.random.default_rng(0))
-    for one in records:
-        state = online.start(state, one.y[0])
-        for k in range(len(one) - 1):
-            state = online.update(state, one.u[k], one.y[k + 1])
-    return state
-
-
 @pytest.mark.parametrize("make", [ekf, ukf])
 def test_parameters_converge_from_half_and_double(make):
     """Fifty per cent off at the start, one angle measured; sensor noise is learned, too."""
     start = {"J": 0.1, "b": 0.1, "mgl": 2.0}
-    state = run(make("pendulum", start=start), [stream(0), stream(1)])
+    state = passed(make("pendulum", start=start), [stream(0), stream(1)])
     for name, value in TRUTH.items():
         assert state.parameters[name] == pytest.approx(value, rel=0.05), name
         assert state.estimate.deviation(name) < 0.1 * value
@@ -59,7 +52,7 @@ def test_a_cart_pole_with_every_state_measured(make):
     x = system.simulator(0.02).states(system.vector(), [0.0, 0.5, 0.0, 0.0], u)
     spec = PlantSpec(system.inputs, (*system.outputs, Channel("x_rate", "m/s"), Channel("theta_rate", "rad/s")), 0.02)
     data = Trajectory(np.arange(600) * 0.02, u, x + 1e-3 * rng.normal(size=x.shape), spec)
-    state = run(make("cart-pole", start={"mc": 1.5, "mp": 0.3, "l": 0.4}), [data])
+    state = passed(make("cart-pole", start={"mc": 1.5, "mp": 0.3, "l": 0.4}), [data])
     for name in ("mc", "mp", "l"):
         assert state.parameters[name] == pytest.approx(system.values()[name], rel=0.05), name
 
@@ -67,7 +60,7 @@ def test_a_cart_pole_with_every_state_measured(make):
 def test_a_fit_is_one_pass_over_the_records():
     records = [stream(0), stream(1)]
     fitted = ekf("pendulum", start={"J": 0.1}).fit(records, rng=np.random.default_rng(0))
-    assert fitted.parameters == run(ekf("pendulum", start={"J": 0.1}), records).parameters
+    assert fitted.parameters == passed(ekf("pendulum", start={"J": 0.1}), records).parameters
     estimate = estimate_of(fitted)
     assert estimate is not None
     assert estimate.deviation("J") > 0
@@ -88,12 +81,12 @@ def test_an_update_changes_nothing_that_was_there_and_states_travel():
 
 def test_a_sudden_change_is_followed_because_predictions_surprise():
     first, second = stream(0), stream(1, truth={"J": 0.2, "b": 0.05, "mgl": 1.8})
-    assert run(ekf("pendulum"), [first, second]).parameters["mgl"] == pytest.approx(1.8, rel=2e-3)
+    assert passed(ekf("pendulum"), [first, second]).parameters["mgl"] == pytest.approx(1.8, rel=2e-3)
 
 
 def test_a_steady_drift_is_followed_where_it_is_allowed():
     streams = [stream(k, n=300, truth={**TRUTH, "mgl": 1.3 + 0.05 * k}) for k in range(8)]
-    still, walking = (run(ekf("pendulum", walk=walk), streams) for walk in (0.0, 0.02))
+    still, walking = (passed(ekf("pendulum", walk=walk), streams) for walk in (0.0, 0.02))
     assert abs(walking.parameters["mgl"] - 1.65) < 0.05
     assert walking.surprise.widened <= still.surprise.widened
 
@@ -108,7 +101,7 @@ def test_a_double_pendulum_is_learned_from_a_fifth_of_six_parameters(make):
     y = x[:, :2] + 1e-3 * rng.normal(size=(2000, 2))
     data = Trajectory(np.arange(2000) * 0.005, u, y, PlantSpec(system.inputs, system.outputs, 0.005))
     learned = [one.name for one in system.parameters if not one.fixed]
-    state = run(make("double-pendulum", start={name: 0.2 * system.values()[name] for name in learned}), [data])
+    state = passed(make("double-pendulum", start={name: 0.2 * system.values()[name] for name in learned}), [data])
     for name in ("lc1", "lc2", "I2", "b1", "b2"):
         assert state.parameters[name] == pytest.approx(system.values()[name], rel=0.05), name
     assert np.sqrt(state.noise) == pytest.approx(1e-3, rel=0.1)
@@ -121,7 +114,7 @@ def test_what_no_parameters_explain_becomes_noise_and_the_estimate_stays():
     u = np.repeat(rng.uniform(-1, 1, size=(300, 1)), 10, axis=0)
     y = hidden.simulator(0.02).rollout(hidden.vector(TRUTH), np.zeros(hidden.nx), u)
     spec = PlantSpec(system.inputs, system.outputs, 0.02)
-    state = run(ekf("pendulum"), [Trajectory(np.arange(3000) * 0.02, u, y + 1e-4 * rng.normal(size=y.shape), spec)])
+    state = passed(ekf("pendulum"), [Trajectory(np.arange(3000) * 0.02, u, y + 1e-4 * rng.normal(size=y.shape), spec)])
     assert np.sqrt(state.noise[0]) > 3e-4
     for name in ("J", "mgl"):
         assert state.parameters[name] == pytest.approx(TRUTH[name], rel=0.3), name

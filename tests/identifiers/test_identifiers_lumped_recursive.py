@@ -18,9 +18,11 @@ from harness.physics import load_model
 from harness.scoring import regret
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.mechanics.lumped import Form, Lumped
-from identifiers.online.lumped_recursive import RecursiveLumped, RecursiveState
+from identifiers.online.lumped_recursive import RecursiveLumped
 from identifiers.online.rls import RecursiveLeastSquares
 from identifiers.online.rls_pass import rotated
+
+from .conftest import passed
 
 DT = 0.01
 
@@ -35,16 +37,6 @@ def record(model: str, seed: int, *, samples: int = 400, noise: float = 0.0, p: 
     rates = [Channel(f"{one.name}_rate", f"{one.unit}/s") for one in system.outputs]
     y = x + noise * np.repeat([1.0, 10.0], n) * rng.normal(size=x.shape)
     return Trajectory(np.arange(samples) * DT, u, y, PlantSpec(system.inputs, (*system.outputs, *rates), DT))
-
-
-def passed(online: RecursiveLumped, records: list[Trajectory]) -> RecursiveState:
-    """Return the state after all records, sample by sample."""
-    state = online.init(records[0].spec, rng=np.random.default_rng(0))
-    for one in records:
-        state = online.start(state, one.y[0])
-        for k in range(len(one) - 1):
-            state = online.update(state, one.u[k], one.y[k + 1])
-    return state
 
 
 @settings(max_examples=30, deadline=None)

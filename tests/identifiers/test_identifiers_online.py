@@ -13,10 +13,12 @@ from harness.registry import create
 from harness.scoring import predict, regret, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.least_squares import Arx
-from identifiers.online.along import along
+from identifiers.online.along import along, sizes_of
 from identifiers.online.leader import FollowTheLeader
 from identifiers.online.rls import RecursiveLeastSquares
 from identifiers.online.rls_pass import run
+
+from .conftest import passed
 
 RNG = np.random.default_rng(0)
 SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
@@ -30,19 +32,10 @@ def stream(samples: int, seed: int, sigma: float = 0.1) -> Trajectory:
     return Trajectory(np.arange(samples) * 1.0, u, y, SPEC)
 
 
-def learned(online: RecursiveLeastSquares, *records: Trajectory):
-    state = online.init(records[0].spec, rng=RNG)
-    for one in records:
-        state = online.start(state, one.y[0])
-        for k in range(len(one) - 1):
-            state = online.update(state, one.u[k], one.y[k + 1])
-    return state
-
-
 def test_recursive_equals_batch_to_rounding():
     records = [stream(150, 1), stream(90, 2)]
     online = RecursiveLeastSquares(order=3, prior=1e-12)
-    theta = learned(online, *records).coefficients.T
+    theta = passed(online, records).coefficients.T
     batch = Arx(order=3).fit(records, rng=RNG)
     assert theta[0, :3] == pytest.approx(batch.a_matrix[0, :3], abs=1e-11)
     assert theta[0, 3] == pytest.approx(batch.b_matrix[0, 0], abs=1e-11)
@@ -126,7 +119,7 @@ def test_a_leader_that_cannot_be_is_refused_by_name():
 
 def test_the_old_state_stays_valid():
     online = RecursiveLeastSquares(order=1)
-    old = learned(online, stream(20, 0))
+    old = passed(online, [stream(20, 0)])
     before = old.coefficients.copy()
     online.update(old, np.array([5.0]), np.array([99.0]))
     assert np.array_equal(old.coefficients, before)
@@ -138,7 +131,7 @@ def test_forgetting_follows_a_plant_that_changes():
     for k in range(599):
         y[k + 1] = (0.8 if k < 300 else -0.4) * y[k] + u[k]
     record = Trajectory(np.arange(600.0), u, y, SPEC)
-    found = [learned(RecursiveLeastSquares(order=1, forgetting=f), record).coefficients[0, 0] for f in (1.0, 0.95)]
+    found = [passed(RecursiveLeastSquares(order=1, forgetting=f), [record]).coefficients[0, 0] for f in (1.0, 0.95)]
     assert found[1] == pytest.approx(-0.4, abs=1e-3)
     assert abs(found[0] + 0.4) > 0.1
 
@@ -146,7 +139,7 @@ def test_forgetting_follows_a_plant_that_changes():
 def test_a_seam_is_not_a_transition():
     record = stream(100, 5, sigma=0.0)
     online = RecursiveLeastSquares(order=2, offset=False, prior=1e-12)
-    theta = learned(online, record[:40], record[60:]).coefficients
+    theta = passed(online, [record[:40], record[60:]]).coefficients
     y, u = record.y, record.u
     assert y[2:] == pytest.approx(np.hstack([y[1:-1], y[:-2], u[1:-1], u[:-2]]) @ theta, abs=1e-8)
 
@@ -240,7 +233,7 @@ def with_state(online, state, record):
     for k in range(len(record) - 2):
         new = online.update(state, record.u[k], record.y[k + 1])
         if hasattr(state, "theta"):  # gradient descent: the filter goes on, the parameters stay
-            w = record.u[k] / online._size(state.squares)[:1]
+            w = record.u[k] / sizes_of(state.squares, online.burn_in)[:1]
             a = state.theta[: online.order]
             state = state._replace(w=np.vstack([w - a @ state.w, state.w[:-1]]))
         elif hasattr(state, "weights"):

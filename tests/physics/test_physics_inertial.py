@@ -250,3 +250,38 @@ def test_least_squares_that_no_mass_makes_is_written_all_the_same(iiwa):
     model = Inertial(method="least-squares", intersample="smooth").fit([learnt], rng=np.random.default_rng(0))
     assert not is_consistent(model.inertial.reshape(-1, 10))
     assert type(model).from_dict(json.loads(json.dumps(model.to_dict(), allow_nan=False))).notes["cost"] is None
+
+
+def test_identify_says_how_far_the_torques_of_held_out_runs_are(tmp_path, capsys):
+    """Nobody was told what the published logs of arms are judged by."""
+    from harness import identify
+    from harness.cli.results import print_identified
+    from harness.signals import Dataset, Run
+
+    path = tmp_path / "joint.urdf"
+    path.write_text(
+        '<robot name="joint"><link name="base"/><joint name="j" type="revolute"><parent link="base"/><child link="l"/>'
+        '<axis xyz="0 1 0"/></joint><link name="l"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>'
+        '<inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+    )
+    arm = load_arm(path)
+    runs = [Run(record(arm, arm.arm.parameters, seed=seed, n=2000), use)
+            for seed, use in enumerate(("estimation", "validation"))]  # fmt: skip
+    held_out = runs[1].trajectory
+    off = replace(held_out, u=held_out.u + 0.5)
+    options = {"model": str(path), "intersample": "smooth"}
+    exact = identify(Dataset("arm", tuple(runs)), identifier="inertial", options=options)
+    (joint,) = exact.torque_errors["validation"][0]
+    assert (joint.joint, joint.unit) == ("tau1", "N m")
+    assert joint.nrmse < 0.01
+    wrong = identify(Dataset("arm", (runs[0], Run(off, "validation"))), identifier="inertial", options=options)
+    (joint,) = wrong.torque_errors["validation"][0]
+    assert joint.rms == pytest.approx(0.5, rel=0.02)
+    assert joint.nrmse == pytest.approx(0.5 / held_out.u.std(), rel=0.05)
+    assert wrong.to_dict()["torque_error"]["validation"][0][0]["rms"] == joint.rms
+    assert not wrong.to_dict()["torque_error"]["test"]
+    print_identified(wrong, "inertial")
+    printed = capsys.readouterr().out
+    assert f"{joint.rms:.3g} N m" in printed
+    assert "validation" in printed
+    assert wrong.model.torque_errors(off)[0] == joint

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import plants
-from harness.signals import Trajectory
+from harness.signals import FloatArray, Trajectory
 
 GOLDEN = Path(plants.__file__).parent / "golden"
 FOLDER = Path(__file__).resolve().parent / "fmus"
@@ -63,3 +65,21 @@ def golden() -> Callable[[str, Trajectory, float], None]:
         np.testing.assert_allclose(table, np.loadtxt(path, delimiter=",", skiprows=1), rtol=0, atol=tolerance)
 
     return compare
+
+
+def pendulum_reference(arm: Any, inputs: FloatArray, theta: float, dry: float = 0.0) -> FloatArray:
+    """Return theta (N,) of J theta'' + b theta' + mgl sin(theta) + Fc sign(theta') = u by an accurate solver."""
+    from scipy.integrate import solve_ivp
+
+    p = arm.true_parameters
+    z, out = np.array([theta, 0.0]), [theta]
+
+    def rate(_: float, z: FloatArray, u: float) -> list[float]:
+        force = u - p["b"] * z[1] - dry * np.tanh(z[1] / 1e-3) - p["mgl"] * np.sin(z[0])
+        return [z[1], force / p["J"]]
+
+    for (u,) in inputs[:-1]:
+        solution = solve_ivp(partial(rate, u=u), (0, arm.spec.sample_time), z, rtol=1e-9, atol=1e-11, method="LSODA")
+        z = solution.y[:, -1]
+        out.append(z[0])
+    return np.array(out)

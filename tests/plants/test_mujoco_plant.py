@@ -16,12 +16,14 @@ from harness.conformance import check_plant
 from harness.errors import InputError, PlantError
 from harness.protocols import Experiment
 from harness.rollout import perform
-from harness.signals import FloatArray, Trajectory
+from harness.signals import Trajectory
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'sysid-harness[mujoco]'")
 
 from plants.mujoco.plant import MujocoPlant  # noqa: E402
 from plants.mujoco.robots import one_joint_arm  # noqa: E402
+
+from .conftest import pendulum_reference  # noqa: E402
 
 RNG = np.random.default_rng
 HOPPER = """<mujoco model="hopper"><option timestep="0.002"/><worldbody><geom type="plane" size="5 5 1"/>
@@ -34,24 +36,6 @@ HOPPER = """<mujoco model="hopper"><option timestep="0.002"/><worldbody><geom ty
 dynprm=".02"/></actuator><sensor><accelerometer name="acc" site="imu"/><framepos name="where" objtype="body"
 objname="leg"/><jointpos name="angle" joint="hip"/></sensor><keyframe><key name="bent"
 qpos="0 0 .5 1 0 0 0 .4 1 0 0 0"/></keyframe></mujoco>"""
-
-
-def pendulum(arm: MujocoPlant, inputs: FloatArray, theta: float, dry: float = 0.0) -> FloatArray:
-    """Return theta (N,) of J theta'' + b theta' + mgl sin(theta) + dry sign(theta') = u by an accurate solver."""
-    from scipy.integrate import solve_ivp
-
-    p = arm.true_parameters
-    z, out = np.array([theta, 0.0]), [theta]
-
-    def rate(_: float, z: FloatArray, u: float) -> list[float]:
-        push = u - p["b"] * z[1] - dry * np.tanh(z[1] / 1e-3) - p["mgl"] * np.sin(z[0])
-        return [z[1], push / p["J"]]
-
-    for (u,) in inputs[:-1]:
-        solved = solve_ivp(partial(rate, u=u), (0, arm.spec.sample_time), z, rtol=1e-9, atol=1e-11, method="LSODA")
-        z = solved.y[:, -1]
-        out.append(z[0])
-    return np.array(out)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +51,7 @@ def test_the_arm_converges_to_the_pendulum_with_the_order_of_its_integrator(
         with one_joint_arm(sample_time=0.02, **given) as arm:
             log = perform(arm, Experiment(inputs, x0={"theta": 1.0}), rng=RNG(0))
             assert arm.true_parameters["J"] == pytest.approx(0.35)
-            errors.append(np.abs(log.y[:, 0] - pendulum(arm, inputs, 1.0)).max())
+            errors.append(np.abs(log.y[:, 0] - pendulum_reference(arm, inputs, 1.0)).max())
     assert errors[-1] < error
     assert np.log2(errors[0] / errors[1]) > order, errors
 
@@ -76,7 +60,7 @@ def test_dry_friction_is_coulombs_and_holds_the_arm() -> None:
     inputs = (3.0 * np.sin(0.05 * np.arange(150)))[:, None]
     with one_joint_arm(sample_time=0.02, substeps=20, joint_friction=0.4, joint_damping=0.05) as arm:
         log = perform(arm, Experiment(inputs, x0={"theta": 1.0}), rng=RNG(0))
-        assert np.abs(log.y[:, 0] - pendulum(arm, inputs, 1.0, dry=0.4)).max() < 5e-3
+        assert np.abs(log.y[:, 0] - pendulum_reference(arm, inputs, 1.0, dry=0.4)).max() < 5e-3
         arm.reset(rng=RNG(0))
         held = arm.rollout(np.full((500, 1), 0.39))
         slipping = arm.rollout(np.full((100, 1), 0.6))

@@ -23,6 +23,8 @@ pybullet = pytest.importorskip("pybullet", reason="PyBullet is not installed: it
 from plants.bullet.options import ArmOptions  # noqa: E402
 from plants.bullet.robots import ArmPlant, acrobot, double_pendulum, iiwa, one_joint_arm, panda  # noqa: E402
 
+from .conftest import pendulum_reference  # noqa: E402
+
 RNG = np.random.default_rng
 
 
@@ -30,24 +32,6 @@ def swing(n: int, dt: float) -> FloatArray:
     """Return a smooth torque, held for each sample."""
     t = np.arange(n) * dt
     return (1.5 * np.sin(2.5 * t) + 0.5 * np.sin(7.0 * t))[:, None]
-
-
-def pendulum_reference(arm: ArmPlant, inputs: FloatArray, theta: float, dry: float = 0.0) -> FloatArray:
-    """Return theta (N,) of J theta'' + b theta' + mgl sin(theta) + Fc sign(theta') = u by an accurate solver."""
-    from scipy.integrate import solve_ivp
-
-    p = arm.true_parameters
-    z, out = np.array([theta, 0.0]), [theta]
-
-    def rate(_: float, z: FloatArray, u: float) -> list[float]:
-        force = u - p["b"] * z[1] - dry * np.tanh(z[1] / 1e-3) - p["mgl"] * np.sin(z[0])
-        return [z[1], force / p["J"]]
-
-    for (u,) in inputs[:-1]:
-        solution = solve_ivp(partial(rate, u=u), (0, arm.spec.sample_time), z, rtol=1e-9, atol=1e-11, method="LSODA")
-        z = solution.y[:, -1]
-        out.append(z[0])
-    return np.array(out)
 
 
 @pytest.mark.parametrize(("damping", "dry"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.2), (0.05, 0.2)])

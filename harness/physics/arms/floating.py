@@ -187,13 +187,9 @@ def rotation_matrices(quaternion: FloatArray) -> FloatArray:
     >>> rotation_matrices(np.array([[1.0, 0.0, 0.0, 1.0]]))[0].round(12).tolist()
     [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     """
-    w, x, y, z = (np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(np.roll(quaternion, -1, axis=-1)).as_matrix(), dtype=np.float64)
 
 
 def load_floating(path: str | Path) -> FloatingRobot:

@@ -47,14 +47,6 @@ def with_latent_forces(system: System) -> Disturbed:
     A delay of a reading becomes part of the outputs, as the first terms of its Taylor series along the motion: a filter
     looks at the present state only. Rounding of readings is left out: it counts as noise.
 
-    Parameters
-    ----------
-    system : System
-
-    Returns
-    -------
-    Disturbed
-
     Examples
     --------
     >>> from harness.physics.models import cart_pole

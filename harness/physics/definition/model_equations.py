@@ -10,7 +10,7 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import unknown_name
 from harness.fingerprint import fingerprint
 from harness.physics.definition.dimensions import Dimensions
 from harness.physics.definition.linear_solve import solve_symmetric
@@ -238,10 +238,5 @@ _EXPRESSIONS = ("mass_matrix", "generalized_forces", "rates", "h", "loads", "ini
 def index_of(name: str, names: Sequence[str], what: str) -> int:
     """Return the index of a name, or refuse it."""
     if name not in names:
-        raise InputError(
-            f"unknown {what}",
-            expected=f"one of {', '.join(names) or '(none)'}",
-            got=repr(name),
-            remedy="correct the name",
-        )
+        raise unknown_name(f"unknown {what}", name, names)
     return list(names).index(name)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, unknown_name
 
 __all__ = ["FAR", "Parameter", "as_parameter", "defaults", "said_far"]
 
@@ -179,12 +179,7 @@ def defaults(parameters: Iterable[Parameter], given: Mapping[str, float] | None 
     values = {parameter.name: parameter.value for parameter in parameters}
     for name, value in (given or {}).items():
         if name not in values:
-            raise InputError(
-                "unknown parameter",
-                expected=f"one of {', '.join(values) or '(none)'}",
-                got=repr(name),
-                remedy="correct the name",
-            )
+            raise unknown_name("unknown parameter", name, values)
         if not np.isfinite(value):
             raise InputError(
                 f"value of parameter {name!r}", expected="a finite number", got=repr(value), remedy="correct the value"

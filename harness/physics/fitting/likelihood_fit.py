@@ -64,10 +64,6 @@ def fit_likelihood(
         False for a latent force without a white part.
     intersample : {"zoh", "foh", "smooth"}
 
-    Returns
-    -------
-    LikelihoodFit
-
     Raises
     ------
     FitError

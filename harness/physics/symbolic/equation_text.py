@@ -28,10 +28,6 @@ def equations(model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -
     form : {"text", "latex"}
         Plain text (``theta''`` is the second derivative) or LaTeX without dollar signs.
 
-    Returns
-    -------
-    list of str
-
     Examples
     --------
     >>> from harness.physics.models import oscillator, pendulum

@@ -8,7 +8,7 @@ from typing import Any
 
 import sympy as sp
 
-from harness.errors import InputError
+from harness.errors import InputError, unknown_name
 from harness.physics.symbolic.mechanism import Mechanism
 
 __all__ = ["Split", "known_symbols", "lagrangian", "split"]
@@ -84,12 +84,7 @@ def known_symbols(mechanism: Mechanism, known: Mapping[str, float]) -> dict[Any,
     symbols = {str(symbol): symbol for symbol in mechanism.p}
     for name in known:
         if name not in symbols:
-            raise InputError(
-                f"known parameter of {mechanism.name!r}",
-                expected=f"one of {', '.join(symbols)}",
-                got=repr(name),
-                remedy="correct the name",
-            )
+            raise unknown_name(f"known parameter of {mechanism.name!r}", name, symbols)
     return {symbols[name]: sp.Float(float(value), 17) for name, value in known.items()}
 
 

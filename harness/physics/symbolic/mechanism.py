@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import sympy as sp
 
-from harness.errors import InputError
+from harness.errors import InputError, unknown_name
 from harness.physics.compiled.system import BodyTerm, Coordinate, System
 from harness.physics.definition.parameters import Parameter, as_parameter
 from harness.physics.symbolic.convert import to_casadi
@@ -169,12 +169,7 @@ class Mechanism:
         names = [str(symbol) for symbol in self.p]
         for key, value in {**(known or {}), **more}.items():
             if key not in names:
-                raise InputError(
-                    f"unknown parameter of {self.name!r}",
-                    expected=f"one of {', '.join(names) or '(none)'}",
-                    got=repr(key),
-                    remedy="correct the name",
-                )
+                raise unknown_name(f"unknown parameter of {self.name!r}", key, names)
             self._parameters[key] = as_parameter(key, value, minimum=0.0)
 
     # ---- derived -------------------------------------------------------------------------------------------------

@@ -101,10 +101,6 @@ def read_equations(text: str, name: str = "typed") -> Ode:
     name : str
         Of the model.
 
-    Returns
-    -------
-    Ode
-
     Raises
     ------
     InputError

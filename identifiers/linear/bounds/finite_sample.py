@@ -111,12 +111,6 @@ class FiniteSample:
     def beside(self, model: Any, records: Sequence[Trajectory], *, rng: np.random.Generator) -> Findings:
         """Return bounds beside a model that was fitted to the records already.
 
-        Parameters
-        ----------
-        model : LinearModel
-        records : sequence of Trajectory
-        rng : numpy.random.Generator
-
         Raises
         ------
         InputError

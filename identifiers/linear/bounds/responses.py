@@ -132,15 +132,7 @@ def responses(
 
 
 def norm_of_spread(matrices: Matrices, spread: Spread, confidence: float, rng: np.random.Generator) -> float:
-    """Return what the largest gain over all frequencies of a model's error stays below, by its neighbours.
-
-    Parameters
-    ----------
-    matrices : (A, B, C, D)
-    spread : Spread
-    confidence : float
-    rng : numpy.random.Generator
-    """
+    """Return what the largest gain over all frequencies of a model's error stays below, by its neighbours."""
     frequency = np.linspace(0.0, 0.5, _FREQUENCIES)
     middle = gains(matrices, frequency, 1.0)
     away = np.array([gains(one, frequency, 1.0) - middle for one in spread.models])

@@ -15,6 +15,7 @@ from harness.models.determined import KEY, determined_bands
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import GROUPS, steps_without
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import Scaling, scaled
@@ -104,10 +105,6 @@ class ContinuousTransferFunction:
 
         Residuals over their standard deviations are minimised from Sanathanan and Koerner's iteration; without a
         variance every response counts by its own size. ``hold`` and ``offset`` play no part.
-
-        Parameters
-        ----------
-        data : FrequencyResponse
         """
         self._check("transfer-function", proper=False)
         orders = ORDERS if self.order is None else (self.order,)
@@ -137,11 +134,11 @@ class ContinuousTransferFunction:
         zeros = 0 if self.zeros is None else self.zeros
         wrong = order < 1 or not 0 <= zeros <= order - int(proper) or (self.delay is not None and self.delay < 0)
         if wrong or self.hold not in ("zoh", "foh"):
-            raise FitError(
-                f"{what}: options",
-                expected="order >= 1, zeros from 0 to below it, delay >= 0, hold zoh or foh",
-                got=f"order={self.order}, zeros={self.zeros}, delay={self.delay}, hold={self.hold}",
-                remedy="correct the options",
+            raise wrong_options(
+                self,
+                what,
+                "order >= 1, zeros from 0 to below it, delay >= 0, hold zoh or foh",
+                "order zeros delay hold",
             )
 
     def _one_output(

@@ -15,6 +15,7 @@ from harness.models.estimate import Estimate
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.named import wrong_options
 from identifiers.common.one_step_estimate import LARGEST, quotient, whiteness
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable
 from identifiers.common.scaling import sizes
@@ -112,12 +113,7 @@ class ImpulseResponse:
         """
         what = "impulse-response"
         if (self.length is not None and self.length < 2) or self.kernel not in ("auto", *KERNELS):
-            raise FitError(
-                f"{what}: options",
-                expected="length at least 2, kernel auto, tc, dc or ss",
-                got=f"length={self.length}, kernel={self.kernel}",
-                remedy="correct the options",
-            )
+            raise wrong_options(self, what, "length at least 2, kernel auto, tc, dc or ss", "length kernel")
         records, spec = usable(trajectories, samples=4, what=what, holes="kept")
         real_signals(spec, what)
         if spec.nu == 0:

@@ -82,17 +82,7 @@ def fitted_pilot(
     amplitudes: Sequence[float],
     rng: np.random.Generator,
 ) -> Pilot:
-    """Return the pilot of records and the model that was fitted to them.
-
-    Parameters
-    ----------
-    model : Model
-    records : sequence of Trajectory
-    asked : {"gain", "pole", "response", "parameter"}
-    frequency : float, optional
-    amplitudes : sequence of float
-    rng : numpy.random.Generator
-    """
+    """Return the pilot of records and the model that was fitted to them."""
     words = _warnings(model)
     rows = sum(map(len, records))
     if asked == "parameter":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -215,8 +215,3 @@ def _length(matrices: Matrices) -> int:
     response = np.abs(steps(matrices, _LONGEST, "impulse")).reshape(_LONGEST, -1)
     alive = np.flatnonzero((response > _DIED * response.max(axis=0)).any(axis=1))
     return int(alive[-1]) + 2 if alive.size else 2
-
-
-def names_of(items: Sequence[Item]) -> str:
-    """Return their names in one text."""
-    return ", ".join(item.name for item in items)

@@ -90,12 +90,6 @@ def filtered_model(model: StateSpace, pieces: Sequence[Piece], direct: bool) -> 
     White noise on the outputs, whitened by the plant's own denominator in the regression, weighs a fast sampled plant
     where it does nothing; the filter takes that away (Steiglitz & McBride 1965, IEEE Trans. AC 10:461). None where the
     pieces are too short, or readings are missing.
-
-    Parameters
-    ----------
-    model : StateSpace
-    pieces : sequence of Piece
-    direct : bool
     """
     from scipy.signal import sosfilt, zpk2sos
 

@@ -342,16 +342,13 @@ def _left_out(model: Any, names: Sequence[str], locked: Collection[str]) -> Iter
 
 def rotation_of(quaternion: FloatArray) -> FloatArray:
     """Return the rotation matrix of a quaternion (w, x, y, z)."""
-    w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(np.roll(quaternion, -1)).as_matrix(), dtype=np.float64)
 
 
 def _turned(axis: FloatArray, angle: float) -> FloatArray:
     """Return the rotation matrix about a unit axis."""
-    return rotation_of(np.concatenate([[math.cos(angle / 2)], math.sin(angle / 2) * np.asarray(axis)]))
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(angle * np.asarray(axis)).as_matrix(), dtype=np.float64)
