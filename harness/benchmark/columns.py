@@ -121,7 +121,7 @@ def _all_default(column: Any) -> bool:
     import pyarrow as pa
 
     if pa.types.is_list(column.type):
-        return column.null_count == 0 and all(len(chunk.flatten()) == 0 for chunk in column.chunks)
+        return not column.null_count and not any(len(chunk.flatten()) for chunk in column.chunks)
     return bool(column.null_count == len(column))
 
 

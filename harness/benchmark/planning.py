@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -80,12 +81,9 @@ def read_shard(text: str | None) -> tuple[int, int] | None:
     """
     if text is None:
         return None
-    first, slash, last = text.partition("/")
-    try:
-        pair = (int(first), int(last))
-    except ValueError:
-        pair = (0, 0)
-    if not slash or not 1 <= pair[0] <= pair[1]:
+    found = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", text)
+    pair = None if found is None else (int(found[1]), int(found[2]))
+    if pair is None or not 1 <= pair[0] <= pair[1]:
         raise InputError(
             "share of a job array",
             expected="i/n with 1 <= i <= n",

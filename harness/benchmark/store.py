@@ -9,7 +9,6 @@ differs from one run to the next; ``timings.parquet`` and ``regret.parquet`` go 
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import platform
 import shutil
 from collections.abc import Sequence
@@ -23,7 +22,7 @@ from harness import __version__
 from harness.benchmark.columns import FORMAT, arrow_table, columns_of_files, rows_of, write_rows
 from harness.benchmark.parts import Cell, Suite, Task
 from harness.benchmark.row import Row, read_row
-from harness.data.whole_files import write_text
+from harness.data.whole_files import write_json
 from harness.errors import InputError
 from harness.jobs.manifest import read_manifest
 from harness.jobs.stored import read_columns, reading
@@ -146,7 +145,7 @@ class Store:
         }
         if order:
             content["order"] = list(order)
-        write_text(self.manifest, json.dumps(content, indent=1) + "\n")
+        write_json(self.manifest, content)
         return found
 
     def shares(self) -> list[Store]:
@@ -181,7 +180,7 @@ class Store:
         rows = {job: row for share in shares for job, row in share.rows().items()}
         planned = len(first["order"])
         whole = {key: first[key] for key in ("format", "suite", "description", "versions")}
-        write_text(self.manifest, json.dumps({**whole, "planned": planned, "cells": cells}, indent=1) + "\n")
+        write_json(self.manifest, {**whole, "planned": planned, "cells": cells})
         self.write([rows[cell[0]] for cell in cells if cell[0] in rows])
 
     def read_manifest(self) -> dict[str, Any]:

@@ -192,7 +192,7 @@ def _control_text(good: Sequence[Row]) -> str:
         text += "" if row.stabilisable else ", not stabilisable"
         text += "" if row.detectable else ", not detectable"
         texts[text if row.control_status == "ok" else f"{row.control_status}; {text}"] += 1
-    return texts.most_common(1)[0][0] if texts else ""
+    return max(texts, key=texts.__getitem__, default="")
 
 
 def _standings(

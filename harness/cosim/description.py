@@ -12,6 +12,7 @@ import msgspec
 
 from harness.cosim.master import Coupled
 from harness.cosim.terminals import expanded
+from harness.cosim.watched import made
 from harness.cosim.wiring import Connection
 from harness.errors import HarnessError, InputError
 from harness.protocols import Plant
@@ -189,7 +190,7 @@ def couple(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = 
             if id == "fmu" and "path" in options:
                 files[name] = Path(options["path"])
             try:
-                parts[name] = make(id, options)
+                parts[name] = made(make, id, options, name)
             except InputError as error:
                 raise error.located(file=path, place=f"parts.{name}") from error
         wires = [

@@ -14,6 +14,7 @@ from harness.cosim.controlled import Controlled, Hold, Lines
 from harness.cosim.graph import followers, reached_at_once, strong_components
 from harness.cosim.loops import newton
 from harness.cosim.texts import split
+from harness.cosim.watched import watched
 from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
@@ -116,6 +117,7 @@ class Coupled:
     ) -> None:
         _check_asked(parts, order)
         step = sample_time if sample_time is not None else min(plant.spec.sample_time for plant in parts.values())
+        parts = {name: watched(plant, name) for name, plant in parts.items()}
         self._parts = place(parts, step)
         self.beyond = tuple(f"{name}.{text}" for name, part in parts.items() for text in getattr(part, "beyond", ()))
         self._order: Order = order

@@ -13,6 +13,7 @@ from harness.cosim.structure.flat import Describe, FlatComponent, FlatSystem, na
 from harness.cosim.structure.flatten import flatten
 from harness.cosim.structure.model import Description
 from harness.cosim.structure.open import open_structure
+from harness.cosim.watched import made
 from harness.cosim.wiring import Connection, Shown
 from harness.errors import InputError
 from harness.protocols import Plant
@@ -142,7 +143,7 @@ def _made(component: FlatComponent, make: Make, step: float, shared: Mapping[str
     if component.kind is not None:
         options["kind"] = component.kind
     try:
-        return make("fmu", options)
+        return made(make, "fmu", options, component.label)
     except InputError as error:
         raise named(error, component.label, component.path, path) from error
 

@@ -69,7 +69,7 @@ class Part:
     inputs: slice
     outputs: slice
     every: int
-    held: FloatArray = field(default_factory=lambda: np.zeros(0))
+    held: FloatArray = field(default_factory=lambda: np.array(()))
     read: Callable[[list[float]], FloatArray] = field(default=lambda signals: np.array(signals))
     """Makes the inputs out of the common list of signals."""
 

@@ -22,6 +22,7 @@ from harness.errors import HarnessError, InputError, PlantError
 from harness.options import instead, meant_options
 from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import FloatArray
+from harness.supervision.whereabouts import share
 from plants.isolation import frames
 from plants.isolation.frames import Answer, Made
 
@@ -50,6 +51,7 @@ def serve() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+    share(os.environ["TMPDIR"])
     plant: Plant | None = None
     states: dict[int, Any] = {}
     number, told = 0, 0

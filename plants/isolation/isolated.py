@@ -25,6 +25,7 @@ import numpy as np
 from harness.errors import HarnessError, InputError, PlantError
 from harness.protocols import Ability, Plant
 from harness.signals import FloatArray, PlantSpec
+from harness.supervision.whereabouts import was_at_work_on
 from plants.checking import checked_inputs, refuse_input
 from plants.isolation import frames
 from plants.isolation.child import registered
@@ -386,13 +387,21 @@ class _Child:
             frames.send(self.pipe, pickle.dumps((name, arguments, dropped), protocol=5), limit=limit)
             return _DECODER.decode(frames.receive(self.pipe, largest=largest, limit=limit))
         except TimeoutError:
+            part = self._part()
             self.end(polite=False)
-            raise _Gone(f"no answer to {name} within {limit:g} s", "timeout") from None
+            missed = "not loaded" if name == "make" else f"no answer to {name}"
+            raise _Gone(f"{part}{missed} within {limit:g} s", "timeout") from None
         except (msgspec.DecodeError, HarnessError):  # no frame of ours, or a spec that makes no sense
             self.end(polite=False)
             raise _Gone(f"the child's answer to {name} is no answer", "crashed") from None
         except (EOFError, OSError):
-            raise _Gone(f"{self._obituary()} during {name}", "crashed") from None
+            part = self._part()
+            raise _Gone(f"{part}{self._obituary()} during {'loading' if name == 'make' else name}", "crashed") from None
+
+    def _part(self) -> str:
+        """Return which part of a coupled system the process is or was at work on, as the beginning of a message."""
+        name = frames.plain(was_at_work_on(self.folder))
+        return f"part {name!r}: " if name else ""
 
     def _obituary(self) -> str:
         """Return how the process ended."""

@@ -31,8 +31,9 @@ HEAD = (
     "bound",
     "over best",
     "regret",
-    "fit",
 )
+FIT = "fit"
+"""Title of the column behind those of scores that not every model has."""
 
 
 def render(result: BenchResult, form: str) -> str:
@@ -60,7 +61,7 @@ def render(result: BenchResult, form: str) -> str:
 def _markdown(result: BenchResult) -> str:
     lines = result.summary()
     control, more = _asked(lines), optional_scores(lines)
-    head = (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)
+    head = (*HEAD, *more.values(), FIT, *CONTROL * control)
     rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     rows += ["| " + " | ".join(_cells(line, more, "**{}**", markdown_text, control)) + " |" for line in lines]
     return "\n".join(rows) + "\n"
@@ -69,7 +70,7 @@ def _markdown(result: BenchResult) -> str:
 def _latex(result: BenchResult) -> str:
     lines = result.summary()
     control, more = _asked(lines), optional_scores(lines)
-    head = " & ".join(map(latex_text, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
+    head = " & ".join(map(latex_text, (*HEAD, *more.values(), FIT, *CONTROL * control)))
     columns = f"lllrlllllll{'l' * len(more)}{'llll' * control}"
     words = (
         f"Suite {result.suite}: median [quartiles] over seeds of the NRMSE on held-out records. {pairs_in_words(lines)}"
@@ -155,7 +156,8 @@ def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[s
         texts += [_score(line.control_score), _score(line.predictive_cost), _score(line.control_regret), line.control]
     cells = [quote(text) for text in texts]
     if line.leading:
-        cells[5] = bold.format(cells[5])
+        place = HEAD.index("simulation error")
+        cells[place] = bold.format(cells[place])
     return cells
 
 

@@ -6,6 +6,7 @@ rows, not beside them; without the columns of :data:`LEAVING`; without quartiles
 
 from __future__ import annotations
 
+import sys
 import textwrap
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -25,7 +26,7 @@ __all__ = ["rich_table"]
 
 LEAVING = ("model for control", "control regret")
 """Columns that leave a table that is too wide, together; the quartiles of the others leave after them."""
-UNBOUNDED = 100_000
+UNBOUNDED = sys.maxsize
 """Columns in which every table fits."""
 SHORT = 9
 """Letters of a title that stays on one line where columns are narrow."""
@@ -141,7 +142,7 @@ def _empty() -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    return Table(box=SIMPLE_HEAD, header_style="bold", padding=(0, 1), collapse_padding=True, pad_edge=False)
+    return Table(box=SIMPLE_HEAD, header_style="bold", collapse_padding=True, pad_edge=False)
 
 
 def _whole(lines: Sequence[Summary], columns: Sequence[_Column]) -> Table:
@@ -213,7 +214,7 @@ def _blocks(lines: Sequence[Summary], columns: Sequence[_Column]) -> list[Render
             shown.append(Text.assemble(name, " ", ok, status))
             for one in columns:
                 if text := one.text(line):
-                    shown.append(Padding(Text(f"{one.title}: {text}", style=one.style(line)), (0, 0, 0, 2)))
+                    shown.append(Padding.indent(Text(f"{one.title}: {text}", style=one.style(line)), 2))
     return [*shown, Text("")]
 
 

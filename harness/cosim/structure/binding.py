@@ -18,7 +18,7 @@ from harness.cosim.structure.model import (
     Mapped,
     Value,
 )
-from harness.cosim.structure.walk import DICTIONARY, FIXED, Place, Walk
+from harness.cosim.structure.walk import FIXED, Place, Walk
 
 __all__ = ["Bound"]
 
@@ -50,16 +50,16 @@ class Bound:
 
     def _give(self, way: Way, value: Value, *, given: bool) -> bool:
         """Set every variable of a name (several may share it); returns whether there is one."""
-        hits = 0
+        heard = False
         for place, connector in list(self.walk.connectors.items()):
-            if place[0] in self.walk.components or place[0][: len(way)] != way or DICTIONARY in "".join(place[0]):
+            if place[0] in self.walk.components or place[0][: len(way)] != way:
                 continue
             if dotted(place[0][len(way) :], place[1]) == value.name:
                 unit = connector.unit or value.unit
                 content = value.value if not given or unit is None else each(value.value, Chain().then(unit.from_si))
                 landed = self._landed(value, content, connector, unit)
                 self.values[place] = (landed, unit)
-                hits += 1
+                heard = True
         for inner, component in self.walk.components.items():
             if inner[: len(way)] != way:
                 continue
@@ -76,8 +76,8 @@ class Bound:
                 if self.walk.physical[place] and connector.unit is not None:
                     landed = each(landed, Chain().then(connector.unit.to_si))
                 self.put(component, row, landed)
-            hits += 1
-        return hits > 0
+            heard = True
+        return heard
 
     def _landed(self, value: Value, content: Any, target: Connector, unit: Unit | None) -> Any:
         """Return a value at its target: units first, then the transformation (sec. 7.1)."""
@@ -109,8 +109,8 @@ class Bound:
     def number(self, place: Place) -> Any:
         """Return the value of a connector; an item of an enumeration as its number where it is known."""
         content, _ = self.values[place]
-        items = self.walk.connectors[place].items
-        return items[content] if isinstance(content, str) and items and content in items else content
+        items = self.walk.connectors[place].items or {}
+        return items.get(content, content) if isinstance(content, str) else content
 
     def put(self, component: FlatComponent, row: dict[str, Any], value: Any) -> None:
         """Give a value to a variable of an FMU: a parameter, or a start value."""
