@@ -101,8 +101,10 @@ def test_a_stiff_spring_changes_the_torque_in_proportion_to_its_compliance(joint
 
 @pytest.mark.slow
 @pytest.mark.parametrize("side", ["motor", "link"])
-def test_the_report_gives_the_stiffness_with_its_interval_and_no_friction(joint: ArmModel, side: str) -> None:
-    report = close_loop(log(joint, side, 8.0, 4), joint)
+def test_the_report_gives_the_stiffness_with_its_interval_and_no_friction(
+    joint: ArmModel, side: str, tmp_path: Path
+) -> None:
+    report = close_loop(log(joint, side, 8.0, 4), joint, out=tmp_path / "out")
     effects: dict[str, Any] = {one["name"]: one["parameters"] for one in report.data["effects"]}
     assert set(effects) == {"joint_elasticity" if side == "motor" else "joint_elasticity_of_link", "rotor_inertia"}
     stiffness = next(iter(effects.values()))["stiffness"]
@@ -110,3 +112,7 @@ def test_the_report_gives_the_stiffness_with_its_interval_and_no_friction(joint:
     assert stiffness["low"] < stiffness["value"] < stiffness["high"]
     assert stiffness["value"] == pytest.approx(LINK * (2 * np.pi * 8.0) ** 2, rel=0.03)
     assert not report.data["misfit"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    row = page[page.index("Joint by joint") :].partition("q1</td>")[2].partition("</tr>")[0]
+    assert "joint elasticity" in row
+    assert "rotor inertia" in row
