@@ -15,7 +15,7 @@ from harness.app.reach import Reach
 from harness.errors import InputError
 from harness.trust import names_fmu
 
-__all__ = ["LINEAR", "Choice", "Column", "matched", "ports_told", "read_choice", "spoken", "words"]
+__all__ = ["LINEAR", "Choice", "Column", "matched", "ports_told", "read_choice", "spoken", "stated", "words"]
 
 LINEAR = "linear"
 """What a closed loop starts from where no physical model is chosen."""
@@ -163,6 +163,23 @@ def ports_told(model: str, reach: Reach) -> dict[str, Any]:
     ports = [{"name": one.name, "unit": one.unit, "use": "input"} for one in found.inputs]
     ports += [{"name": one.name, "unit": one.unit, "use": "output"} for one in found.outputs]
     return {"ports": ports, "fixed": True}
+
+
+def stated(titles: Sequence[str], ports: Sequence[Mapping[str, str]]) -> dict[str, dict[str, str]]:
+    """Return by title and port the unit that a title states without brackets, where it fits the port.
+
+    Examples
+    --------
+    >>> stated(["Winkel_deg", "Weg"], [{"name": "theta", "unit": "rad", "use": "output"}])
+    {'Winkel_deg': {'theta': 'deg'}}
+    """
+    from harness.data.tables.headers import stated_unit
+
+    found = {
+        title: {one["name"]: parts[1] for one in ports if (parts := stated_unit(title, one["unit"])) is not None}
+        for title in titles
+    }
+    return {title: units for title, units in found.items() if units}
 
 
 def matched(log: Path, model: str) -> dict[str, tuple[str, str]]:

@@ -26,7 +26,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from harness.app.commands import LINEAR, matched, ports_told, read_choice, spoken, words
+from harness.app.commands import LINEAR, matched, ports_told, read_choice, spoken, stated, words
 from harness.app.gate import HOST, Gate
 from harness.app.jobs import Job, Jobs
 from harness.app.logs import Logs
@@ -209,6 +209,7 @@ class _Asked:
             found["matched"] = (
                 {title: port for title, (_, port) in matched(path, where).items()} if plain and path else {}
             )
+            found["stated"] = stated(self.logs.describe(path)["titles"], found["ports"]) if plain and path else {}
             return found
 
         return JSONResponse(await run_in_threadpool(told))

@@ -10,7 +10,8 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray
-from harness.units.grammar import LONGEST, factors
+from harness.units.grammar import LONGEST, RAISED, factors
+from harness.units.known import is_known, is_with_seconds
 
 if TYPE_CHECKING:
     import pint
@@ -38,6 +39,12 @@ WRITTEN = {
     "ftlb": "foot*force_pound",
     "lsb": "count",
     "LSB": "count",
+    "kp": "force_kilogram",
+    "kmph": "km/hour",
+    "kmh": "km/hour",
+    "kts": "knot",
+    "lbs": "pound",
+    "rads": "radian",
 }
 """What engineers write and pint does not know, or takes for something else (its Nm is a number metre)."""
 
@@ -61,7 +68,7 @@ ELSEWHERE = {
         "mA": "мА 毫安",
         "N": "Н ньютон 牛 牛顿 ニュートン 뉴턴",
         "kN": "кН",
-        "N*m": "Нм 牛米",
+        "Nm": "Нм 牛米",
         "m": "м 米 メートル 미터",
         "mm": "мм 毫米 ミリメートル",
         "cm": "см 厘米",
@@ -77,6 +84,7 @@ ELSEWHERE = {
         "MPa": "МПа",
         "bar": "бар",
         "K": "开尔文",
+        "pixel": "px",
     }.items()
     for word in words.split()
 }
@@ -124,15 +132,35 @@ AMBIGUOUS = {
     "M": ("molar", "million"),
     "MM": ("megamolar", "millimeter"),
     "pH": ("picohenry", "1"),
+    "mg": ("milligram", "millistandard_gravity"),
+    "ug": ("microgram", "microstandard_gravity"),
+    "µg": ("microgram", "microstandard_gravity"),
+    "μg": ("microgram", "microstandard_gravity"),
+    "lb": ("pound", "force_pound"),
+    "lbs": ("pound", "force_pound"),
+    "oz": ("ounce", "force_ounce"),
+    "fps": ("foot/second", "1/second"),
+    "a": ("year", "ampere"),
 }
 """Texts with two readings: one counts only where the other does not fit what is measured."""
 
 CYCLES = ("Hz", "kHz", "1/min", "min^-1", "cps")
 """What counts turns or events in a time: as a rate of an angle it may mean turns or radians."""
 
+COMMON = frozenset(
+    "s ms us µs μs ns min h V mV A mA N kN mm m cm m/s m/s^2 m/s² rad mrad rad/s deg ° deg/s °/s rpm Hz kHz Nm N.m N·m "
+    "mNm Ncm % °C K Pa bar kg W ohm".split()
+)
+"""Texts that are units for certain: who asks no more of them need not wait for pint, which takes 0.3 s to load."""
+
+SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+"""Units of time that clocks count in, for the same reason."""
+
 STRAIGHT = 1e-9
 """Part of a value by which a unit may miss a straight line: rounding (of decibels 0.04, of octaves 0.25)."""
 
+_RATE = re.compile(r"ms(?:\^|\*\*)?[-\u2212\u207b](?P<power>[1-3\u00b9\u00b2\u00b3])")
+_WORD = re.compile("[a-z]+|[a-z]?(?:[A-Z][a-z]{2,}|[A-Z]{3,})")
 _EXPONENT = re.compile(r"(?<=[A-Za-z°µμΩ])([-\u2212]?[1-4])(?![\w.])")
 _INERTIA = re.compile(r"\b(k?g)([cm]?m)(?:\^?2|²)")
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
@@ -155,6 +183,9 @@ def _readings(unit: str) -> tuple[str, ...]:
     text = unit.strip()
     if text.startswith("[") and text.endswith("]"):
         text = text[1:-1].strip()
+    if (rate := _RATE.fullmatch(text)) is not None:  # m s-1 without its space, or one in a millisecond
+        power = rate["power"].translate(RAISED)
+        return f"m/s^{power}", f"1/ms^{power}"
     return AMBIGUOUS.get(text, (WHOLE.get(text, text),))
 
 
@@ -171,8 +202,8 @@ def _parsed(text: str) -> Any:
         text = text.replace(sign, "°")
     plain = _INERTIA.sub(r"\1*\2^2", text.replace("\u2212", "-"))
     plain = _HYPHEN.sub("*", _EXPONENT.sub(r"^\1", plain))
-    # a word of three letters or more is the same with capitals (RPM, Sec, Volt); a short sign never is
-    words = plain.lower() if all(len(word) > 2 for word in re.findall("[A-Za-z]+", plain)) else plain
+    # a word of three letters or more is the same with capitals (RPM, Sec, mVolt); a short sign never is
+    words = plain.lower() if all(map(_WORD.fullmatch, re.findall("[A-Za-z]+", plain))) else plain
     last: Exception | None = None
     for tried in dict.fromkeys((plain, words)):
         try:
@@ -192,7 +223,12 @@ def _built(text: str) -> Any:
     registry, read = _registry(), factors(text)
     unit: Any = registry.dimensionless
     for name, power in read:
-        one = registry.parse_units("degree" if name in DEGREES else ELSEWHERE.get(name, name))
+        meant = "degree" if name in DEGREES else ELSEWHERE.get(name, name)
+        one = registry.parse_units(meant)
+        for whole, _ in registry.Quantity(1.0, one).unit_items():
+            prefix, root, _ = registry.parse_unit_name(whole)[0]
+            if not is_known(prefix, root) or is_with_seconds(meant, registry.get_symbol(whole)):
+                raise ValueError(name)
         if (len(read) > 1 or power != 1) and registry.Quantity(0.0, one).to_base_units().magnitude:
             one = registry.parse_units(f"delta_{one}")  # in a product a degree is a difference
         unit = unit * (one if power == 1 else one ** (int(power) if power.denominator == 1 else float(power)))
@@ -296,6 +332,8 @@ def is_unit(text: str) -> bool:
     >>> is_unit("deg"), is_unit("theta")
     (True, False)
     """
+    if text in COMMON:
+        return True
     try:
         fits(text, "1")
     except InputError:
@@ -336,6 +374,8 @@ def convert(values: FloatArray, unit: str, target: str) -> FloatArray:
     values = np.array(values, dtype=float)
     if unit.strip() == target.strip():
         return values
+    if target == "s" and unit in SECONDS:
+        return values * SECONDS[unit]
     goal = _parse(target)
     if not any(_parsed(text).dimensionality == goal.dimensionality for text in _readings(unit)):
         raise _misfit(unit, target)

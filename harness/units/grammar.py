@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from fractions import Fraction
 
-__all__ = ["LONGEST", "factors"]
+__all__ = ["LONGEST", "RAISED", "factors"]
 
 LONGEST, DEEPEST, HIGHEST = 80, 4, 9
 """Characters, nested parentheses and size of an exponent that a unit may have: nothing that is measured needs more."""
@@ -19,7 +19,8 @@ _TOKEN = re.compile(
     r" *(?:(?P<name>Δ?°?[^\W\d_]\w*|[°%‰])|(?P<one>1(?:\.0*)?(?![\w.]))|(?P<sign>\*(?!\*)|[/.()])"
     rf"|(?:\^|\*\*) *(?:(?P<power>{_NUMBER})|[({{] *(?P<part>{_NUMBER}) *(?:/ *(?P<whole>\d{{1,4}}) *)?[)}}]))"
 )
-_RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+"""Raised signs, and those that they stand for."""
 _WORDS = (
     (re.compile("[\t\u00a0\u2009\u202f]"), " "),
     (re.compile(r"\bper\b"), "/"),
@@ -56,7 +57,7 @@ def factors(text: str) -> Factors:
         raise ValueError("too long")
     for pattern, written in _WORDS:
         text = pattern.sub(written, text)
-    text = re.sub("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda found: f"^{found[0].translate(_RAISED)} ", text).strip()
+    text = re.sub("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda found: f"^{found[0].translate(RAISED)} ", text).strip()
     tokens: list[re.Match[str]] = []
     place = 0
     while place < len(text):

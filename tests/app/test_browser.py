@@ -145,6 +145,8 @@ def test_equations_are_typed_and_taken_by_keyboard(browser: Any, address: str) -
     page.keyboard.press("Enter")
     page.wait_for_selector("#command:has-text('typed.eqs')")
     assert page.locator("#table select").nth(2).input_value() == "output:y"
+    page.check("#task-fit")
+    page.wait_for_selector("#command:has-text('--identifier output-error')")  # arx fits no named model
     page.fill("#equations", "y' = k*u")
     page.click("#take")
     page.wait_for_selector("[role=alert]:has-text('line 1'):has-text('unknown name k')")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from harness.errors import InputError
 from harness.units import base_units, convert, fits
+from harness.units.conversion import COMMON, SECONDS
 from harness.units.grammar import DEEPEST, factors
 
 SOUND = (
@@ -80,7 +82,9 @@ def test_what_is_no_unit_is_refused(text: str) -> None:
      ("m per s", 3.6, "km/h"),
      ("square mm", 1e-6, "m^2"), ("s^{-1}", 60.0, "1/min"), ("µm⋅ms⁻¹", 1e-3, "m/s"),
  ("(N m)/(rad/s)", 1.0, "N m s/rad"),
-     ("m s^-2.5", 1.0, "m/s^(5/2)"), ("rpm", np.pi / 30, "rad/s"), ("((m))", 1.0, "m"), ("1.0", 1.0, "1")],
+     ("m s^-2.5", 1.0, "m/s^(5/2)"), ("rpm", np.pi / 30, "rad/s"), ("((m))", 1.0, "m"), ("1.0", 1.0, "1"),
+     ("km/h", 1 / 3.6, "m/s"), ("kmph", 1 / 3.6, "m/s"), ("mVolts", 1e-3, "V"), ("mBar", 100.0, "Pa"), ("kts",
+      1852 / 3600, "m/s"), ("Deg/s", np.pi / 180, "rad/s"), ("rads/s", 1.0, "rad/s"), ("hrs", 3600.0, "s")],
 )  # fmt: skip
 def test_what_engineers_write_is_read(text: str, value: float, target: str) -> None:
     given = 27.0 if "C" in text and "min" not in text else 1.0
@@ -117,12 +121,40 @@ def test_a_short_sign_is_another_one_with_capitals(text: str) -> None:
         base_units(text)
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["%RH", "pct", "cfm", "Gs", "ma", "ua", "pps", "pk", "pt", "rd", "gr", "b", "B", "c", "mil", "Ra", "km ua",  # odd
+     "mPas", "mAs", "As", "kgs", "Pas", "MVolts"],  # no plurals of mPa and A; mega- is no milli-
+)  # fmt: skip
+def test_letters_of_which_a_library_would_make_an_odd_unit_are_none(text: str) -> None:
+    """A percentage is no 1e25 H, a flow in cubic feet a minute no fermi, and humidity no henry."""
+    with pytest.raises(InputError, match="unknown unit"):
+        base_units(text)
+
+
+def test_what_is_known_as_a_unit_before_it_is_read_is_one() -> None:
+    assert all(fits(text, text) for text in COMMON)
+    assert {unit: base_units(unit)[1] for unit in SECONDS} == pytest.approx(SECONDS, rel=1e-15)
+
+
 def test_two_readings_go_by_what_is_expected_or_are_refused() -> None:
-    for text, target, value in (("NM", "N m", 1.0), ("NM", "m", 1e-9), ("MM", "mm", 1.0), ("C", "degC", 27.0)):
+    for text, target, value in (
+        ("NM", "N m", 1.0),
+        ("NM", "m", 1e-9),
+        ("MM", "mm", 1.0),
+        ("C", "degC", 27.0),
+        ("mg", "mm/s^2", 9.80665),
+        ("mg", "kg", 1e-6),
+        ("ms-2", "m/s^2", 1.0),
+        ("oz", "N", 0.278014),
+        ("ms⁻¹", "cm/s", 100.0),
+        ("ms^-1", "1/s", 1e3),
+        ("lb", "kg", 0.453592),
+    ):
         given = np.array([27.0 if text == "C" else 1.0])
-        assert convert(given, text, target)[0] == pytest.approx(value, rel=1e-12)
-    for text in ("NM", "MM", "C"):
-        with pytest.raises(InputError, match=rf"the unit '{text}' has two readings"):
+        assert convert(given, text, target)[0] == pytest.approx(value, rel=1e-6)
+    for text in ("NM", "MM", "C", "F", "mg", "ug", "lbs", "fps", "a", "ms-2", "ms⁻¹", "ms^-2"):
+        with pytest.raises(InputError, match=rf"the unit '{re.escape(text)}' has two readings"):
             base_units(text)
     with pytest.raises(InputError, match=r"unit does not fit|two readings"):
         convert(np.ones(1), "NM", "V")

@@ -360,3 +360,13 @@ def test_a_clock_that_no_whole_number_describes_keeps_the_rate_that_its_stamps_s
 def test_a_clock_whose_stamps_are_no_multiples_of_it_begins_as_stamped() -> None:
     found, _ = pieces(np.round(0.0017 + np.arange(80) / 120, 3), sample_time=1 / 120)
     assert found[0].start == 0.002
+
+
+@pytest.mark.parametrize(("rate", "resolution"), [(75, 0.01), (60, 0.01), (150, 0.005), (800, 0.001), (7.5, 0.1)])
+def test_stamps_of_which_most_steps_are_too_short_are_the_declared_clock(rate: float, resolution: float) -> None:
+    """At 75 Hz and 10 ms two of three steps are 10 ms; the declared rate explains them all."""
+    time = np.round(np.arange(200) / rate / resolution) * resolution
+    found, _ = pieces(time, sample_time=1 / rate)
+    assert [(len(one.values), one.sample_time) for one in found] == [(200, pytest.approx(1 / rate, rel=1e-12))]
+    with pytest.raises(InputError, match=r"disagrees with sample_time|explain"):
+        pieces(time, sample_time=1.25 / rate)

@@ -346,6 +346,37 @@ def test_settings_above_the_titles_of_a_scope(tmp_path: Path) -> None:
     same(text(tmp_path, [*settings, "TIME,u [N m],theta [rad]", *ROWS]), "stand above the table")
 
 
+def test_settings_beside_dates_with_decimal_commas(tmp_path: Path) -> None:
+    """A waveform of LabVIEW: as many cells above the titles as below them, and more commas than tabs in a row."""
+    at = [f"{x:%d.%m.%Y %H:%M:%S,%f}" for x in instants(datetime.datetime(2024, 5, 1, 10))]
+    rows = [
+        "\t".join((stamp, u, y)).replace(".", ",").replace("01,05,", "01.05.")
+        for stamp, (_, u, y) in zip(at, CELLS, strict=True)
+    ]
+    head = ["waveform\tu\ty", f"t0\t{at[0]}\t{at[0]}", "delta t\t0,010000\t0,010000"]
+    same(text(tmp_path, [*head, "time\tu [N m]\ttheta [rad]", *rows], "a.txt"), "stand above the table")
+
+
+@pytest.mark.parametrize("words", [("True", "False"), ("TRUE", "FALSE"), ("true", "false")])
+def test_true_and_false_in_text_are_one_and_nought(words: tuple[str, str], tmp_path: Path) -> None:
+    rows = [f"{t},{words[float(u) < 0]},{y}" for t, u, y in CELLS]
+    data = load_dataset(
+        text(tmp_path, [HEAD.replace(" [N m]", ""), *rows]), model="pendulum", unit={"u": "N m"}
+    ).dataset
+    assert np.concatenate([run.trajectory.u[:, 0] for run in data]).tolist() == [
+        float(float(u) >= 0) for _, u, _ in CELLS
+    ]
+    assert sum("u holds true and false" in note for note in data.warnings) == 1
+
+
+@pytest.mark.parametrize("cell", ["missing", "#NV", "#WERT!", "#VALEUR!", "#N/D"])
+def test_what_spreadsheets_and_julia_write_for_nothing_is_a_gap(cell: str, tmp_path: Path) -> None:
+    rows = [f"{t},{u},{cell if k == 50 else y}" for k, (t, u, y) in enumerate(CELLS)]
+    refused(text(tmp_path, [HEAD, *rows]), "nothing recorded in 1 of")
+    data = load_dataset(tmp_path / "log.csv", model="pendulum", gaps="split").dataset
+    assert [len(run.trajectory) for run in data] == [50, 29, 40]
+
+
 @pytest.mark.parametrize("mark", ["%", "# ", "//"])
 def test_titles_in_a_comment_above_rows_that_hold_a_name(mark: str, tmp_path: Path) -> None:
     """``rostopic echo -p`` begins so."""

@@ -203,3 +203,51 @@ def test_a_record_of_seven_rows_is_none(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("\n".join([HEAD, *ROWS[:7]]))
     with pytest.raises(InputError, match=r"at least 20 rows: .*five unknowns"):
         record(tmp_path / "a.csv", validation=tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("title", ["SN", "min", "Std", "STD", "Tag", "dia", "dag"])
+def test_a_word_that_is_a_unit_of_time_elsewhere_is_no_clock(title: str) -> None:
+    """A serial number is no second of Turkey, a minimum no minute, a label no day."""
+    table = {title: np.arange(1.0, N + 1), "u [Nm]": TORQUE, "theta [rad]": ANGLE}
+    with pytest.raises(InputError, match="no time"):
+        record(table)
+    right(record(table, sample_time=DT))
+
+
+@pytest.mark.parametrize(("title", "right_title"), [("Hora", "Fecha/Hora"), ("Heure", "Date / heure"),
+                                                    ("ora", "Data e ora"),
+                                                    ("Saat", "Date Time"), ("Godzina", "DateTime")])  # fmt: skip
+def test_numbers_below_a_word_for_hour_and_time_of_day_are_refused(title: str, right_title: str) -> None:
+    signals = {"u [Nm]": TORQUE, "theta [rad]": ANGLE}
+    with pytest.raises(InputError, match="one unit of time"):
+        record({title: TIME, **signals})
+    right(record({title: TIME, **signals}, unit={"time": "s"}))
+    stamps = np.datetime64("2024-05-01T10:00:00") + (1e6 * TIME).round().astype("timedelta64[us]")
+    right(record({title: np.char.partition(stamps.astype(str), "T")[:, 2].astype(object), **signals}))
+    right(record({right_title: stamps.astype(str).astype(object), **signals}))
+
+
+@pytest.mark.parametrize(("title", "second"), [("millis()", 1e-3), ("micros()", 1e-6), ("tempo decorrido (ms)", 1e-3)])
+def test_what_boards_and_people_call_their_clock(title: str, second: float) -> None:
+    right(record({title: TIME / second, "u [Nm]": TORQUE, "theta [rad]": ANGLE}))
+
+
+@pytest.mark.parametrize("unit", ["Millisekunden", "msec", "ms", "мс", "milliseconds"])
+def test_a_declared_unit_of_time_is_any_word_for_it(unit: str) -> None:
+    table = {"time": 1e3 * TIME, "u [Nm]": TORQUE, "theta [rad]": ANGLE}
+    right(record(table, unit={"time": unit}))
+    for odd in ("Ms", "ks", "Gs"):
+        with pytest.raises(InputError, match="unknown unit"):
+            record(table, unit={"time": odd})
+
+
+@pytest.mark.parametrize(("unit", "factor", "si"), [("L/min", 1e-3 / 60, "m^3/s"), ("N/mm", 1e3, "N/m"),
+                                                    ("cm^2", 1e-4, "m^2"),
+                                                    ("mT", 1e-3, "T"), ("K/min", 1 / 60, "K/s"), ("mF", 1e-3, "farad"),
+                                                    ("m/s^2/V", 1.0, "m/s^2/V"), ("J/kg", 1.0, "J/kg")])  # fmt: skip
+def test_every_si_unit_of_the_list_is_reached(unit: str, factor: float, si: str) -> None:
+    """One text of the list with two readings refused every unit behind it."""
+    table = {"time [s]": TIME, f"u [{unit}]": TORQUE, "y": ANGLE}
+    found = load_dataset(table, input="u", output="y").dataset.estimation[0]
+    assert found.u[:, 0] == pytest.approx(factor * TORQUE[: len(found)], rel=1e-6)
+    assert found.spec.inputs[0].unit == si

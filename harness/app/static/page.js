@@ -5,8 +5,8 @@ import { show } from "./plot.js";
 import { busy, hear, listen, take } from "./runs.js";
 
 const at = (id) => document.getElementById(id);
-const state = { session: null, log: null, content: null, columns: [], ports: [], matched: {}, model: "", check: null };
-const SHOWN = 4;
+const state = { session: null, log: null, content: null, columns: [], ports: [], matched: {}, stated: {}, model: "", check: null };
+const SHOWN = 4, PHYSICAL = "output-error";
 let openings = 0; // of logs: what was asked for last is shown, whatever is read first
 let begun;
 const session = new Promise((resolve) => { begun = resolve; });
@@ -46,7 +46,8 @@ function fillPicks() {
   if (models.length) groups.push(make("optgroup", { label: "Files" }, ...models.map((name) => option(name, name.replace(/^uploaded\/\d+\//, ""), name === state.model))));
   at("model-pick").replaceChildren(option("", isToml() ? "the one that the data set names" : "none (linear, from the data)"), ...groups);
   const others = logs.filter((name) => name !== state.log && !name.endsWith(".toml"));
-  at("validation").replaceChildren(option("", "the last third of this log"), ...others.map((name) => option(name, name.replace(/^uploaded\/\d+\//, ""))));
+  const before = at("validation").value;
+  at("validation").replaceChildren(option("", "the last third of this log"), ...others.map((name) => option(name, name.replace(/^uploaded\/\d+\//, ""), name === before)));
 }
 
 async function openLog(name) {
@@ -94,7 +95,8 @@ async function match() {
   try { if (state.model) found = await ask(`model?${query}`); } catch (error) { state.model = ""; fillPicks(); at("trust").hidden = true; complain(error.message); }
   if (mine !== matching) return;
   at("table").inert = false;
-  state.ports = found.ports; state.matched = found.matched ?? {};
+  state.ports = found.ports; state.matched = found.matched ?? {}; state.stated = found.stated ?? {};
+  fillIdentifiers();
   const known = state.session.catalogue.find((one) => one.id === state.model);
   at("model-told").textContent = isToml() && !state.model ? (state.content.model ? `The data set names ${state.content.model}.` : "")
     : state.model ? (known?.summary ?? "") : "Inputs and outputs are those that you choose above.";
@@ -131,11 +133,12 @@ function fillTable() {
   const rows = state.columns.map((one, k) => {
     const name = `Column ${one.title}`;
     const choose = make("select", { "aria-label": `${name} is`, onchange: (event) => use(k, event.target.value) }, ...uses(one));
-    const asked = one.use === "time" ? !state.content.clock_stated : one.use && !one.unit;
-    const unit = make("input", { class: "unit", value: one.given, placeholder: one.unit || (asked ? "unit?" : one.use === "time" ? (/[\[(]([^\])]+)[\])]\s*$/.exec(one.title)?.[1] ?? "in title") : ""), "aria-label": `Unit of ${name}`, autocomplete: "off", spellcheck: "false",
+    const own = one.unit || state.stated[one.title]?.[one.port];
+    const asked = one.use === "time" ? !state.content.clock_stated : one.use && !own;
+    const unit = make("input", { class: "unit", value: one.given, placeholder: own || (asked ? "unit?" : one.use === "time" ? (/[\[(]([^\])]+)[\])]\s*$/.exec(one.title)?.[1] ?? "in title") : ""), "aria-label": `Unit of ${name}`, autocomplete: "off", spellcheck: "false",
       onchange: (event) => { one.given = event.target.value.trim(); changed(); } });
     const tick = make("input", { type: "checkbox", checked: one.shown, "aria-label": `Plot ${name}`, disabled: one.use === "time", onchange: (event) => { one.shown = event.target.checked; redraw(); } });
-    const size = one.minimum == null ? (one.note || "") : `${number(one.minimum)} to ${number(one.maximum)}`;
+    const size = one.minimum == null ? "" : `${number(one.minimum)} to ${number(one.maximum)}`;
     return make("tr", {}, make("td", { class: "name" }, one.title, one.note ? make("small", {}, one.note) : null),
       isToml() ? null : make("td", {}, choose), isToml() ? make("td", {}, one.unit) : make("td", {}, unit), make("td", { class: size ? "n" : "n none", "data-label": "range" }, size),
       make("td", { class: one.mean == null ? "n none" : "n", "data-label": "mean" }, one.mean == null ? "" : `${number(Math.abs(one.mean) < 1e-9 * one.deviation ? 0 : one.mean)} ± ${number(one.deviation)}`),
@@ -227,7 +230,8 @@ async function checkedData(job) {
   if (job.status === "cancelled") return;
   if (job.status === "failed") { at("odd").replaceChildren(make("p", { class: "error" }, job.error)); return; }
   const found = JSON.parse((await ask(`text?job=${job.id}`)).text), items = found.oddities.map((one) => make("li", {}, one.text, one.used ? " (left out of fits)" : one.fault ? "" : " (worth knowing)"));
-  const notes = found.warnings.map((one) => make("p", { class: "note" }, one));
+  const known = [...state.content.facts, ...found.oddities.map((one) => one.text)];
+  const notes = found.warnings.filter((one) => !known.some((fact) => one.endsWith(`: ${fact}`))).map((one) => make("p", { class: "note" }, one));
   const marked = found.oddities.some((one) => one.count) && job.files.length ? make("a", { href: `result/${job.id}/${job.files[0]}`, target: "_blank", rel: "noopener" }, "Pictures with the odd rows marked") : null;
   at("odd").replaceChildren(items.length ? make("ul", {}, ...items) : make("p", { class: "done" }, "Nothing odd was found."), ...notes, ...(marked ? [marked] : []));
 }
@@ -239,10 +243,19 @@ async function go() {
   at("fits").scrollIntoView({ block: "nearest" });
 }
 
+// Without a model the usual one is taken; for a physical one that is named, the one that fits its parameters.
+function fillIdentifiers() {
+  const ids = (state.session.identifiers ?? []).map((one) => one.id), before = at("identifier").value;
+  const named = [state.model || state.content?.model].filter((one) => one && one !== "linear")[0];
+  const chosen = ids.includes(before) && before !== PHYSICAL ? before : named && ids.includes(PHYSICAL) ? PHYSICAL : "";
+  at("identifier").replaceChildren(...(named ? [] : [option("", "the usual one (arx)", !chosen)]), ...ids.map((id) => option(id, id, id === chosen)));
+}
+
 async function parts() {
   const { catalogue, identifiers } = await ask("parts");
   state.session.catalogue = catalogue;
-  at("identifier").replaceChildren(option("", "the usual one (arx)"), ...identifiers.map((one) => option(one.id, one.id)));
+  state.session.identifiers = identifiers;
+  fillIdentifiers();
   fillPicks();
 }
 

@@ -240,7 +240,8 @@ def _channel(table: Table, title: str, selector: str) -> ChannelContent:
     try:
         values, unit = table.read(selector)
     except InputError as error:
-        return ChannelContent(selector, name, note=f"{error.what}: {error.got}"[:80])
+        where = f" in {error.place.partition(',')[0]}" if error.place else ""
+        return ChannelContent(selector, name, note=f"{error.what}: {error.got[:60]}{where}")
     own = table.clocks([selector])
     steps = np.zeros(0) if own is None else np.diff(own[0][0])
     every = float(np.median(steps)) if steps.size else None

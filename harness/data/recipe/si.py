@@ -11,8 +11,8 @@ __all__ = ["SI_UNITS", "si_unit"]
 
 SI_UNITS = (
     *("rad", "rad/s", "rad/s^2", "m", "m/s", "m/s^2", "s", "kg", "N", "N m", "V", "A", "K", "Pa", "W", "J", "ohm"),
-    *("F", "H", "C", "T", "m^2", "m^3", "m^3/s", "kg/s", "kg m^2", "N/m", "N s/m", "V/s", "A/s", "K/s", "N/s"),
-    *("N m/s", "mol", "mol/m^3", "kg/m^3", "cd", "lx"),
+    *("farad", "H", "coulomb", "T", "S", "m^2", "m^3", "m^3/s", "kg/s", "kg m^2", "N/m", "N s/m", "V/s", "A/s", "K/s"),
+    *("N/s", "N m/s", "mol", "mol/m^3", "kg/m^3", "cd", "lx"),
 )
 """Units that a signal is stored in. Angles stand before plain numbers: degrees become radians, rpm becomes rad/s."""
 
@@ -55,7 +55,9 @@ def si_unit(unit: str) -> str:
                 powers, factor, _ = base_units(text)
                 times = -powers.get("s", 0)
                 return text if factor == 1.0 else "1/s" if times == 1 else f"1/s^{times}" if times else "1"
-            return text if zero == 0.0 and one == 1.0 else candidate
+            return text if zero == 0.0 and one == 1.0 and candidate not in SI_UNITS[:3] else candidate
+    if base_units(text)[1:] == (1.0, 0.0):
+        return text
     raise InputError(
         "unit without a known SI form",
         expected=f"a unit that converts to one of {', '.join(SI_UNITS)} or 1",

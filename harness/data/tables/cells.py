@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from harness.data.tables.headers import TIME_UNITS, split_header
+from harness.data.tables.headers import TIME_UNITS, split_header, unit_of_time
 from harness.data.tables.stamps import clock
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -27,7 +27,29 @@ __all__ = [
 ]
 
 EMPTY = {
-    *("", "na", "n/a", "nan", "null", "none", "-nan", "#n/a", "#num!", "#div/0!", "#value!", "nan(ind)", "-nan(ind)"),
+    *(
+        "",
+        "na",
+        "n/a",
+        "nan",
+        "null",
+        "missing",
+        "#nv",
+        "#n/d",
+        "#nd",
+        "#wert!",
+        "#zahl!",
+        "#valeur!",
+        "#nombre!",
+        "none",
+        "-nan",
+        "#n/a",
+        "#num!",
+        "#div/0!",
+        "#value!",
+        "nan(ind)",
+        "-nan(ind)",
+    ),
     *("1.#qnan", "-1.#qnan", "1.#snan", "1.#ind", "-1.#ind", "1.#qnan0", "-1.#ind0", "1.#ind00", "-1.#ind00"),
 }
 """What stands where nothing was recorded, in small letters: by hand, of spreadsheets, of Microsoft's C library."""
@@ -209,7 +231,7 @@ def measured(
     filled = [row for row, cell in enumerate(cells) if cell.strip().lower() not in EMPTY]
     if any(found[row] is None for row in filled):
         return None
-    units = {text: _unit_of_time(text) for one in found if one is not None and (text := one["unit"].strip())}
+    units = {text: unit_of_time(text) for one in found if one is not None and (text := one["unit"].strip())}
     unit = _one_unit(list(units.values()))
     if unit is None:
         return None
@@ -244,18 +266,30 @@ def with_unit(
     *,
     commas: bool = False,
 ) -> FloatArray | None:
-    """Return cells that are dates or times, or all carry a unit, which is put in ``stated``; None if they are plain.
+    """Return cells that are times, truths, or carry a unit, which is put in ``stated``; None if they are plain.
 
     Parameters are those of :func:`measured`.
     """
     if (stamps := clock(cells, notes, where)) is not None:
         stated[title] = "s"
         return stamps
+    if (truths := _truths(cells)) is not None:
+        say_truths(notes, title)
+        return truths
     found = measured(cells, title, where, notes, commas=commas)
     if found is None:
         return None
     stated[title] = found[1]
     return found[0]
+
+
+def _truths(cells: Sequence[str]) -> FloatArray | None:
+    """Return 1 and 0 for cells that are all true or false, or empty; None for any others."""
+    words = [word for cell in cells if (word := cell.strip().lower()) not in EMPTY]
+    if not words or not {"true", "false"}.issuperset(words):
+        return None
+    known = {"true": 1.0, "false": 0.0}
+    return np.array([known.get(cell.strip().lower(), np.nan) for cell in cells])
 
 
 def _one_unit(units: Sequence[str]) -> str | None:
@@ -264,11 +298,6 @@ def _one_unit(units: Sequence[str]) -> str | None:
         return None
     unit = "s" if fits(units[0], "s") else units[0]
     return unit if all(fits(other, unit) for other in units) else None
-
-
-def _unit_of_time(text: str) -> str:
-    """Return a unit as it is known, words for times included; ``Ms`` is no ms."""
-    return text if text == "Ms" else TIME_UNITS.get(text.rstrip(".").lower(), text)
 
 
 def refuse_thousands(cells: Sequence[str], where: Callable[[int], str], *, commas: bool = False) -> None:

@@ -86,9 +86,6 @@ class MemoryTable:
         def where(row: int) -> str:
             return f"{self.where(row)}, column {title!r}"
 
-        if cells and all(isinstance(cell, bool | np.bool_) for cell in cells):
-            say_truths(self.notes, title)
-            return np.array(cells, dtype=np.float64)
         texts = ["" if cell is None else str(cell) for cell in cells]
         found = with_unit(texts, title, where, self.notes, self._stated)
         return numbers_of(texts, where) if found is None else found

@@ -21,6 +21,7 @@ __all__ = [
     "says_time",
     "split_header",
     "stated_unit",
+    "unit_of_time",
     "words_of",
 ]
 
@@ -57,6 +58,12 @@ TIME_WORDS = frozenset(
 )
 """Words for time, in small letters."""
 
+TIMES_OF_DAY = frozenset("hora horas heure heures ora ore uur uren godzina hodina saat".split())
+"""Words for an hour that head columns of times of day too: of numbers below them nobody can say what they count."""
+
+_OTHERWISE = frozenset("min std sn tag dag dia dias".split())
+"""Units of time that alone are titles of something else: a minimum, a deviation, a number of a series, a label."""
+
 _ENDINGS = ("zeit", "time", "时间", "時間", "时刻", "時刻", "시간", "stempel", "stamp")
 """How compounds for time end: Messzeit, runtime, 運転時間."""
 
@@ -64,8 +71,8 @@ _BESIDE = frozenset(
     "of in the since from start begin beginning reset boot up abs absolute rel relative raw log logged recorded record "
     "rec publish header msg system sys local utc gps gmt ros sim simulation run test total measured measurement value "
     "values val data array vec vector axis col column base code seit ab beginn messung écoulé ecoule écoulée depuis "
-    "début debut transcurrido desde inicio trascorso da inizio en em i achse axe eje asse 轴 軸 "
-    "de du la le el il da di der die das and".split()
+    "début debut transcurrido decorrido desde inicio trascorso da inizio en em i achse axe eje asse 轴 軸 "
+    "real wall date datum fecha de du la le el il da di der die das and".split()
 )
 """Words beside one for time that say nothing of its unit, in small letters."""
 
@@ -86,8 +93,8 @@ TIME_UNITS = {
         "nanosecondes nanosegundo nanosegundos nanosecondi нс наносекунды 纳秒 奈秒 ナノ秒 나노초",
         "min": "min mins minute minutes minuten minuut minuto minutos minuti minuta minuty minutter minuter dakika мин "
         "минута минуты минут 分 分钟 分鐘 분",
-        "h": "h hr hrs hour hours std stunde stunden heure heures hora horas ore uur uren godz godzina godziny godzin "
-        "hodina hodiny hodin timmar saat ч часы часов часа 小时 小時",
+        "h": "h hr hrs hour hours std stunde stunden heure heures hora horas ora ore uur uren godz godzina godziny "
+        "godzin hodina hodiny hodin timmar saat ч часы часов часа 小时 小時",
         "d": "days day tag tage jour jours día días dia dias giorno giorni dag dagen dni дни дней 天 日",
     }.items()
     for word in words.split()
@@ -98,6 +105,7 @@ for _part, _unit in (("zehntel", "ds"), ("hundertstel", "cs"), ("tausendstel", "
     TIME_UNITS.update({f"{_part}{_second}": _unit for _second in ("sekunde", "sekunden", "s")})
 
 TIME_UNITS.update(decisecond="ds", deciseconds="ds", centisecond="cs", centiseconds="cs")
+_AND = re.compile(r"(?<=\w)\s+(?:y|e|et|og|und|and|&)\s+(?=\w)")
 _PARTS = {"10": "decisecond", "100": "centisecond", "1000": "millisecond", "1000000": "microsecond"}
 _PART = re.compile(r"\b1\s*/\s*(?P<parts>10{1,6})\s*(?:s|sec|sek|sekunden?|seconds?)\b", re.IGNORECASE)
 """A part of a second as a unit: ``Zeit in 1/100 s``."""
@@ -201,6 +209,8 @@ def clock_unit(title: str, *, path: bool = False) -> str | None:
         units.add(unit)
     words = words_of(_GROUP.sub(" ", plain))
     first = next((place for place, word in enumerate(words) if _spoken(word)), None)
+    if not units and first is None and any(word in TIMES_OF_DAY for word in words):
+        raise _no_time(title, next(word for word in words if word in TIMES_OF_DAY))
     for place, word in enumerate(words):
         units |= {TIME_UNITS[word]} if word in TIME_UNITS else _fused(word)
         if place > (first or 0) and _FACTOR.fullmatch(word) and not (word.isdigit() and len(word) < 3):
@@ -289,7 +299,8 @@ def clock_of(titles: Sequence[str], taken: Collection[str] = ()) -> str | None:
         spoken = [title for title in free if _is_clock(title, compounds=compounds)]
         if spoken:
             return _only(spoken)
-    units = [title for title in free if len(title) > 1 and title.strip().lower() in TIME_UNITS]
+    bare = {title: title.strip().lower().removesuffix("()") for title in free}  # millis() of an Arduino
+    units = [title for title, word in bare.items() if len(word) > 1 and word in TIME_UNITS and word not in _OTHERWISE]
     return _only(units or [title for title in free if title == "X_Value [s]"])  # LabVIEW's
 
 
@@ -351,6 +362,8 @@ def _is_clock(title: str, *, compounds: bool = False) -> bool:
     words = words_of(_GROUP.sub(" ", _plain(title)))
     spoken = [word for word in words if (_spoken(word) if compounds else word in TIME_WORDS or _fused(word))]
     beside = _BESIDE if compounds else ()
+    if compounds and any(word in _DATES for word in words):  # Fecha/Hora
+        spoken += [word for word in words if word in TIMES_OF_DAY]
     return bool(spoken) and all(
         word in TIME_UNITS or word in COUNTS or word in spoken or word in beside for word in words
     )
@@ -358,7 +371,7 @@ def _is_clock(title: str, *, compounds: bool = False) -> bool:
 
 def _plain(title: str) -> str:
     """Return a title with the brackets, signs and letters that ASCII has for them, and words for parts of a second."""
-    plain = unicodedata.normalize("NFC", _OF_DAY.sub("", title)).translate(_WIDE)
+    plain = _AND.sub(" ", unicodedata.normalize("NFC", _OF_DAY.sub("", title)).translate(_WIDE))
     return _PART.sub(lambda found: _PARTS.get(found["parts"], found[0]), plain)
 
 
@@ -399,6 +412,17 @@ def _time_unit(text: str) -> str | None:
     if joined in TIME_UNITS and text != "Ms":  # a megasecond to SI, a millisecond to whoever wrote it
         return TIME_UNITS[joined]
     return text if text in _SI_SECONDS else None
+
+
+def unit_of_time(text: str) -> str:
+    """Return a unit as it is known, words for times included; ``Ms`` is no ms.
+
+    Examples
+    --------
+    >>> unit_of_time("Millisekunden"), unit_of_time("sec."), unit_of_time("Ms"), unit_of_time("V")
+    ('ms', 's', 'Ms', 'V')
+    """
+    return text if text == "Ms" else TIME_UNITS.get(text.strip().rstrip(".").lower(), text)
 
 
 def _no_time(title: str, what: str) -> InputError:

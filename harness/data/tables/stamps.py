@@ -12,7 +12,7 @@ from harness.data.tables.written_times import ahead_of_utc, minutes_of, plain_ti
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["clock", "is_date", "is_time_of_day", "with_dates"]
+__all__ = ["clock", "is_date", "is_time", "is_time_of_day", "with_dates"]
 
 _DAY = (
     r"(?:(?P<year>\d{4})(?P<sign>[-/.]?)(?P<month>\d\d)(?P=sign)(?P<day>\d\d)"
@@ -152,6 +152,17 @@ def is_time_of_day(cell: str) -> bool:
     return _TWO_PARTS.fullmatch(text) is not None or (
         found is not None and found["joint"] is None and found["compact"] is None
     )
+
+
+def is_time(cell: str) -> bool:
+    """Return True for a time with or without a date that its signs show.
+
+    Examples
+    --------
+    >>> is_time("31.12.2024 12:00:00,5"), is_time("12:00:00.5"), is_time("20241231T120000"), is_time("0,5")
+    (True, True, False, False)
+    """
+    return ":" in cell and _STAMP.fullmatch(plain_time(cell)) is not None
 
 
 def is_date(cell: str) -> bool:

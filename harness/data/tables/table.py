@@ -12,7 +12,15 @@ from typing import Protocol
 import numpy as np
 
 from harness.data.tables.counts import DIGITS, HALF_DAY, dated, unwrapped
-from harness.data.tables.headers import TRUTH, clock_of, clock_unit, fraction_of, split_header, stated_unit
+from harness.data.tables.headers import (
+    TRUTH,
+    clock_of,
+    clock_unit,
+    fraction_of,
+    split_header,
+    stated_unit,
+    unit_of_time,
+)
 from harness.data.tables.stamps import clock, is_date, is_time_of_day, with_dates
 from harness.errors import InputError, no_file
 from harness.signals import Channel, FloatArray
@@ -335,6 +343,7 @@ class Table:
             if declared is None:
                 raise error.located(file=self.path) from error
             stated = None
+        declared = declared if declared is None else unit_of_time(declared)
         if declared is not None and stated is not None and not _same_scale(stated, declared):
             self._say(f"the title {spelt!r} says {stated}; {declared}, as declared, counts")
         return declared or stated

@@ -23,6 +23,7 @@ from harness.data.tables.cells import (
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
 from harness.data.tables.stacked import MOST_ROWS, stacked_titles
+from harness.data.tables.stamps import is_time
 from harness.data.tables.texts import CODINGS, closed_lines, text_of
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -252,15 +253,17 @@ class TextFile:
         sign = _delimiter_of(self._lines[-1][1])
         rows = [[cell.strip(' "') for cell in line.split(sign)] for _, line in self._lines[: MOST_ABOVE + 3]]
         width = len(rows[-1])
+        behind = [[cell for cell in row if cell and not is_time(cell)] for row in rows]
         numbers = [
-            len(row) == width and sum(map(is_number, row)) > 1 and _are_numbers([cell for cell in row if cell])
-            for row in rows
+            len(row) == width and len(cells) > 1 and _are_numbers(cells)
+            for row, cells in zip(rows, behind, strict=True)
         ]
         begin = next((row for row in range(1, len(rows) - 2) if all(numbers[row : row + 3])), 0) - 1
         if begin < 1 or len(set(rows[begin])) < width or any(map(is_number, rows[begin])):
             return
         several = sum(sum(map(is_number, row)) > 1 and not row[0][:1].isalpha() for row in rows[:begin])
-        if not any(map(is_number, (cell for row in rows[:begin] for cell in row))) or several > 2:
+        plain = (cell.replace(",", ".", 1) for row in rows[:begin] for cell in row)
+        if not any(map(is_number, plain)) or several > 2:
             return  # no settings, or another table
         if all(map(is_unit_cell, rows[begin])) or not all(rows[begin]) or stacked_titles(rows) is not None:
             return
@@ -296,8 +299,11 @@ class TextFile:
 
     def _leave_out(self, begin: int) -> None:
         """Leave out the lines before one of them, and say so."""
+        first, last = self._lines[0][0], self._lines[begin - 1][0]
         self.notes.append(
-            f"lines {self._lines[0][0]} to {self._lines[begin - 1][0]} stand above the table: they are left aside"
+            f"lines {first} to {last} stand above the table: they are left aside"
+            if last > first
+            else f"line {first} stands above the table: it is left aside"
         )
         self._lines = self._lines[begin:]
 
@@ -541,7 +547,9 @@ def _delimiter_of(line: str) -> str:
     """Return the sign of which a line holds most; no comma where others stand between numbers with decimal commas."""
     for sign in ";\t":
         cells = [cell.strip() for cell in line.split(sign)]
-        if len(cells) > 1 and all(not cell or is_number(cell.replace(",", ".", 1)) for cell in cells):
+        if len(cells) > 1 and all(
+            not cell or is_number(cell.replace(",", ".", 1)) or is_time(cell.strip('"')) for cell in cells
+        ):
             return sign
     return max(_DELIMITERS, key=line.count)
 

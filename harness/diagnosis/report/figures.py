@@ -154,9 +154,14 @@ def drawing(
 def legend(figure: Figure, markers: float = 2.0) -> None:
     """Put one legend of all that is drawn above the panels, where it covers nothing."""
     lines = {name: line for axis in figure.axes for line, name in zip(*axis.get_legend_handles_labels(), strict=True)}
-    place = "upper left" if figure.get_layout_engine() is None else "outside upper left"  # measured: room is made for it
+    measured = figure.get_layout_engine() is not None  # then room is made for what stands outside
     figure.legend(
-        lines.values(), lines.keys(), loc=place, borderaxespad=0.0, ncols=min(len(lines), 6), markerscale=markers
+        lines.values(),
+        lines.keys(),
+        loc="outside upper left" if measured else "upper left",
+        borderaxespad=0.0,
+        ncols=min(len(lines), 6),
+        markerscale=markers,
     )
 
 
