@@ -146,7 +146,7 @@ class Comparison:
                 said.append(f"{name}: {spread.warning}.")
         words = "".join(f"<p>{escape(line)}</p>" for line in said)
         titles = ["model", "modulus of the pole", "frequency [Hz]", "damping"]
-        return f"<div>{table(titles, rows[:MOST_POLES])}</div>{words}"
+        return f'<div style="margin-top: 1.2em">{table(titles, rows[:MOST_POLES])}</div>{words}'
 
     def html(self) -> str:
         """Return the page: table, residual correlations, Bode diagrams with the bands of the data."""
@@ -266,7 +266,9 @@ def _residual_figure(found: Comparison) -> Any:
 def _bode_figure(found: Comparison) -> Any:
     """Draw what the data show, with its band, and the response of each linear model."""
     assert found.spectrum is not None
-    figure = found.spectrum.plot()
+    spec = found.dataset.spec
+    # data are grey, as they are over time, where that tells them apart: each model has one colour in all pictures
+    figure = found.spectrum.plot("#777777" if spec.nu * spec.ny == 1 else None)
     f = found.spectrum.frequency[1:]
     for name, model in found.linear().items():
         bode_lines(figure.axes[:2], name, model, f)

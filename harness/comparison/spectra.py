@@ -84,23 +84,30 @@ class Spectrum:
                     )
         return found
 
-    def plot(self) -> Any:
-        """Draw magnitude with a band of two standard deviations, phase and coherence; returns the figure."""
+    def plot(self, colour: str | None = None) -> Any:
+        """Draw magnitude with a band of two standard deviations, phase and coherence; returns the figure.
+
+        Parameters
+        ----------
+        colour : str, optional
+            Of all lines; by default each has its own.
+        """
         from harness.plots import sheet
 
         figure = sheet(figsize=(8, 7), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True)
         f = self.frequency[1:]
+        sizes = np.abs(self.response[1:])
+        floor = 0.3 * sizes[sizes > 0].min(initial=1.0)  # here a band that holds zero ends, on an axis of logarithms
         for row, output in enumerate(self.spec.outputs):
             for column, source in enumerate(self.spec.inputs):
                 value, spread = self.response[1:, row, column], 2 * self.deviation[1:, row, column]
                 size = np.abs(value)
-                (line,) = axes[0].loglog(f, size, linewidth=0.9, label=f"{output.name} / {source.name}")
-                axes[0].fill_between(
-                    f, np.maximum(size - spread, size * 1e-3), size + spread, alpha=0.25, color=line.get_color()
-                )
-                axes[1].semilogx(f, np.degrees(np.unwrap(np.angle(value))), linewidth=0.9)
-            axes[2].semilogx(f, self.coherence[1:, row], linewidth=0.9, label=output.name)
+                (line,) = axes[0].loglog(f, size, linewidth=0.9, label=f"{output} / {source}", color=colour)
+                low = np.maximum(size - spread, np.minimum(size, floor))
+                axes[0].fill_between(f, low, size + spread, alpha=0.25, color=line.get_color(), linewidth=0)
+                axes[1].semilogx(f, np.degrees(np.unwrap(np.angle(value))), linewidth=0.9, color=colour)
+            axes[2].semilogx(f, self.coherence[1:, row], linewidth=0.9, label=output.name, color=colour)
         for axis, label in zip(axes, ("magnitude", "phase [deg]", "coherence"), strict=True):
             axis.set_ylabel(label)
         axes[0].legend(fontsize=8)

@@ -105,7 +105,7 @@ def step_figure(models: Mapping[str, Any]) -> Any:
                     )
     for row, output in enumerate(spec.outputs):
         for column, given in enumerate(spec.inputs):
-            axes[row, column].set_title(f"{output.name} after a unit step of {given.name}", fontsize=9)
+            axes[row, column].set_title(f"{output} after a unit step of {given}", fontsize=9)
     axes[0, 0].legend(fontsize=8)
     for axis in axes[-1]:
         axis.set_xlabel("time [s]", fontsize=9)

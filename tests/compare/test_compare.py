@@ -92,6 +92,16 @@ def test_several_inputs_share_the_coherence_and_seams_are_not_crossed() -> None:
     assert found.coherence.min() > 1 - 1e-9
 
 
+def test_a_band_that_holds_zero_ends_near_the_smallest_size_and_data_may_be_grey() -> None:
+    found = spectrum([record(0, 3000, 1.0)])
+    axis = found.plot("#777777").axes[0]
+    assert {line.get_color() for line in axis.lines} == {"#777777"}
+    assert axis.get_legend().get_texts()[0].get_text() == f"{SPEC.outputs[0]} / {SPEC.inputs[0]}"
+    lowest = axis.collections[0].get_paths()[0].vertices[:, 1].min()
+    smallest = np.abs(found.response[1:, 0, 0]).min()
+    assert 0.29 * smallest < lowest <= smallest
+
+
 def test_what_cannot_be_a_spectrum_is_refused() -> None:
     with pytest.raises(InputError, match="too short"):
         spectrum([record(0, 100)], segment=64)
