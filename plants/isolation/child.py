@@ -51,7 +51,8 @@ def serve() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    share(os.environ["TMPDIR"])
+    if (folder := os.environ.get("TMPDIR")) is not None:  # of its own, made by who started it
+        share(folder)
     plant: Plant | None = None
     states: dict[int, Any] = {}
     number, told = 0, 0

@@ -84,6 +84,7 @@ def test_points_are_paired_and_the_floor_is_the_noise(ran: Path) -> None:
     assert "Along the axes" in page
 
 
+@pytest.mark.slow
 def test_shares_of_a_job_array_make_the_whole(suite: Path, ran: Path, tmp_path: Path) -> None:
     parts = tmp_path / "parts"
     for shard in ("1/2", "2/2"):

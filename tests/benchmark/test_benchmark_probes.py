@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from harness.benchmark import bench
 
 SUITE = """
@@ -18,6 +20,7 @@ identifiers = [{ id = "hold" }]
 """
 
 
+@pytest.mark.slow
 def test_fmus_are_probed_once_and_the_result_lies_with_the_scores(tmp_path: Path) -> None:
     suite = tmp_path / "probed.toml"
     suite.write_text(SUITE, encoding="utf-8")

@@ -146,7 +146,7 @@ bench(sys.argv[1], out=sys.argv[2], workers=2)  # at the top level of a script, 
 """
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("how", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGKILL])
 def test_an_interrupted_run_keeps_its_rows_and_resumes(plugins: Path, tmp_path: Path, how: signal.Signals) -> None:
     groups = GOOD.replace('{id = "test-fit"}', '{id = "test-fit", options = {nap = 0.4}}')
     suite, out = write_suite(tmp_path, groups, seeds=list(range(8))), tmp_path / "out"

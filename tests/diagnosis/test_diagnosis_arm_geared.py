@@ -69,7 +69,7 @@ def found(report: Any) -> dict[str, dict[str, float]]:
     return {one["name"]: {k: v["value"] for k, v in one["parameters"].items()} for one in report.data["effects"]}
 
 
-@pytest.mark.parametrize("intersample", ["zoh", "smooth"])
+@pytest.mark.parametrize("intersample", ["zoh", pytest.param("smooth", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("noise", [0.02, 0.1])
 def test_the_noise_of_a_torque_is_no_spring(joint: ArmModel, noise: float, intersample: str) -> None:
     """A compliance whose column held the measured torque was found in every third such log."""

@@ -55,7 +55,7 @@ def test_exact_pairs_give_the_exact_offsets(plant):
     assert estimate_of(model).rank.full
 
 
-@pytest.mark.parametrize("reading_noise", [0.0, 1e-3])
+@pytest.mark.parametrize("reading_noise", [pytest.param(0.0, marks=pytest.mark.slow), 1e-3])
 def test_offsets_reach_the_cramer_rao_bound_and_intervals_cover(plant, reading_noise):
     # Bound: inverse of sum J' S^-1 J at the truth, S the covariance of a pair; over 200 records.
     rng = np.random.default_rng(2)

@@ -245,6 +245,7 @@ def test_a_sparse_koopman_matrix_keeps_what_counts():
     assert simulation_error(sparse, slow_manifold(99)).rms.max() < 1e-3
 
 
+@pytest.mark.slow
 def test_intervals_of_coefficients_hold_the_truth_and_are_withheld_under_noise_on_the_outputs():
     """200 records: 95 % intervals hold the truth in 90 to 98 % (and half a percent of chance)."""
     a, b = np.array([[0.9, 0.2], [-0.2, 0.8]]), np.array([[0.0], [1.0]])

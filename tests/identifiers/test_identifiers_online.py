@@ -97,6 +97,7 @@ def test_the_curve_is_against_the_best_model_of_the_first_samples():
     assert np.all(np.diff(found.curve[found.steps >= 20]) > 0), "least squares only ever loses"
 
 
+@pytest.mark.slow
 def test_any_batch_identifier_follows_the_leader():
     record = stream(1500, 0)
     recursive = regret(RecursiveLeastSquares(order=1, offset=False), [record], rng=RNG)

@@ -240,7 +240,9 @@ def pushed(seed: int, unstable: bool, n: int = 1200) -> Trajectory:
     return Trajectory(0.1 * np.arange(n), u, y, spec_of())
 
 
-@pytest.mark.parametrize(("unstable", "poles"), [(False, [0.981, 0.981]), (True, [0.9, 1.05])])
+@pytest.mark.parametrize(
+    ("unstable", "poles"), [(False, [0.981, 0.981]), pytest.param(True, [0.9, 1.05], marks=pytest.mark.slow)]
+)
 def test_a_load_that_moves_the_states_asks_for_innovations_and_holds_unstable_plants(unstable, poles):
     data = pushed(1, unstable)
     model = PredictionError().fit([data], rng=RNG)

@@ -194,6 +194,7 @@ def test_n4sid_of_keypoints_at_any_noise(keypoints, noise):
     assert relative(of_model(model, 99), response(a, b, c, 99)) <= 0.07  # measured 0.052, 0.052, 0.049
 
 
+@pytest.mark.slow
 @given(st.integers(0, 1000), st.sampled_from([1e-4, 1e-2]))
 @settings(max_examples=8, deadline=None)
 def test_many_outputs_of_few_signals_are_told_from_their_noise_in_any_unit(seed, noise):
@@ -268,6 +269,7 @@ def test_the_error_falls_with_the_root_of_the_samples():
     assert max(scaled) / min(scaled) < 1.2  # measured 1.09
 
 
+@pytest.mark.slow
 def test_unstable_fits_are_made_stable_at_no_cost():
     """Short noisy records of a slow plant: many fits are unstable, none with ``stable``, and none is worse for it."""
     rng = np.random.default_rng(0)
