@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack, cast
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, cast
 
 from harness import registry
 from harness.api.identified import Identified
@@ -15,7 +16,7 @@ from harness.errors import HarnessError, InputError, PluginError
 from harness.parts.files import is_system
 from harness.protocols import Identifier, Model, Predictive
 from harness.rng import stream
-from harness.signals import PlantSpec, Trajectory, Use
+from harness.signals import Dataset, PlantSpec, Trajectory, Use
 from harness.trust import names_fmu
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from harness.data.recipe.chosen import Records
     from harness.frequency.identified import IdentifiedResponse
     from harness.models.analysis import Findings
+
+T = TypeVar("T")
 
 DEFAULT_IDENTIFIER = "prediction-error"
 """Where none is asked for: the state-space model of largest likelihood; order, dead times and noise by the data."""
@@ -142,22 +145,22 @@ def identify(
         raise PluginError(f"identifier {identifier!r} raised {type(error).__name__}: {error}") from error
     if out is not None:
         write_json(Path(out), fitted.to_dict())
-    uses: tuple[Use, ...] = ("estimation", "validation", "test")
-    probability = {}
-    if isinstance(fitted, Predictive):
-        probability = {use: [probability_score(fitted, one) for one in data.using(use)] for use in uses}
     return Identified(
         fitted,
-        {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
-        {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
+        _by_use(data, functools.partial(equation_error, fitted)),
+        _by_use(data, functools.partial(simulation_error, fitted)),
         (*_said(fitted), *data.warnings),
-        probability,
+        _by_use(data, functools.partial(probability_score, fitted)) if isinstance(fitted, Predictive) else {},
         next(iter((*data.validation, *data.estimation)), None),
         _bounds_beside(fitted, measured, identifier, seed) if bounds else None,
-        {use: [fitted.torque_errors(one) for one in data.using(use)] for use in uses}
-        if isinstance(fitted, Torques)
-        else {},
+        _by_use(data, fitted.torque_errors) if isinstance(fitted, Torques) else {},
     )
+
+
+def _by_use(data: Dataset, scored: Callable[[Trajectory], T]) -> dict[Use, list[T]]:
+    """Return what every run of a data set scores, by use."""
+    uses: tuple[Use, ...] = ("estimation", "validation", "test")
+    return {use: [scored(one) for one in data.using(use)] for use in uses}
 
 
 def identify_response(

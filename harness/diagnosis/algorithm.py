@@ -27,6 +27,7 @@ from harness.diagnosis.second import halved, searched_unless_carried, second_opi
 from harness.diagnosis.steps import (
     Progress,
     again_by_free_runs,
+    all_readings,
     at_full_rate,
     beaten,
     candidates_of,
@@ -132,17 +133,15 @@ def diagnose(
         if looking and (form.latent or other is None):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         share = np.array(thinned.noise)
-        every = None
-        if thinned.factor > 1 and form.latent and not wrong:
-            every = Remembered(form_of(kind, system, dataset, policy, laws.dictionary)[0], folder)
-            outcome = at_full_rate(every, outcome)
+        whole = None if wrong else all_readings(kind, form, thinned, dataset, policy, folder)
+        outcome = at_full_rate(whole, outcome)
         # grade what is left
         outcome, runs, leftover = what_free_runs_say(kind, form, outcome, dataset, policy, say, simple, share=share)
         rounded = with_rounding(
             remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
         )
         if rounded is not outcome:  # named last: a rounded prediction errs by its own rounding, which denies nothing
-            rounded = rounded if every is None else at_full_rate(every, rounded)
+            rounded = at_full_rate(whole, rounded)
             outcome, finer = rounded, run_freely(kind, form, rounded, dataset, simple, share)
             runs = runs if finer.worse(policy) else finer
         outcome = widened(form, outcome)

@@ -392,6 +392,13 @@ class ArmPolicy:
     small_spring: float = number(
         1e-3, "compliance over the smallest that is tried at which its torque is in proportion to it", "0.1 %"
     )
+    softest: float = number(
+        1e-6, "least value of what is fitted by its logarithm, over its largest", "far below what any motion shows"
+    )
+    kept: float = number(
+        0.4, "band of a motion over the rate of the rows that are kept of it", "the filter of decimated rows keeps that"
+    )
+    fewest: int = number(200, "rows of a record that are kept at least", "ten times the parameters of a joint")
     sets: int = number(3, "sets of links that are fitted with errors of their own, the best by one metric", "cost")
     rows: int = number(4000, "samples of a use that are asked for an inertia", "cost: there are five columns")
 

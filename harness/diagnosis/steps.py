@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from harness.diagnosis.kinds import Kind
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.stretches import stretched, windowed
+from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
 from harness.diagnosis.runs.simple_fits import SimpleFits
 from harness.diagnosis.search.compare import impossible
@@ -34,6 +36,7 @@ __all__ = [
     "Progress",
     "Say",
     "again_by_free_runs",
+    "all_readings",
     "at_full_rate",
     "beaten",
     "candidates_of",
@@ -154,7 +157,16 @@ def run_freely(
     return free_runs(output, horizon, outcome.nominal, outcome.model, nearest)
 
 
-def at_full_rate(remembered: Remembered, outcome: Outcome) -> Outcome:
+def all_readings(
+    kind: Kind, form: WholeForm, thinned: Thinned, dataset: Dataset, policy: Policy, folder: Path | None
+) -> Remembered | None:
+    """Return the likelihood of all readings, beside latent forces, where the search looks at fewer; None elsewhere."""
+    if thinned.factor == 1 or not form.latent:
+        return None
+    return Remembered(form_of(kind, form.nominal, dataset, policy, form.laws)[0], folder)
+
+
+def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
     """Return an outcome whose model has the values that all readings tell, as sure as these make them.
 
     The search looks at fewer: they tell a law as well, and beside exact sensors its size half as sharply. A model that
@@ -162,13 +174,15 @@ def at_full_rate(remembered: Remembered, outcome: Outcome) -> Outcome:
 
     Parameters
     ----------
-    remembered : Remembered
-        The likelihood of all readings.
+    whole : Remembered, optional
+        The likelihood of all readings; without it the outcome stays as it is.
     outcome : Outcome
     """
     fit = outcome.model
-    found = remembered.fit(fit.effects, [fit.values], fit)
-    if found is None or not found.converged or any(impossible(remembered, one, found) for one in fit.effects):
+    found = None if whole is None else whole.fit(fit.effects, [fit.values], fit)
+    if whole is None or found is None or not found.converged:
+        return outcome
+    if any(impossible(whole, one, found) for one in fit.effects):
         return outcome
     told = {name: getattr(found, name) for name in ("values", "deviations", "beside", "logarithmic", "on_bound", "own")}
     model = replace(fit, **told)

@@ -27,29 +27,9 @@ __all__ = [
 ]
 
 EMPTY = {
-    *(
-        "",
-        "na",
-        "n/a",
-        "nan",
-        "null",
-        "missing",
-        "#nv",
-        "#n/d",
-        "#nd",
-        "#wert!",
-        "#zahl!",
-        "#valeur!",
-        "#nombre!",
-        "none",
-        "-nan",
-        "#n/a",
-        "#num!",
-        "#div/0!",
-        "#value!",
-        "nan(ind)",
-        "-nan(ind)",
-    ),
+    "",
+    *"na n/a nan null none missing -nan nan(ind) -nan(ind) #n/a #num! #div/0! #value! #nv #n/d #nd".split(),
+    *"#wert! #zahl! #valeur! #nombre!".split(),
     *("1.#qnan", "-1.#qnan", "1.#snan", "1.#ind", "-1.#ind", "1.#qnan0", "-1.#ind0", "1.#ind00", "-1.#ind00"),
 }
 """What stands where nothing was recorded, in small letters: by hand, of spreadsheets, of Microsoft's C library."""

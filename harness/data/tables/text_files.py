@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -253,17 +254,12 @@ class TextFile:
         sign = _delimiter_of(self._lines[-1][1])
         rows = [[cell.strip(' "') for cell in line.split(sign)] for _, line in self._lines[: MOST_ABOVE + 3]]
         width = len(rows[-1])
-        behind = [[cell for cell in row if cell and not is_time(cell)] for row in rows]
-        numbers = [
-            len(row) == width and len(cells) > 1 and _are_numbers(cells)
-            for row, cells in zip(rows, behind, strict=True)
-        ]
+        numbers = [len(row) == width and _are_readings(row) for row in rows]
         begin = next((row for row in range(1, len(rows) - 2) if all(numbers[row : row + 3])), 0) - 1
         if begin < 1 or len(set(rows[begin])) < width or any(map(is_number, rows[begin])):
             return
-        several = sum(sum(map(is_number, row)) > 1 and not row[0][:1].isalpha() for row in rows[:begin])
         plain = (cell.replace(",", ".", 1) for row in rows[:begin] for cell in row)
-        if not any(map(is_number, plain)) or several > 2:
+        if not any(map(is_number, plain)) or _is_table(rows[:begin]):
             return  # no settings, or another table
         if all(map(is_unit_cell, rows[begin])) or not all(rows[begin]) or stacked_titles(rows) is not None:
             return
@@ -280,7 +276,7 @@ class TextFile:
             [[cell.strip(' "') for cell in line.split(sign)] for _, line in lines]
             for lines in (self._lines[:begin], self._lines[begin:][: MOST_ROWS + 2])
         )
-        if sum(sum(map(is_number, cells)) > 1 and not cells[0][:1].isalpha() for cells in above) > 2:
+        if _is_table(above):
             return False
         if len(self._lines) - begin < 3 or any(map(is_number, below[0])):
             return False
@@ -293,8 +289,7 @@ class TextFile:
         begin = next((row for row, cells in enumerate(rows) if len(cells) == width and _are_numbers(cells)), 0) - 1
         if not 0 < begin <= MOST_ABOVE or width < 2 or len(rows) - begin < 3:
             return
-        tables = sum(sum(map(is_number, cells)) > 1 and not cells[0][:1].isalpha() for cells in rows[:begin])
-        if len(rows[begin]) == width and not any(map(is_number, rows[begin])) and tables < 3:
+        if len(rows[begin]) == width and not any(map(is_number, rows[begin])) and not _is_table(rows[:begin]):
             self._leave_out(begin)
 
     def _leave_out(self, begin: int) -> None:
@@ -541,6 +536,17 @@ class TextFile:
             return [cell for cell in next(spaced) if cell]
         rows = csv.reader(io.StringIO(line), delimiter=self._delimiter, skipinitialspace=self._delimiter != "\t")
         return [cell.strip() for cell in next(rows)]
+
+
+def _are_readings(row: Sequence[str]) -> bool:
+    """Return True for several numbers, times beside them and empty cells set aside."""
+    cells = [cell for cell in row if cell and not is_time(cell)]
+    return len(cells) > 1 and _are_numbers(cells)
+
+
+def _is_table(rows: Sequence[Sequence[str]]) -> bool:
+    """Return True if three rows and more hold several numbers each, with no word before them."""
+    return sum(sum(map(is_number, cells)) > 1 and not cells[0][:1].isalpha() for cells in rows) > 2
 
 
 def _delimiter_of(line: str) -> str:

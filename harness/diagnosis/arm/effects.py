@@ -6,13 +6,13 @@ All but a joint's elasticity are linear in their parameters once the motion is m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.arm.motion import ArmRun, torque_gradient
 from harness.diagnosis.arm.rotor import LINK_SIDE, MOTOR_SIDE, Spring, ahead, swinging
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
 from harness.effects.effect import Effect, EffectParameter, Placed
@@ -22,7 +22,6 @@ from harness.signals import FloatArray
 
 __all__ = ["GAIN", "Wide", "wide_effects"]
 
-STEP = 1e-4
 GAIN = "input_gain"
 BODIES = MappingProxyType({"parameter": "inertial parameters that the URDF gives the same link"})
 """What the data tell no body's effect from."""
@@ -76,11 +75,12 @@ def _effect(
 
 
 def _par(
-    name: str, unit: str, meaning: str, most: float, *, main: bool = True, sign: Any = "any", least: Any = None
-) -> EffectParameter:
-    """Return a linear parameter that does nothing at 0, between minus and plus its largest size."""
+    name: str, unit: str, meaning: str, most: float, *, main: bool = True, sign: Any = "any", least: Any = None,
+    linear: bool = True,
+) -> EffectParameter:  # fmt: skip
+    """Return a parameter that does nothing at 0, between minus and plus its largest size."""
     low = -most if least is None else least
-    return EffectParameter(name, unit, sign=sign, minimum=low, maximum=most, neutral=0.0, main=main, linear=True,
+    return EffectParameter(name, unit, sign=sign, minimum=low, maximum=most, neutral=0.0, main=main, linear=linear,
                            meaning=meaning)  # fmt: skip
 
 
@@ -170,10 +170,8 @@ def _springs(arm: ArmModel, k: int, most: float) -> list[Wide]:
     """Return the elasticity of a joint up to a compliance, seen from its motor, and from its link."""
     channel, drive = arm.positions[k], arm.inputs[k]
     faster = "fast excitation, through the resonance sqrt(k/J), with a position sensor on either side of the joint"
-    soft = replace(
-        _par("compliance", f"{channel.unit}/({drive.unit})", "1/stiffness between motor and link", most, sign="+"),
-        linear=False,
-    )
+    unit = f"{channel.unit}/({drive.unit})"
+    soft = _par("compliance", unit, "1/stiffness between motor and link", most, sign="+", linear=False)
     lag = EffectParameter(
         "lag", "s", sign="+", minimum=ARM_POLICY.least_lag, maximum=ARM_POLICY.most_lag, nuisance=True,
         meaning="damping between motor and link over the stiffness",
@@ -184,11 +182,8 @@ def _springs(arm: ArmModel, k: int, most: float) -> list[Wide]:
         faster,
     )
     of_motor = _effect(MOTOR_SIDE, [soft, lag], words)
-    rotor = replace(
-        _par("rotor_over_stiffness", "s^2", "inertia of the rotor over the stiffness", ARM_POLICY.most_lag**2,
-             sign="+"),
-        linear=False,
-    )  # fmt: skip
+    rotor = _par("rotor_over_stiffness", "s^2", "inertia of the rotor over the stiffness", ARM_POLICY.most_lag**2,
+                 sign="+", linear=False)  # fmt: skip
     words = (
         "The joint gives way under its torque, and its rotor runs ahead of it; the link's side is measured.",
         f"{drive.name} = J theta'' + torque of the bodies = k e + d e', e = theta - {channel.name}",
@@ -230,14 +225,7 @@ def _turning(arm: ArmModel, number: int) -> Callable[[ArmRun], FloatArray]:
 
 def _zero(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
     """Return the column of a wrong joint zero: minus the gradient of the torques over that joint's position."""
-
-    def columns(run: ArmRun) -> FloatArray:
-        m, step = run.calm, np.zeros(arm.n)
-        step[k] = STEP
-        high, low = arm.torques(m.q + step, m.v, m.a), arm.torques(m.q - step, m.v, m.a)
-        return np.asarray(-(high - low)[:, :, None] / (2 * STEP))
-
-    return columns
+    return lambda run: -torque_gradient(arm, run.calm, k, 0)[:, :, None]
 
 
 def _gain(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:

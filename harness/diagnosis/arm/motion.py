@@ -15,13 +15,21 @@ from harness.diagnosis.runs.equation import decimated
 from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["ArmRun", "arm_runs", "clear_runs", "low_passed", "moving_rows", "standstill", "white_noise"]
+__all__ = [
+    "STEP",
+    "ArmRun",
+    "arm_runs",
+    "clear_runs",
+    "low_passed",
+    "moving_rows",
+    "standstill",
+    "torque_gradient",
+    "white_noise",
+]
 
 USES = ("estimation", "validation", "test")
-KEPT = 0.4
-"""Band that a decimation keeps, over the rate of its rows; see :func:`harness.diagnosis.runs.equation.decimated`."""
-FEWEST = 200
-"""Rows that a record keeps at least."""
+STEP = 1e-4
+"""Of derivatives by differences: of a position, rate or acceleration, and of a parameter over its value."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +157,19 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
     )
 
 
+def torque_gradient(
+    arm: ArmModel, motion: Motion, joint: int, of: int, parameters: FloatArray | None = None
+) -> FloatArray:
+    """Return gradients (N, n) of all torques along a motion by a joint's position (0), rate (1) or acceleration (2)."""
+    step, sides = np.zeros(arm.n), []
+    step[joint] = STEP
+    for side in (step, -step):
+        moved = [motion.q, motion.v, motion.a]
+        moved[of] = moved[of] + side
+        sides.append(arm.torques(moved[0], moved[1], moved[2], parameters=parameters))
+    return np.asarray((sides[0] - sides[1]) / (2 * STEP))
+
+
 def _of_held_torques(a: FloatArray, differenced: Sequence[bool]) -> FloatArray:
     """Return accelerations (N, n) that go with the means of held torques.
 
@@ -196,9 +217,9 @@ def clear_runs(runs: Mapping[str, Sequence[ArmRun]]) -> dict[str, tuple[ArmRun, 
     sharp one beyond that band.
     """
     every = [run for parts in runs.values() for run in parts]
-    most = min((run.motion.inside.stop - run.motion.inside.start) // FEWEST for run in every)
-    factor = max(min(int(KEPT / (min(run.clear, run.motion.cutoff) * run.motion.sample_time)) for run in every), 1)
-    factor = min(factor, max(most, 1))
+    most = min((run.motion.inside.stop - run.motion.inside.start) // ARM_POLICY.fewest for run in every)
+    bands = (min(run.clear, run.motion.cutoff) * run.motion.sample_time for run in every)
+    factor = max(min(most, *(int(ARM_POLICY.kept / band) for band in bands)), 1)
     return {
         use: tuple(replace(run.sharp, motion=replace(run.motion, factor=factor)) for run in parts)
         for use, parts in runs.items()

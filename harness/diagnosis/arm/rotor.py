@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.arm.motion import ArmRun, torque_gradient
 from harness.diagnosis.policy import ARM_POLICY
 from harness.effects.effect import Effect, effect, par
 from harness.effects.functions import sign, tanh
@@ -126,7 +126,6 @@ def in_the_bodies(arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], joint: in
 MOTOR_SIDE, LINK_SIDE = "joint_elasticity", "joint_elasticity_of_link"
 SPRINGS = (MOTOR_SIDE, LINK_SIDE)
 """Names of the effects: the encoder of the motor was logged, or that of the link."""
-STEP = 1e-4
 
 
 class Spring(Protocol):
@@ -222,19 +221,10 @@ def swinging(arm: ArmModel, joint: int) -> Callable[[ArmRun], Swinging]:
     bodies = arm.arm.parameters
 
     def made(run: ArmRun) -> Swinging:
-        m, step = run.calm, np.zeros(arm.n)
-        step[joint] = STEP
-
-        def slope(which: int) -> FloatArray:
-            sides = []
-            for side in (1.0, -1.0):
-                motion = [m.q, m.v, m.a]
-                motion[which] = motion[which] + side * step
-                sides.append(arm.torques(motion[0], motion[1], motion[2], parameters=bodies))
-            return np.asarray((sides[0] - sides[1]) / (2 * STEP))
-
+        m = run.calm
         torque = arm.torques(m.q, m.v, m.a, parameters=bodies)[:, joint]
-        return Swinging(joint, torque, slope(2), slope(1), slope(0), run.motion.sample_time)
+        mass, drag, pull = (torque_gradient(arm, m, joint, of, bodies) for of in (2, 1, 0))
+        return Swinging(joint, torque, mass, drag, pull, run.motion.sample_time)
 
     return made
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.arm.effects import Wide, wide_effects
-from harness.diagnosis.arm.motion import ArmRun, moving_rows
+from harness.diagnosis.arm.motion import STEP, ArmRun, moving_rows
 from harness.diagnosis.arm.regression import USES, Change
 from harness.diagnosis.arm.rotor import Spring
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
@@ -24,10 +24,6 @@ ROTOR = "rotor"
 OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
 """Columns of each joint in :func:`own_columns`."""
 FRICTION = ("dry", "load")
-STEP = 1e-4
-"""Relative step of a derivative by a parameter."""
-SOFTEST = 1e-6
-"""Smallest value of a parameter that is fitted by its logarithm, over its largest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,9 +183,10 @@ class WideRegression:
             if bent is not None:
                 places[len(parameters)] = bent
             for parameter in placed.effect.parameters:
-                low = parameter.minimum if bent is None else max(parameter.minimum, SOFTEST * parameter.maximum)
-                value = 0.0 if bent is None else low
-                parameters.append(Parameter(placed.name(parameter.name), parameter.unit, value, low, parameter.maximum))
+                least, most, value = parameter.minimum, parameter.maximum, 0.0
+                if bent is not None:
+                    value = least = max(least, ARM_POLICY.softest * most)
+                parameters.append(Parameter(placed.name(parameter.name), parameter.unit, value, least, most))
             for use, parts in self.columns(effect).items():
                 for whole, part in zip(columns[use], parts, strict=True):
                     whole.append(part if bent is None else np.zeros_like(part))
