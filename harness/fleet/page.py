@@ -14,11 +14,10 @@ from urllib.parse import quote
 from harness.benchmark.page.plots import INK, LINES, STYLE, svg_text
 from harness.benchmark.page.report import filled
 from harness.benchmark.summary import figure
-from harness.fleet.changes import changes, odd_machines
+from harness.fleet.changes import chance, changes, odd_machines
 from harness.fleet.row import Found, Row
 from harness.fleet.trends import Series, new_effects, series_of, trends
-
-__all__ = ["fleet_page", "size_limits", "written"]
+from harness.units import behind
 
 TEMPLATE = Path(__file__).with_name("fleet.html.j2")
 PANELS = 40
@@ -50,6 +49,7 @@ def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -
         dated=any(row.date for row in rows),
         failed=[row for row in rows if not row.ok],
         figure=figure,
+        chance=chance,
         size=written,
         link=lambda row: f"{reports}/{quote(row.record)}/report.html",
     )
@@ -57,13 +57,13 @@ def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -
 
 def written(effect: Found) -> str:
     """Return an effect's size with its interval."""
-    unit = "" if effect.unit == "1" else effect.unit
+    unit = behind(effect.unit)
     if effect.low is None or effect.high is None:
-        return f"{effect.parameter} {figure(effect.size)} {unit}".strip()
+        return f"{effect.parameter} {figure(effect.size)}{unit}"
     # a gain of 1.00001 with an interval as narrow needs more digits than three to be told from 1
     digits = next((n for n in range(3, DIGITS) if figure(effect.low, n) != figure(effect.high, n)), DIGITS)
     size, low, high = (figure(value, digits) for value in (effect.size, effect.low, effect.high))
-    return f"{effect.parameter} {size} [{low}, {high}] {unit}".strip()
+    return f"{effect.parameter} {size} [{low}, {high}]{unit}"
 
 
 def size_plot(series: Sequence[Series]) -> str:

@@ -13,8 +13,6 @@ from pathlib import Path
 from harness import registry
 from harness.errors import InputError
 
-__all__ = ["COLUMNS", "FleetRecord", "find_records", "is_fleet"]
-
 COLUMNS = ("file", "machine", "date", "validation")
 """Of a table of records; all but the first may be left out."""
 SUFFIXES = (".csv", ".parquet", ".feather", ".xlsx", ".toml")

@@ -11,8 +11,6 @@ import msgspec
 from harness.errors import printable
 from harness.fleet.records import FleetRecord
 
-__all__ = ["Found", "Row", "blank", "encoded", "fill", "read"]
-
 
 class Found(msgspec.Struct, frozen=True):
     """An accepted effect.

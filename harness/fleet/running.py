@@ -25,8 +25,7 @@ from harness.jobs import make_engine, run_jobs, shard_file
 from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
 from harness.scoring.acceptance import Check, Demands
-
-__all__ = ["TIME_LIMIT", "FleetResult", "close_fleet", "fleet_table"]
+from harness.units import behind
 
 TIME_LIMIT = 1800.0
 """Seconds for one record: ten times what the slowest model of the project takes for 20 s of data (an FMU, 180 s)."""
@@ -117,10 +116,10 @@ class FleetResult:
         lines += [str(odd) for odd in self.odd]
         for trend in self.trends:
             if trend.word != "no trend":
-                name, unit = f"{trend.series.effect} {trend.series.parameter}", trend.series.unit
+                name, unit = f"{trend.series.effect} {trend.series.parameter}", behind(trend.series.unit)
                 where = f" on {trend.machine}" if trend.machine else ""
                 lines.append(
-                    f"{trend.word}: {name}{where} by {trend.slope:.3g} [{trend.low:.3g}, {trend.high:.3g}] {unit} a day"
+                    f"{trend.word}: {name}{where} by {trend.slope:.3g} [{trend.low:.3g}, {trend.high:.3g}]{unit} a day"
                 )
         return "\n".join(lines)
 

@@ -20,8 +20,6 @@ from harness.jobs.manifest import read_manifest
 from harness.jobs.query import Answer, ask
 from harness.jobs.stored import reading
 
-__all__ = ["FleetStore", "is_fleet_folder", "query"]
-
 FORMAT = "sysid-harness/fleet/1"
 MANIFEST, ROWS = "fleet.json", "rows.jsonl"
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from harness.fleet.row import Found, Row
 
-__all__ = ["New", "Series", "Trend", "new_effects", "series_of", "trends"]
-
 LEAST = 3
 """Records of a line: with two, its slope has no error."""
 NORMAL = 1.959964

@@ -20,8 +20,6 @@ from harness.jobs import Desk
 from harness.jobs.batch import described
 from harness.jobs.room import raise_if_full
 
-__all__ = ["RecordJob"]
-
 
 @dataclass(frozen=True)
 class RecordJob:

@@ -240,8 +240,9 @@ def test_a_fleet_reads_as_lines() -> None:
     assert lines[1:3] == ["coulomb@q: in 5 records", "dahl@q: in 1 records"]
     assert lines[3].startswith("another law, after coulomb@q: dahl@q in A-5 (A, 2026-01-06), Fc")
     slope = 0.02 / NORMAL * stats.t.ppf(0.975, 3) / np.sqrt(10.0)
-    assert lines[4] == f"grows: coulomb@q Fc on A by 0.05 [{0.05 - slope:.3g}, {0.05 + slope:.3g}] N m a day"
-    assert len(lines) == 5
+    assert lines[4].startswith("new: coulomb@q Fc on A drifts from 0.1 to 0.3 N m up to A-4 (2026-01-05), p ")
+    assert lines[5] == f"grows: coulomb@q Fc on A by 0.05 [{0.05 - slope:.3g}, {0.05 + slope:.3g}] N m a day"
+    assert len(lines) == 6
     assert _logged(row(1, effect(), effect("play", "u"), seconds=2.25)) == "A-1 2.2 s: coulomb@q + play@u"
     assert _logged(row(1, verdict="unexplained")) == "A-1 0.0 s: unexplained"
     assert _logged(row(1, reason="late")) == "A-1 0.0 s: late"
@@ -279,36 +280,23 @@ def test_an_effect_is_new_where_no_earlier_record_of_the_machine_was_tied_with_i
 
 
 def chances(day: Any, size: Any, sigma: Any) -> dict[tuple[str, int], tuple[float, float, float, float]]:
-    """Return levels, chance and rest of every shape: fits of two numbers by least squares."""
-    n, factor = len(size), 1.0
-    if n >= 4:
-        steps = [abs(size[k + 1] - size[k]) / np.hypot(sigma[k], sigma[k + 1]) for k in range(n - 1)]
-        factor = max(1.0, 1.4826 * float(np.median(steps)))
-    wide = np.array(sigma) * factor
-
-    def p(z: float, places: int) -> float:
-        tail = stats.norm.sf(z) if factor == 1.0 else stats.t.sf(z, n - 2)
-        return min(1.0, 6.0 * places * float(tail))
-
-    def fitted(column: Any) -> tuple[Any, Any, float]:
-        design = np.column_stack([np.ones(n), column]) / wide[:, None]
-        theta = np.linalg.lstsq(design, size / wide)[0]
-        covariance = np.linalg.inv(design.T @ design)
-        return theta, np.sqrt(np.diag(covariance)), float(np.sum((size / wide - design @ theta) ** 2))
-
-    found = {}
-    for cut in range(1, n):
-        theta, error, rest = fitted(np.arange(n) >= cut)
-        found["step", cut] = (theta[0], theta.sum(), p(abs(theta[1]) / error[1], n - 1), rest)
+    """Return levels, chance and rest of every shape: fits of two numbers by least squares, and a moderated t."""
+    n, at = len(size), np.arange(len(size))
+    columns = {("step", cut): ((at >= cut) * 1.0, n - 1) for cut in range(1, n)}
     if n > 2 and np.ptp(day) > 0:
-        theta, error, rest = fitted(day)
-        found["drift", n - 1] = (*(theta[0] + theta[1] * day[[0, -1]]), p(abs(theta[1]) / error[1], 1), rest)
-    for k in range(n) if n >= 4 else ():
-        rest = fitted(np.arange(n) == k)[2]
-        others = np.delete(np.arange(n), k)
-        middle = np.median(size[others])
-        error = np.hypot(wide[k], np.sqrt(np.pi / 2) * np.median(wide[others]) / np.sqrt(n - 1))
-        found["outlier", k] = (middle, size[k], p(abs(size[k] - middle) / error, n), rest)
+        columns["drift", n - 1] = ((day - day[0]) / (day[-1] - day[0]), 1)
+    if n >= 4:
+        columns |= {("outlier", k): ((at == k) * 1.0, n) for k in range(n)}
+    found = {}
+    for key, (column, places) in columns.items():
+        design = np.column_stack([np.ones(n), column]) / np.array(sigma)[:, None]
+        theta = np.linalg.lstsq(design, size / sigma)[0]
+        rest = float(np.sum((size / sigma - design @ theta) ** 2))
+        z = abs(theta[1]) / np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
+        tail = stats.norm.sf(z)
+        if n >= 4:
+            tail = stats.t.sf(z / np.sqrt(max(1.0, rest / (n - 2), (rest + 2) / n)), n)
+        found[key] = (theta[0], theta.sum(), min(1.0, 6.0 * places * float(tail)), rest)
     return found
 
 

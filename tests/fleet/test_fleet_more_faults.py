@@ -6,13 +6,11 @@ import json
 from datetime import date, timedelta
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.stats import norm
 
 from harness.errors import InputError
 from harness.fleet import find_records, is_fleet
-from harness.fleet.changes import _likeliest, _mean
+from harness.fleet.changes import _mean
 from harness.fleet.records import FleetRecord
 from harness.fleet.row import Found, Row, encoded
 from harness.fleet.running import FleetResult
@@ -88,21 +86,6 @@ def test_sizes_without_a_width_are_no_measurements() -> None:
     (other,) = series_of([row(0, 9.0, 9.0, 9.0)])
     assert _mean(other, "A") is None
     assert trends(series_of(rows[:2])) == []
-
-
-def test_an_outlier_is_held_against_the_median_of_the_others() -> None:
-    day, size = np.arange(5.0), np.array([1.0, 1.0, 1.5, 1.0, 1.0])
-    deviation = np.array([0.06, 0.05, 0.06, 0.05, 0.06])
-    shape, place, before, after, p = _likeliest(day, size, deviation)
-    assert (shape, place, before, after) == ("outlier", 2, 1.0, 1.5)
-    error = np.hypot(0.06, 1.2533 * 0.055 / np.sqrt(4.0))
-    steps = np.abs(np.diff(size)) / np.hypot(deviation[1:], deviation[:-1])
-    assert np.median(steps) > 0
-    from scipy.stats import t
-
-    factor = max(1.0, 1.4826 * float(np.median(steps)))
-    tail = norm.sf(0.5 / error) if factor == 1.0 else t.sf(0.5 / (error * factor), 3)
-    assert p == pytest.approx(min(1.0, 3 * 5 * 2 * tail), rel=1e-6)
 
 
 def test_the_job_of_a_record_depends_on_every_file_that_it_names(tmp_path: Path) -> None:
