@@ -45,8 +45,6 @@ from harness.effects.effect import Effect
 from harness.signals import Dataset
 from harness.supervision.workers import one_thread
 
-__all__ = ["diagnose"]
-
 
 def diagnose(
     dataset: Dataset,

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from harness.blackbox.system import FmuSystem
     from harness.data import LoadedDataset
 
-__all__ = ["Report", "close_loop", "close_loop_file"]
-
 JSON, HTML, MODEL, NOMINAL, EQUATIONS = "report.json", "report.html", "model.json", "nominal.fmu", "nominal.eqs"
 
 

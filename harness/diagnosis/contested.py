@@ -8,12 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from harness.diagnosis.effort import EFFORT
-from harness.diagnosis.forms.fit_records import likelihood_detail
+from harness.diagnosis.forms.fit_records import latent_shares, likelihood_detail
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Kind
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.records.horizon import Horizon
+from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.runs.simple_fits import SimpleFit, SimpleFits
 from harness.diagnosis.search.compare import Judged, judged
@@ -24,8 +25,6 @@ from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.search.ties import tie_set, total
 from harness.effects.effect import Placed
 from harness.physics.fitting.likelihood_fit import sensor_noise
-
-__all__ = ["at_optimum", "carried", "follows_whole", "nearer", "proposals_of", "simple_fits_of", "uncontested"]
 
 
 def simple_fits_of(
@@ -60,11 +59,24 @@ def carried(form: WholeForm, fit: Fit, policy: Policy, share: float | None = Non
 
     ``share`` of the typical force is what it is then larger than: what counts as an effect unless another is given.
     """
-    noise = likelihood_detail(fit).points["estimation"].noise
     if form.latent:
-        force = np.sqrt(noise.s**2 + noise.w**2)
-        return bool((force > (policy.disturbed if share is None else share) * form.noise_model.force_scale).any())
+        shares = latent_shares(fit, form.noise_model.force_scale)
+        return bool((shares > (policy.disturbed if share is None else share)).any())
+    noise = likelihood_detail(fit).points["estimation"].noise
     return bool((noise.r > policy.tie * sensor_noise(form.records["estimation"])).any())
+
+
+def explains_nothing(form: WholeForm, outcome: Outcome, runs: FreeRuns, policy: Policy) -> bool:
+    """Return True where what acts on the motion brings free runs no nearer and leaves the latent force as it was.
+
+    A law of the plant does the one or the other. What only makes the innovations whiter is the law of something else,
+    whose force is still there. A sensor moves nothing.
+    """
+    if all(set(accepted.placed.effect.kinds) == {"output"} for accepted in outcome.accepted):
+        return False
+    scale = form.noise_model.force_scale
+    before, after = (float(np.linalg.norm(latent_shares(fit, scale))) for fit in (outcome.nominal, outcome.model))
+    return not runs.nearer(policy) and after >= before
 
 
 def at_optimum(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.forms.apart import Apart
-from harness.diagnosis.forms.fit_records import likelihood_detail, reading_noise
+from harness.diagnosis.forms.fit_records import latent_shares, reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import PLAN_POLICY, Policy
 from harness.diagnosis.records.thinning import Thinned
@@ -22,8 +22,6 @@ from harness.diagnosis.stand_in import stand_in_reasons
 from harness.diagnosis.systems import AnySystem
 from harness.diagnosis.wanted import Wanted
 from harness.signals import Dataset, FloatArray
-
-__all__ = ["Diagnosis"]
 
 
 @dataclass(eq=False)
@@ -152,28 +150,12 @@ class Diagnosis:
     @property
     def latent_share(self) -> float:
         """Size of the latent force of the final model over the typical force, the largest of all ports."""
-        return float(self._latent_shares(self.final).max(initial=0.0))
+        return float(latent_shares(self.final, self.form.noise_model.force_scale).max(initial=0.0))
 
     @property
     def lasting(self) -> float:
         """Size of what free runs leave of the motion, noise taken off, where no latent force takes it up; else 0."""
         return 0.0 if self.form.latent else float(np.sqrt(self.runs.left))
-
-    def _latent_shares(self, fit: Fit) -> FloatArray:
-        """Return the sizes of the latent forces of a fit (nl,), each over the typical force of its port."""
-        noise = likelihood_detail(fit).points["estimation"].noise
-        return np.asarray(np.sqrt(noise.s**2 + noise.w**2) / self.form.noise_model.force_scale)
-
-    def _explains_nothing(self) -> bool:
-        """Return True where what acts on the motion brings free runs no nearer and leaves the latent force as it was.
-
-        A law of the plant does the one or the other. What only makes the innovations whiter is the law of something
-        else, whose force is still there.
-        """
-        if all(set(accepted.placed.effect.kinds) == {"output"} for accepted in self.outcome.accepted):
-            return False  # a sensor moves nothing
-        before, after = (float(np.linalg.norm(self._latent_shares(fit))) for fit in (self.nominal, self.final))
-        return not self.runs.nearer(self.policy) and after >= before
 
     @functools.cached_property
     def stand_in(self) -> tuple[str, ...]:
@@ -182,8 +164,6 @@ class Diagnosis:
         reasons = stand_in_reasons(
             [accepted.placed for accepted in self.outcome.accepted], None if best is None else best.name
         )
-        if self.outcome.accepted and self.form.latent and self._explains_nothing():
-            reasons = (*reasons, "free runs come no nearer, and the force that nobody measured gets no smaller")
         for name, share in self.outcome.denied(self.policy):
             reasons = (*reasons, f"the validation records want {100 * share:.0f} % of the size of {name}")
         unlawful = self.outcome.unlawful(self.policy) if self.outcome.accepted else None

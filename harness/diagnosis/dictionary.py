@@ -18,8 +18,6 @@ from harness.physics.models.catalogue import from_file
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["Laws", "laws_of", "placed", "with_effects_of"]
-
 
 @dataclass(frozen=True)
 class Laws:

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from harness.diagnosis.number import number
 
-__all__ = ["EFFORT", "Effort"]
-
 
 @dataclass(frozen=True)
 class Effort:

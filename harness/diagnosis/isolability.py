@@ -10,8 +10,6 @@ import numpy as np
 from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
 from harness.diagnosis.search.scores import ScoreTest
 
-__all__ = ["unseen"]
-
 
 def unseen(test: ScoreTest, form: Form, fit: Fit) -> list[dict[str, Any]]:
     """Return the effects that an experiment cannot show, each with what does the same.

@@ -19,8 +19,6 @@ from harness.effects.dictionary import Dictionary
 from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["Equations", "Kind", "OutputError"]
-
 
 class Kind(Protocol):
     """How a kind of nominal model is prepared, fitted and simulated."""

@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.forms.fit_records import likelihood_detail, reading_noise
+from harness.diagnosis.forms.fit_records import latent_shares, likelihood_detail, reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.records.columns_check import DEGREE, SAMPLES
 from harness.diagnosis.runs.compare import FreeRuns, told_noise
 from harness.diagnosis.search.fit import Fit
 from harness.signals import Dataset, FloatArray, Run, Trajectory
-
-__all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise", "overwhelmed"]
 
 SHIFTS = (1, 2, 5, 10, 20)
 """Samples by which an input is tried late and early; then those between the best one and its neighbours."""
@@ -61,10 +59,9 @@ def misfit_reasons(
 
 def overwhelmed(form: WholeForm, final: Fit, policy: Policy) -> dict[str, float]:
     """Return the ports at which an unmeasured force does most of what moves them, with its share of that."""
-    noise = likelihood_detail(final).points["estimation"].noise
-    shares = np.sqrt(noise.s**2 + noise.w**2) / form.noise_model.force_scale
     ports = [force.port for force in likelihood_detail(final).passes.forces]
-    return {port: float(share) for port, share in zip(ports, shares, strict=True) if share > policy.misfit_force}
+    shares = zip(ports, latent_shares(final, form.noise_model.force_scale), strict=True)
+    return {port: float(share) for port, share in shares if share > policy.misfit_force}
 
 
 def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, factor: int = 1) -> bool:
@@ -75,8 +72,7 @@ def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, fa
     asked, at two standard errors, the free run is no evidence until the next window. The fit looks at one of ``factor``
     samples of the free run; where it looks at stretches of the records only, nothing tells.
     """
-    noise = likelihood_detail(final).points["estimation"].noise
-    small = np.sqrt(noise.s**2 + noise.w**2) <= policy.large * form.noise_model.force_scale
+    small = latent_shares(final, form.noise_model.force_scale) <= policy.large
     if not form.latent or not small.all() or runs.after is None or not runs.after.finite:
         return False
     paths, _ = form.paths(final, "validation")

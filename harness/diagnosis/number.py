@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-__all__ = ["Number", "described", "number"]
-
 
 @dataclass(frozen=True)
 class Number:

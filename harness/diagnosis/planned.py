@@ -23,8 +23,6 @@ from harness.signals import Dataset, FloatArray, Run, Trajectory
 if TYPE_CHECKING:
     from harness.diagnosis.forms.equations_form import EquationsForm
 
-__all__ = ["Planned", "isolability_of"]
-
 USES: tuple[Literal["estimation", "validation"], ...] = ("estimation", "validation")
 
 

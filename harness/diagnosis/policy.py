@@ -6,19 +6,6 @@ from dataclasses import dataclass
 
 from harness.diagnosis.number import number
 
-__all__ = [
-    "ARM_POLICY",
-    "DATA_POLICY",
-    "PLAN_POLICY",
-    "POLICY",
-    "RUN_POLICY",
-    "ArmPolicy",
-    "DataPolicy",
-    "PlanPolicy",
-    "Policy",
-    "RunPolicy",
-]
-
 
 @dataclass(frozen=True)
 class Policy:
@@ -134,8 +121,8 @@ class Policy:
     misfit_gain: float = number(
         50.0,
         "log-likelihood that the repair of a column must gain to be named, and an effect or a free force where it was "
-        "fitted to be told, or tried on the validation records once more, though they show nothing of it; that of free "
-        "runs beside an error that remembers, where the validation records alone lose",
+        "fitted to be told though the validation records show nothing of it; that of free runs beside an error that "
+        "remembers, where the validation records alone lose",
         "ten times the evidence of an effect",
     )
     disturbed: float = number(

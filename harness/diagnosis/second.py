@@ -16,8 +16,6 @@ from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome
 from harness.signals import Dataset
 
-__all__ = ["halved", "searched_unless_carried", "second_opinion"]
-
 JUDGED = "so the model is judged by its free runs: what they do not show is not looked for"
 
 
@@ -84,7 +82,7 @@ def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) ->
         )
     elif first.outcome.withdrawn:
         names = " and ".join(str(one.placed) for one in first.outcome.withdrawn)
-        why = f"what is likeliest beside an unmeasured force, {names}, runs further from the validation records"
+        why = f"what is likeliest beside an unmeasured force, {names}, runs no nearer to the validation records"
         other = again()
         able = other.verdict == "effects_found" or bool(first.misfit and not other.misfit)
     elif first.astray:

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from harness.effects.effect import Placed
 
-__all__ = ["same_whole", "stand_in_reasons"]
-
 
 def same_whole(one: Placed, other: Placed) -> bool:
     """Return True for two laws at one place that each are the whole law of the same thing there: dry friction, say."""

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from harness.diagnosis.contested import follows_whole
+from harness.diagnosis.contested import explains_nothing, follows_whole
 from harness.diagnosis.dictionary import Laws, placed
 from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.form import WholeForm
@@ -31,23 +31,6 @@ from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.definition.parameters import FAR, said_far
 from harness.signals import Dataset, FloatArray
-
-__all__ = [
-    "Progress",
-    "Say",
-    "again_by_free_runs",
-    "all_readings",
-    "at_full_rate",
-    "beaten",
-    "candidates_of",
-    "form_of",
-    "nominal_fit",
-    "run_freely",
-    "sizes_off",
-    "teller",
-    "what_free_runs_say",
-    "widened",
-]
 
 Progress = Callable[[float, str], None]
 
@@ -134,16 +117,17 @@ def what_free_runs_say(
     """Return the outcome that stands, free runs before and after, and what is left of the final model.
 
     They are compared along all readings; the noise of those that the form judges is this ``share`` (ny,) of theirs.
-    Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back.
-    Where free runs are all that judges, they must come nearer.
+    Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back,
+    and those that explain nothing. Where free runs are all that judges, they must come nearer.
     """
     runs = run_freely(kind, form, outcome, dataset, simple, share)
     say("what is left", 0.8)
     leftover = left_over(form, outcome.model, policy)
-    denied = runs.worse(policy) or (runs.idle(policy) and not form.latent)
+    idle = explains_nothing(form, outcome, runs, policy) if form.latent else runs.idle(policy)
+    denied = runs.worse(policy) or idle
     if not denied or any(one.given for one in outcome.accepted):  # what is given is not taken back
         return outcome, runs, leftover
-    outcome = outcome.taken_back()
+    outcome = outcome.taken_back(policy.misfit_gain if form.latent and not runs.worse(policy) else 0.0)
     return outcome, run_freely(kind, form, outcome, dataset, simple, share), left_over(form, outcome.model, policy)
 
 

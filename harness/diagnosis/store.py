@@ -12,8 +12,6 @@ from typing import Any
 from harness.fingerprint import fingerprint
 from harness.signals import Dataset
 
-__all__ = ["Store", "data_fingerprint", "write_atomic"]
-
 
 def write_atomic(path: Path, text: str) -> None:
     """Write a file so that a half-written one is never left under its name."""

@@ -13,8 +13,6 @@ from harness.signals import Channel, FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["AnySystem", "Measured", "Parametrised", "SystemT", "by_equations"]
-
 
 class Measured(Protocol):
     """What has a name, inputs and outputs: all that data are checked against."""

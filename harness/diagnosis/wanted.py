@@ -11,8 +11,6 @@ from fnmatch import fnmatchcase
 from harness.effects.effect import Placed
 from harness.errors import InputError
 
-__all__ = ["Item", "Wanted"]
-
 _ITEM = re.compile(
     r"(?P<no>!?)\s*(?P<name>[\w*]+)\s*(?:(?:\(\s*(?P<in>[\w*]+)\s*\))|(?:@\s*(?P<at>[\w*]+)))?\s*(?P<maybe>\??)"
 )

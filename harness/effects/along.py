@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from harness.physics.arms.vectorised import OnRecords
     from harness.physics.compiled.system import System
 
-__all__ = ["Signals", "along", "arguments", "block_response", "down", "hidden_states", "residual_function", "rms"]
-
 _WRITTEN_OUT = 16
 """Steps of hidden states in one call of CasADi's virtual machine: alone, half of a step's time is the call."""
 

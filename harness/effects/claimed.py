@@ -29,8 +29,6 @@ SHORTEST = 0.05
 KEPT = 8
 """Simulations of hidden states that are remembered: derivatives to other parameters ask for the same again."""
 
-__all__ = ["SENSORS", "ClaimedForce", "claimable"]
-
 
 def _undo_offset(signals: Signals, row: int, value: float) -> Signals:
     q = signals.q.copy()

@@ -23,8 +23,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["ColumnBlock", "column_blocks", "motion_sizes", "regression_columns"]
-
 _LARGEST_GRID = 12
 
 

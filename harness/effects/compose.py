@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from harness.physics.compiled.system import Port, System
     from harness.signals import FloatArray
 
-__all__ = ["compose", "recommended_substeps"]
-
 _LARGEST_SUBSTEPS = 64
 _FOLLOWED, _STABLE = 1.4, 2.5
 """Eigenvalue times a step: what is followed, half of what the method of order 4 endures (2.78), and what is stable."""

@@ -22,8 +22,6 @@ from harness.effects.laws import (
 )
 from harness.errors import InputError
 
-__all__ = ["Confusions", "Dictionary", "builtin", "find"]
-
 _FILES = (
     friction,
     bristles,

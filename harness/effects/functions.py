@@ -11,26 +11,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "absolute",
-    "clip",
-    "cos",
-    "dead_band",
-    "dead_band_slope",
-    "exp",
-    "floor",
-    "larger",
-    "no_sooner",
-    "power",
-    "sigmoid",
-    "sign",
-    "sin",
-    "smaller",
-    "softplus",
-    "sqrt",
-    "tanh",
-]
-
 
 def _casadi(*arguments: Any) -> Any:
     """Return the casadi module if one of the arguments is one of its symbols, else None (it is not loaded for that)."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from harness.effects.unit_templates import tokens
 
-__all__ = ["EffectParameter", "Role", "par"]
-
 Sign = Literal["+", "-", "any"]
 Role = Literal["", "phase", "frequency", "wave number", "instant", "step"]
 _USUAL = {"dt": 0.01, "T": 10.0}

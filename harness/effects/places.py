@@ -13,8 +13,6 @@ from harness.errors import InputError
 if TYPE_CHECKING:
     from harness.physics.compiled.system import Port, System
 
-__all__ = ["carried_load", "fits", "measured_temperature", "obstacle", "place_all", "port_of", "unforced"]
-
 _TEMPERATURES = {"K": 0.0, "degC": 273.15}
 """Units of an input that is a temperature, with what makes kelvins of it."""
 

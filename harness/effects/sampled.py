@@ -8,8 +8,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["DelayLine", "delay", "delay_slope", "quantise"]
-
 
 def delay(values: FloatArray, tau: float, dt: float) -> FloatArray:
     """Return a sampled signal, delayed.

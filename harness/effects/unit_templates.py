@@ -7,8 +7,6 @@ from collections.abc import Mapping
 
 from harness.errors import InputError
 
-__all__ = ["fill", "rate_unit", "tokens"]
-
 _FACTOR = re.compile(r"^([^\d\s/()^*]+)(?:(?:\^|\*\*)(-?\d+))?$")
 
 

@@ -15,8 +15,6 @@ from harness.errors import InputError
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["WrappedPlant"]
-
 _LARGEST_SUBSTEPS = 1000
 _INSIDE = frozenset({"a", "load", "damping", "pull", "temperature"})
 """Arguments of a law that nobody knows from outside a plant."""

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from sysid_lab.truths.applied import ACTUATOR, FORCES
 from sysid_lab.truths.hardware import LAWS
 
-__all__ = ["ENGINES", "OUTSIDE", "PAIRS", "places", "sources"]
-
 _COORDINATE = (
     "coulomb_friction",
     "stribeck_friction",

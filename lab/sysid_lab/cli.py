@@ -13,8 +13,6 @@ from harness.cli.options import AsJson, Engine, Force, Resume, Workers
 from harness.cli.terminal import jobs_bar, print_json, print_written, say
 from harness.supervision.interrupts import Interrupts
 
-__all__ = ["app", "run"]
-
 app = typer.Typer(
     name="sysid-lab",
     help="Try the closed loop, or another tool, on simulated truths.",

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from harness import command
 
-__all__ = ["main"]
-
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; every failure is one line on standard error and an exit status."""

@@ -15,8 +15,6 @@ from sysid_lab.folder import write_record
 from sysid_lab.plan import Task
 from sysid_lab.records import Records
 
-__all__ = ["timed_command"]
-
 _COMMAND = "from harness.command import main; main()"
 LIMIT = 600.0
 """Seconds after which the command is abandoned."""

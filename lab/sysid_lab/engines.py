@@ -16,8 +16,6 @@ from sysid_lab.truths.applied import STEP, Law
 from sysid_lab.truths.context import Hidden
 from sysid_lab.truths.simulation import DT, SUBSTEPS
 
-__all__ = ["BALANCE_BAND", "OPTIONS", "balanced_run", "engine_run"]
-
 BALANCE_BAND = (0.1, 10.0)
 """Of the force that is added to the controller's [Hz]."""
 _SUBSTEPS = {"bullet": 320, "pymunk": 320}

@@ -9,8 +9,6 @@ from harness.data.whole_files import write_text
 from sysid_lab.plan import Task
 from sysid_lab.records import Records
 
-__all__ = ["write_record"]
-
 
 def write_record(folder: Path, name: str, task: Task, made: Records) -> None:
     """Write the runs of a record and what describes them."""

@@ -14,9 +14,6 @@ from sysid_lab.package import TRUTH_COLUMNS, record_name
 from sysid_lab.pages.statistics import clopper_pearson
 from sysid_lab.store import read_rows
 
-__all__ = ["NOT_ANSWERED", "Score", "answers_of_fleet", "answers_of_rows", "read_answers", "read_truth", "score",
-           "write_answers"]  # fmt: skip
-
 NEEDED, OPTIONAL = ("record", "verdict", "effects"), ("ties", "unseen", "stand_in")
 VERDICTS = ("effects_found", "nothing_missing", "unexplained", "model_does_not_fit")
 NOT_ANSWERED = "not answered"

@@ -8,8 +8,6 @@ from itertools import product
 
 from sysid_lab.truths.disturbances import UNNAMED, named
 
-__all__ = ["STAND_IN", "Answer", "Outcome", "has_double", "judge_answer", "plain_law"]
-
 Group = frozenset[str]
 STAND_IN = "said to be a stand-in"
 _SAME: dict[str, tuple[tuple[Group, ...], ...]] = {

@@ -27,8 +27,6 @@ from sysid_lab.plan import BASES, PLANTS, Task, plan
 from sysid_lab.records import SAMPLES, make_records
 from sysid_lab.store import read_rows
 
-__all__ = ["TRUTH_COLUMNS", "Package", "base_of", "generate", "record_name"]
-
 TABLE, TRUTH = "records.csv", "truth.csv"
 SETTINGS, SHARDS, LOG = "generate.json", "shards", "generate.log"
 FORMAT = "sysid-lab/sysid_lab-records/1"

@@ -20,8 +20,6 @@ from sysid_lab.truths.hardware import as_hardware
 from sysid_lab.truths.hidden import falling_damping, force_size, hide, hide_outside, sagging_gain
 from sysid_lab.truths.simulation import DT, SUBSTEPS, Motion, simulate
 
-__all__ = ["SAMPLES", "SPECS", "Records", "make_records", "multisine"]
-
 SAMPLES = 5000
 """Of one record: 20 s at 250 Hz."""
 BAND = (0.1, 3.0)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from harness.effects.effect import Placed
     from sysid_lab.power import Power
 
-__all__ = ["COLUMNS", "do_row"]
-
 COLUMNS = (
     "key",
     "study",

@@ -18,8 +18,6 @@ from sysid_lab.records import SAMPLES
 from sysid_lab.row import do_row
 from sysid_lab.store import RowStore
 
-__all__ = ["PICTURE", "SUMMARY", "StudyResult", "study"]
-
 SUMMARY, PICTURE = "study.md", "confusion.png"
 LIMIT = 900.0
 """Seconds after which a row is abandoned."""

@@ -18,8 +18,6 @@ from harness.fingerprint import own_code
 from harness.jobs import shard_file
 from sysid_lab.row import COLUMNS
 
-__all__ = ["ROWS", "RowStore", "read_rows"]
-
 ROWS, CODE = "rows.csv", "code.txt"
 AGAIN = ("crashed", "timeout")
 """What a resumed study tries once more."""

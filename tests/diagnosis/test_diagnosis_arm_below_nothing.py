@@ -52,7 +52,8 @@ def log(arm: ArmModel, less: float, friction: float = 0.0) -> Dataset:
     return Dataset("lever", tuple(runs), intersample="smooth")
 
 
-@pytest.mark.parametrize("inertia", [pytest.param("fixed", marks=pytest.mark.slow), "calibrated"])
+@pytest.mark.slow
+@pytest.mark.parametrize("inertia", ["fixed", "calibrated"])
 def test_an_inertia_below_nothing_is_refused_by_name(tmp_path: Path, inertia: str) -> None:
     arm = lever(tmp_path, inertia)
     report = close_loop(log(arm, INERTIA + 0.19), arm)

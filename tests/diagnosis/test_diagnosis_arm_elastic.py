@@ -70,7 +70,7 @@ def searched(joint: ArmModel, data: Dataset) -> WideResult:
     return wide_search(joint, arm_runs(joint, data), [0])
 
 
-@pytest.mark.parametrize("frequency", [8.0, 16.0])
+@pytest.mark.parametrize("frequency", [pytest.param(8.0, marks=pytest.mark.slow), 16.0])
 @pytest.mark.parametrize(("side", "name"), [("motor", "joint_elasticity"), ("link", "joint_elasticity_of_link")])
 def test_an_elastic_joint_is_named_by_the_side_that_was_measured(
     joint: ArmModel, side: str, name: str, frequency: float

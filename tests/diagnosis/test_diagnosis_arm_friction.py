@@ -94,6 +94,7 @@ def test_a_torque_that_is_all_friction_does_not_explain_itself(levers: dict[str,
     assert np.sqrt(np.mean(residual**2)) > 0.9 * float(np.ravel(regression.size)[0])
 
 
+@pytest.mark.slow
 def test_friction_in_proportion_to_the_load_is_found_with_its_size(levers: dict[str, ArmModel]) -> None:
     """Of the torque u the part (1 - mu sgn(u) sgn(v)) u passes."""
     data = records(levers["heavy"], lambda v, need: need * (1 / (1 - 0.15 * np.sign(need) * np.tanh(v / 1e-2)) - 1))

@@ -70,7 +70,7 @@ def found(report: Any) -> dict[str, dict[str, float]]:
 
 
 @pytest.mark.parametrize("intersample", ["zoh", pytest.param("smooth", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("noise", [0.02, 0.1])
+@pytest.mark.parametrize("noise", [0.02, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_the_noise_of_a_torque_is_no_spring(joint: ArmModel, noise: float, intersample: str) -> None:
     """A compliance whose column held the measured torque was found in every third such log."""
     report = close_loop(records(joint, lambda v, a: 0.0 * v, noise, intersample), joint)

@@ -29,6 +29,7 @@ def test_the_worst_output_says_how_much_further() -> None:
     assert FreeRuns(cast(Any, None), cast(Any, None), None, lost, 0.0, np.ones(2), np.zeros(2), None).further == np.inf
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=1, deadline=None)
 def test_two_laws_that_pass_for_damping_at_large_swings_are_seen_in_free_runs(seed: int) -> None:

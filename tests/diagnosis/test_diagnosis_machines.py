@@ -74,6 +74,7 @@ def test_a_gear_and_its_efficiency(foreign_pendulum: Callable[..., Dataset]) -> 
     assert found.final.values["gear_loss@theta.c"] == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_ripple_is_told_from_cogging(foreign_pendulum: Callable[..., Dataset]) -> None:
     """The one in proportion to the torque, the other whatever the torque is."""
     ripple = diagnose(foreign_pendulum(32, lambda q, v, u, t: 0.12 * u * math.sin(6 * q + 1)), load_model("pendulum"))

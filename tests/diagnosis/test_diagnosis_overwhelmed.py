@@ -48,6 +48,7 @@ def test_a_plant_that_is_shaken_faster_than_it_moves_is_judged_by_its_free_runs(
     assert "of what moves q" in said
 
 
+@pytest.mark.slow
 def test_free_runs_that_do_not_follow_either_leave_the_verdict_as_it_was() -> None:
     found = diagnosed(-1.0)  # the motor pushes the other way
     assert found.verdict == "model_does_not_fit"

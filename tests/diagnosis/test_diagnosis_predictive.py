@@ -80,7 +80,8 @@ def test_the_spread_is_a_root_of_the_covariance_without_what_belongs_to_a_record
     assert whole[0, 2] != 0.0
 
 
-@pytest.mark.parametrize(("seed", "friction"), [pytest.param(10_109, 0.0, marks=pytest.mark.slow), (10_017, 0.1)])
+@pytest.mark.parametrize(("seed", "friction"), [(10_109, 0.0), (10_017, 0.1)])
+@pytest.mark.slow
 def test_a_swing_over_the_top_decides_nothing_by_its_chaos(tmp_path: Path, seed: int, friction: float) -> None:
     """Records of Bullet: judged at the estimates alone, the first was called unexplained and so was the second."""
     api.simulate(

@@ -9,7 +9,6 @@ from sysid_lab.records import Records, make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
-from harness.diagnosis.search.warm import in_its_place
 from harness.effects import builtin
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
@@ -68,19 +67,3 @@ def test_what_slips_is_simulated_with_steps_for_its_speed() -> None:
     assert recommended_substeps(system, None, 0.004) < 3
     # z' = (v - |v| z)/xs has the eigenvalue 6/1e-3 1/s
     assert recommended_substeps(system, None, 0.004, x=x) == int(np.ceil(6.0 / 1e-3 * 0.004 / 2.5))
-
-
-def test_what_takes_the_place_of_another_law_starts_with_its_level() -> None:
-    gone, stays, elsewhere = (
-        Placed(builtin()[name], at)
-        for name, at in (("coulomb_friction", "theta"), ("hysteresis", "theta"), ("hysteresis", "x"))
-    )
-    values = {
-        "coulomb_friction@theta.Fc": 0.01,
-        "coulomb_friction@theta.w": 0.02,
-        "hysteresis@theta.Fh": 0.013,
-        "hysteresis@theta.xs": 0.002,
-        "hysteresis@x.Fh": 1.0,
-    }
-    (start,) = in_its_place(values, gone, [stays, elsewhere])
-    assert start == {**values, "hysteresis@theta.Fh": pytest.approx(0.023)}

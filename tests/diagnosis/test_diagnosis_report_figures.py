@@ -165,7 +165,12 @@ def forces(share: float) -> dict[str, Any]:
             {"noise": forces(0.054)},
             "beside a force at theta that nobody measured (0.05 N m, 5.4 % of what moves it): validation",
         ),
-        ("unexplained", {}, "no effect of the dictionary explains it: gremlins would ("),
+        ("unexplained", {}, "no effect of the dictionary explains it: gremlins would (theta 0.1 rad; "),
+        (
+            "unexplained",
+            {"recorded": {"theta": {"unit": "rad", "recorded": "deg"}}},
+            "gremlins would (theta 5.73 deg; ",
+        ),
         ("model_does_not_fit", {}, "pendulum does not fit these data: the sign is wrong"),
     ],
 )
@@ -181,7 +186,7 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
     ("more", "words"),
     [
         ({"best": "theta over theta_rate", "rival": (60.0, 1.0)}, "a force at theta over theta_rate would"),
-        ({"withdrawn": True, "rival": (60.0, 1.0)}, "quadratic drag at theta would by the likelihood, and takes free"),
+        ({"withdrawn": True, "rival": (60.0, 1.0)}, "quadratic drag at theta would by the likelihood, and brings free"),
         (
             {"rival": (60.0, 1.0)},
             "quadratic drag at theta would in the estimation records, by 60 in log-likelihood, and the validation "

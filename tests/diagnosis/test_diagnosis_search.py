@@ -27,7 +27,6 @@ from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.fit import Column, Fit
 from harness.diagnosis.search.leftover import Axis, Leftover, left_over
 from harness.diagnosis.search.moves import specialise
-from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.scores import score_test
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, Answer, Round
@@ -328,28 +327,6 @@ def test_the_last_law_gives_way_to_its_special_case_where_an_earlier_one_was_exc
     table = table_of(form, nominal, Round(nominal, score_test(form, nominal, ALL), rows))
     found = specialise(table, Answer(form.fit([drag, general], [], nominal), made))
     assert accepted(found) == {"quadratic_drag", "linear_spring" if exchanged else "cubic_spring"}
-
-
-def test_a_special_case_and_what_made_its_law_general_take_their_places_together() -> None:
-    """Friction was asymmetric beside a bent scale that stood in for an eccentric one: neither exchange helps alone."""
-    records = linear_records(29, {"linear_spring": 0.5, "quadratic_drag": 0.8})
-    mixed(records, "cubic_spring", linear_spring=1.0, quadratic_drag=0.3)
-    mixed(records, "force_bias", quadratic_drag=0.9, force_bias=0.45)
-    form = LinearForm(records)
-    nominal = form.fit((), [], None)
-    spring, drag, bias = placed("linear_spring"), placed("quadratic_drag"), placed("force_bias")
-    general = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")
-    first = form.fit([general], [], nominal)
-    made = Accepted(general, ((general,),), 1, 1, frozenset()), Accepted(bias, ((bias,),), 1, 1, found=1)
-    alone = judged(form, [spring], form.fit([spring], [], nominal), nominal, nominal)
-    rival, last = (judged(form, [one], form.fit([general, one], [], first), first, nominal) for one in (drag, bias))
-    for refusals, answer in (
-        ((Refusal(Kind.VALIDATION),), {"linear_spring", "quadratic_drag"}),
-        ((Refusal(Kind.SIGN, "c", (-1.0,)),), {"cubic_spring", "force_bias"}),
-    ):
-        past = Round(first, score_test(form, first, ALL), (replace(rival, refusals=refusals), last))
-        table = table_of(form, nominal, Round(nominal, score_test(form, nominal, ALL), (alone,)), past)
-        assert accepted(specialise(table, Answer(form.fit([general, bias], [], nominal), made))) == answer
 
 
 def test_what_stays_tied_beside_a_later_effect_is_told() -> None:

@@ -353,31 +353,6 @@ def test_what_would_be_the_answer_but_for_its_last_steps_takes_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "evidence", "passes"),
-    [("bad", 0.4, True), ("good", 0.4, False), ("worse", 0.4, False), ("bad", 0.25, False)],
-)
-def test_what_the_validation_records_alone_refuse_is_tried_there_once_more(
-    start: str, evidence: float, passes: bool
-) -> None:
-    """Play whose first contact was begun on the wrong side: what belongs to the other records had stopped beside it."""
-    form = LinearForm(linear_records(16, {"linear_spring": evidence}))
-    nominal = form.fit((), [], None)
-    fit = form.fit([placed("linear_spring")], [], nominal)
-    spoilt = [terms - 0.5 for terms in fit.terms["validation"]]
-    begun_badly = replace(fit, terms={**fit.terms, "validation": spoilt})
-    if start == "good":  # wherever it is begun, they refuse it
-        form.fit = lambda *args: begun_badly  # type: ignore[method-assign, assignment]
-    worse = replace(begun_badly, terms={**fit.terms, "validation": [terms - 0.6 for terms in fit.terms["validation"]]})
-    if start == "worse":
-        form.fit = lambda *args: worse  # type: ignore[method-assign, assignment]
-    row = judged(form, fit.effects, begun_badly, nominal, nominal)
-    assert not row.passed
-    (again,) = moves._ended(table_of(form, nominal), [row], nominal)
-    assert again.passed is passes
-    assert again.fit is not worse, "a fit that is worse takes no place"
-
-
-@pytest.mark.parametrize(
     ("estimation", "validation", "good"), [(0.0, 5.0, True), (0.0, 31.0, False), (2.0, 0.0, False)]
 )
 def test_a_law_that_contains_another_may_be_worse_on_neither_use(

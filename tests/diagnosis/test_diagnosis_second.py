@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from harness.diagnosis.contested import explains_nothing
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.second import halved, searched_unless_carried, second_opinion
@@ -69,7 +70,8 @@ class Runs:
 
 @pytest.fixture(autouse=True)
 def plain_details(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("harness.diagnosis.misfit.likelihood_detail", lambda fit: fit.detail)
+    for room in ("misfit", "forms.fit_records"):
+        monkeypatch.setattr(f"harness.diagnosis.{room}.likelihood_detail", lambda fit: fit.detail)
 
 
 def opinion(first: Answer, again: Answer) -> tuple[Any, list[str]]:
@@ -139,7 +141,7 @@ def test_a_rival_asks_again_and_what_comes_clearly_nearer_stands() -> None:
 def test_what_free_runs_take_back_is_looked_for_by_free_runs() -> None:
     first = Answer(withdrawn=("elasticity@q", "sensor_cyclic_error@q"))
     found, asked = opinion(first, Answer(verdict="effects_found", error=0.2))
-    assert "elasticity@q and sensor_cyclic_error@q, runs further" in found.warnings[0]
+    assert "elasticity@q and sensor_cyclic_error@q, runs no nearer" in found.warnings[0]
     assert asked == ["whole"]
     assert opinion(first, Answer(verdict="effects_found", error=0.8))[0] is None, "it comes no nearer"
     assert opinion(first, Answer(verdict="nothing_missing", error=0.2))[0] is None, "something is missing"
@@ -163,3 +165,21 @@ def test_halves_hold_every_sample_once() -> None:
     kept = np.concatenate([parts[0].trajectory.y, parts[2].trajectory.y])
     np.testing.assert_array_equal(kept, RECORD.y)
     assert parts[-1].trajectory is RECORD
+
+
+@pytest.mark.parametrize(
+    ("nearer", "quieter", "kinds", "nothing"),
+    [(False, False, {"force"}, True), (True, False, {"force"}, False), (False, True, {"force"}, False),
+     (False, False, {"output"}, False), (False, False, {"force", "output"}, True)],
+)  # fmt: skip
+def test_what_helps_neither_free_runs_nor_the_unmeasured_force_explains_nothing(
+    monkeypatch: pytest.MonkeyPatch, nearer: bool, quieter: bool, kinds: set[str], nothing: bool
+) -> None:
+    """An elastic joint that only whitened a drifting sine was named, as a stand-in."""
+    effect = SimpleNamespace(placed=SimpleNamespace(effect=SimpleNamespace(kinds=kinds)))
+    model = np.array([0.2 if quieter else 0.3])
+    outcome: Any = SimpleNamespace(nominal=np.array([0.3]), model=model, accepted=[effect])
+    form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.ones(1)))
+    monkeypatch.setattr("harness.diagnosis.contested.latent_shares", lambda fit, scale: fit / scale)
+    seen: Any = SimpleNamespace(nearer=lambda policy: nearer)
+    assert explains_nothing(form, outcome, seen, POLICY) is nothing

@@ -54,7 +54,8 @@ def test_only_what_inputs_before_the_record_decide_is_left_out() -> None:
         assert with_known_starts(data, model) is data  # no dead time; a mechanism
 
 
-@pytest.mark.parametrize(("dead", "cut"), [(10, 300), pytest.param(20, 0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("dead", "cut"), [(10, 300), (20, 0)])
 def test_the_dead_time_alone_is_found(dead: int, cut: int, tmp_path: Path) -> None:
     report = close_loop(pair(dead, cut=cut), load_model("linear", order=1), out=tmp_path / "out")
     assert [effect["name"] for effect in report.data["effects"]] == ["input_delay"]

@@ -49,7 +49,7 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("coulomb_friction(theta)", {str(FRICTION), str(SPRING)}),
+        pytest.param("coulomb_friction(theta)", {str(FRICTION), str(SPRING)}, marks=pytest.mark.slow),
         pytest.param("cubic_spring@theta; coulomb_friction?", {str(FRICTION), str(SPRING)}, marks=pytest.mark.slow),
         pytest.param("elasticity(theta); *_spring?", {"elasticity@theta", str(SPRING)}, marks=pytest.mark.slow),
         ("*_spring?", {str(SPRING)}),

@@ -28,8 +28,6 @@ from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, 
 from harness.physics.lumps.identifiability import determined
 from harness.signals import FloatArray
 
-__all__ = ["ArmBodies", "bodies_of_arm", "bodies_of_joints", "unit_torques"]
-
 TRUST = 0.3
 """Relative standard deviation of the URDF's inertial parameters: the default of the identifier ``inertial``."""
 

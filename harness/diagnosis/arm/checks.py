@@ -14,8 +14,6 @@ from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.records.motion import ORDER, motion_band
 from harness.signals import FloatArray, Run, Trajectory
 
-__all__ = ["chatter", "check_torques"]
-
 BLOCK = 100
 
 

@@ -21,8 +21,6 @@ from harness.signals import Dataset
 if TYPE_CHECKING:
     from harness.data import LoadedDataset
 
-__all__ = ["close_arm", "recorded_arm", "repaired_urdf"]
-
 URDF = "repaired.urdf"
 MJCF = "repaired.xml"
 

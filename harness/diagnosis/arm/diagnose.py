@@ -39,8 +39,6 @@ from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 from harness.supervision.workers import one_thread
 
-__all__ = ["diagnose_arm"]
-
 ROUNDS = 3
 """Times that joints are searched beside bodies, at most."""
 

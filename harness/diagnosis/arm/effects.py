@@ -20,8 +20,6 @@ from harness.physics.arms.arm import ArmModel
 from harness.physics.arms.joints import Joint
 from harness.signals import FloatArray
 
-__all__ = ["GAIN", "Wide", "wide_effects"]
-
 GAIN = "input_gain"
 BODIES = MappingProxyType({"parameter": "inertial parameters that the URDF gives the same link"})
 """What the data tell no body's effect from."""

@@ -20,8 +20,6 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["ArmDiagnosis", "JointDiagnosis"]
-
 
 @dataclass(eq=False)
 class JointDiagnosis:

@@ -24,8 +24,6 @@ from harness.diagnosis.search.table import Accepted, named, value
 from harness.diagnosis.search.ties import close, undecided
 from harness.effects.effect import Placed
 
-__all__ = ["beside_the_usual", "rotor_or_gain", "with_rivals"]
-
 USUAL = ("viscous_friction", ROTOR)
 DRY = "dry friction"
 PLAIN = "coulomb_friction"

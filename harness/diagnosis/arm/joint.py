@@ -22,8 +22,6 @@ from harness.physics.arms.arm import ArmModel
 from harness.physics.compiled.system import System
 from harness.signals import Channel, FloatArray
 
-__all__ = ["JOINT_EFFECTS", "JointRegression", "joint_dictionary", "joint_system"]
-
 JOINT_EFFECTS = (
     "viscous_friction",
     "coulomb_friction",

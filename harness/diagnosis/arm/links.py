@@ -22,8 +22,6 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
-__all__ = ["LINK", "Elements", "LinkSet", "exchanged", "settled"]
-
 LINK = "link_mass"
 LOAD = ("payload", "payload_off_centre")
 FINEST = 1e-10

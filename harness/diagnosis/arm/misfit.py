@@ -16,8 +16,6 @@ from harness.diagnosis.records.columns_check import DEGREE
 from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["apparent_inertia", "inertia_below_nothing", "likely_mistake", "misfit_reasons"]
-
 NONE = (0.0, 0.0, 0.0)
 """No gravity."""
 

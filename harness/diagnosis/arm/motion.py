@@ -15,18 +15,6 @@ from harness.diagnosis.runs.equation import decimated
 from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = [
-    "STEP",
-    "ArmRun",
-    "arm_runs",
-    "clear_runs",
-    "low_passed",
-    "moving_rows",
-    "standstill",
-    "torque_gradient",
-    "white_noise",
-]
-
 USES = ("estimation", "validation", "test")
 STEP = 1e-4
 """Of derivatives by differences: of a position, rate or acceleration, and of a parameter over its value."""

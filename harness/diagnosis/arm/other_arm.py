@@ -26,16 +26,6 @@ from harness.models.damped import Damping, damped_descent
 from harness.physics.arms.arm import GRAVITY, ArmModel
 from harness.signals import FloatArray
 
-__all__ = [
-    "FreeBodies",
-    "caution",
-    "free_bodies",
-    "look_like_another_arm",
-    "other_arm_reasons",
-    "runs_of_another_arm",
-    "unlikely_gains",
-]
-
 DESCENT = Damping(start=1e-2, enough=1e-4, rounds=30)
 """Of the fit: what a cost falls by less than 0.01 % tells nothing more."""
 

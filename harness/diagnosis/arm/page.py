@@ -18,8 +18,6 @@ from harness.diagnosis.runs.equation import decimated
 from harness.diagnosis.store import write_atomic
 from harness.signals import FloatArray
 
-__all__ = ["arm_figures", "render_arm", "write_arm_html"]
-
 
 def write_arm_html(data: dict[str, Any], figures: dict[str, str], path: Path) -> None:
     """Write the page of a diagnosis of an arm."""

@@ -21,8 +21,6 @@ from harness.physics.compiled.kalman_pass import Filtered
 from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
-__all__ = ["USES", "Change", "Equation", "RegressionDetail", "RegressionForm", "TorqueRegression", "regression_detail"]
-
 USES = ("estimation", "validation")
 ROUNDS = 12
 """Times that parameters and errors are fitted in turn, at most."""

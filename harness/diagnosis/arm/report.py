@@ -49,8 +49,6 @@ from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.stand_in import stand_in_reasons
 from harness.effects.effect import Placed
 
-__all__ = ["arm_report"]
-
 NO_PATH = (
     "an arm is always held by its controller, and the planned path, from outside that loop, is not used; what shakes "
     "the arm and is answered by the controller may bias friction and gains"

@@ -27,22 +27,6 @@ from harness.effects.functions import sign, tanh
 from harness.physics.arms.arm import ArmModel
 from harness.signals import FloatArray
 
-__all__ = [
-    "LINK_SIDE",
-    "MOTOR_SIDE",
-    "ON_LOAD",
-    "ROTOR",
-    "SPRINGS",
-    "Ahead",
-    "Spring",
-    "Swinging",
-    "ahead",
-    "friction_of_the_load",
-    "in_the_bodies",
-    "rotor_inertia",
-    "swinging",
-]
-
 ROTOR = "rotor_inertia"
 ON_LOAD = "load_dependent_friction"
 ROWS = 400

@@ -19,8 +19,6 @@ from harness.diagnosis.search.table import Accepted, value
 from harness.diagnosis.search.ties import close
 from harness.effects.effect import Effect, Placed
 
-__all__ = ["becomes", "with_simpler_laws"]
-
 MOST = 2
 """Laws that are replaced, and that replace them, at once: no law of the dictionary is the sum of three."""
 

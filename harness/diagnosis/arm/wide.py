@@ -31,8 +31,6 @@ from harness.errors import FitError
 from harness.physics.arms.arm import ArmModel
 from harness.signals import FloatArray
 
-__all__ = ["WideResult", "wide_search"]
-
 
 @dataclass(frozen=True, eq=False)
 class WideResult:

@@ -18,8 +18,6 @@ from harness.physics.arms.arm import ArmModel
 from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
-__all__ = ["OWN", "ROTOR", "Linear", "LinearEquation", "WideRegression", "own_columns"]
-
 ROTOR = "rotor"
 OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
 """Columns of each joint in :func:`own_columns`."""

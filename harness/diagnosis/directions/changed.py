@@ -12,8 +12,6 @@ from harness.physics.compiled.sampled import SampledBlocks
 from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
-__all__ = ["LOOKED_AT", "changed_share"]
-
 LOOKED_AT = 1000
 """Samples of a record, evenly spread, along which what two models do is compared: an rms needs no more."""
 

@@ -20,8 +20,6 @@ from harness.diagnosis.search.leftover import largest_evidence
 from harness.diagnosis.search.scores import SINGULAR
 from harness.signals import FloatArray
 
-__all__ = ["in_parts", "incoherence", "without"]
-
 
 def in_parts(whole: Direction, parts: int) -> list[Direction]:
     """Return a direction in parts of every record of both uses: each is 0 outside its own part.

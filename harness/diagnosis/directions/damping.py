@@ -12,8 +12,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["damping_along"]
-
 PLACES = 41
 """Places along the motion."""
 

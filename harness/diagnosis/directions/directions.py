@@ -25,19 +25,6 @@ from harness.errors import HarnessError
 from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
-__all__ = [
-    "Direction",
-    "choices",
-    "directions",
-    "drift_directions",
-    "input_behind",
-    "line_directions",
-    "reading_directions",
-    "signals_of",
-    "spline_directions",
-    "test_functions",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Direction:

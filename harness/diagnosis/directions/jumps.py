@@ -13,8 +13,6 @@ from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.fit import Jump
 from harness.signals import FloatArray
 
-__all__ = ["instants", "jumps"]
-
 _MEDIAN = float(norm.ppf(0.75))
 """Median of the absolute value of a normal variable over its standard deviation."""
 

@@ -12,8 +12,6 @@ from harness.diagnosis.directions.directions import signals_of
 from harness.diagnosis.directions.trace import Trace
 from harness.physics.compiled.system import System
 
-__all__ = ["lightened"]
-
 _FARTHEST = 5.0
 """Times a parameter, or part of it: a step of first order reaches no farther."""
 

@@ -16,8 +16,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["frequencies", "short_waves", "waves"]
-
 _LOBES = 12
 """Bins about a line that belong to it."""
 _FINEST = 1e5

@@ -11,8 +11,6 @@ import numpy as np
 from harness.physics.compiled.kalman_pass import Pass
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Along", "Trace"]
-
 
 class Along(Protocol):
     """A record with what a model does along it."""

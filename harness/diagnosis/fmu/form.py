@@ -25,8 +25,6 @@ from harness.physics.compiled.kalman_pass import Filtered, Pass
 from harness.physics.compiled.smoother import Smoothed
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["FmuForm"]
-
 PUSH = 1e-3
 """Size of a push in the difference quotients, over that of the inputs: well above what the solver rounds off."""
 

@@ -21,8 +21,6 @@ from harness.effects.dictionary import Dictionary
 from harness.errors import HarnessError
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["BlackBox"]
-
 
 class BlackBox:
     """See :class:`harness.diagnosis.kinds.Kind`."""

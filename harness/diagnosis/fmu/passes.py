@@ -14,8 +14,6 @@ from harness.physics.compiled.kalman_pass import Filtered, Noise
 from harness.physics.compiled.latent import LatentForce
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["FreePass", "Run"]
-
 
 @dataclass(eq=False)
 class Run(Filtered):

@@ -30,8 +30,6 @@ from harness.signals import Dataset, FloatArray, Trajectory
 if TYPE_CHECKING:
     from harness.diagnosis.fmu.pushes import Moved
 
-__all__ = ["FmuWindows", "choose_horizon", "measured_states", "nominal_fmu", "rough_values", "sizes_of"]
-
 STARTS, ROUGH = 4, 40
 """Starts of the rough fit, and its iterations."""
 PULSE, ORDER = 4, 1.5

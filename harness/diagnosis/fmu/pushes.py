@@ -26,8 +26,6 @@ from harness.effects.places import port_of
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Moved", "pushes", "test_pushes"]
-
 PARTS = 4
 """Steps of a hidden state within a sample."""
 

@@ -18,8 +18,6 @@ from harness.physics.compiled.windows import Windows
 from harness.physics.fitting.levenberg import minimise_states
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["FmuRuns"]
-
 
 class FmuRuns(FreeRunForm):
     """Simulates an FMU with effects around it; see :class:`harness.diagnosis.runs.form.FreeRunForm`."""

@@ -16,8 +16,6 @@ from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit
 from harness.signals import FloatArray
 
-__all__ = ["Apart", "apart"]
-
 
 @dataclass(frozen=True, eq=False)
 class Apart:

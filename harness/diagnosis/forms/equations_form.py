@@ -36,8 +36,6 @@ from harness.physics.fitting.likelihood_fit import first_state, force_scale
 from harness.physics.fitting.start import first_values
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["EquationsForm", "OutputErrorForm"]
-
 WAVE_ROLES: tuple[Role, Role] = ("frequency", "phase")
 _FAR = 2.0
 """Factor between typical forces, as declared and as fitted, beyond which a fit is made anew."""

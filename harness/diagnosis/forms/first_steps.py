@@ -14,8 +14,6 @@ from harness.errors import FitError
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit, Point
 
-__all__ = ["from_instants", "hopeful", "in_sight", "looked", "may_reach", "stepped"]
-
 
 def looked(
     likelihood: Likelihood,

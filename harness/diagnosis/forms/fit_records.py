@@ -15,16 +15,6 @@ from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit, Point
 from harness.signals import FloatArray
 
-__all__ = [
-    "LikelihoodDetail",
-    "fit_from_record",
-    "fit_record",
-    "likelihood_detail",
-    "point_from_record",
-    "point_record",
-    "reading_noise",
-]
-
 
 @dataclass(eq=False)
 class LikelihoodDetail:
@@ -43,6 +33,12 @@ def likelihood_detail(fit: Fit) -> LikelihoodDetail:
     """Return what the likelihood keeps of a fit of its own."""
     assert isinstance(fit.detail, LikelihoodDetail)
     return fit.detail
+
+
+def latent_shares(fit: Fit, scale: FloatArray) -> FloatArray:
+    """Return the sizes of the forces that nobody measured (nl,), each over the typical force of its port."""
+    noise = likelihood_detail(fit).points["estimation"].noise
+    return np.asarray(np.sqrt(noise.s**2 + noise.w**2) / scale)
 
 
 def reading_noise(fit: Fit) -> FloatArray:

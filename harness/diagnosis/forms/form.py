@@ -14,8 +14,6 @@ from harness.physics.compiled.smoother import Smoothed
 from harness.physics.fitting.maximum import NoiseModel
 from harness.signals import Dataset, Trajectory
 
-__all__ = ["WholeForm"]
-
 
 class WholeForm(Form, Protocol):
     """A form that a whole diagnosis stands on, see :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm`."""

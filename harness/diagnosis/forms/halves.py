@@ -10,8 +10,6 @@ from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import Point
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["judged_by_halves", "told_by_halves"]
-
 Told = Sequence[tuple[FloatArray, FloatArray]]
 
 

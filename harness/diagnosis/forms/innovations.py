@@ -15,8 +15,6 @@ from harness.physics.compiled.kalman_pass import Filtered
 from harness.physics.compiled.smoother import innovation_response
 from harness.signals import FloatArray
 
-__all__ = ["answered", "linearised"]
-
 _TOGETHER = 64
 """Columns of the score test that are answered together."""
 

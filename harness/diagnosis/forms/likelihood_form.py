@@ -51,8 +51,6 @@ from harness.signals import Dataset, FloatArray, Trajectory
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["USES", "FirstSteps", "LikelihoodForm"]
-
 NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
 ROUNDING = np.sqrt(12.0)
@@ -406,7 +404,10 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
     def _outside_starts(
         self, likelihood: Likelihood, best: LikelihoodFit, base: Fit | None, own: Sequence[str], turning: set[str]
     ) -> list[tuple[float, Point]]:
-        """Return where the fit of what belongs to the validation records starts from, each with its value."""
+        """Return where the fit of what belongs to the validation records starts from, each with its value.
+
+        What the base knows of them stays where it is; of the rest nothing is known.
+        """
         system, passes = cast("SystemT", likelihood.system), likelihood.filter
         noises = (
             [best.point.noise]
@@ -414,11 +415,13 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             else [best.point.noise, likelihood_detail(base).points["validation"].noise]
         )
         longest = max(len(run) for run in self.records["validation"]) * self.dt
+        known = {} if base is None else {name: base.own[name] for name in own if name in base.own}
         points: list[tuple[float, Point]] = []
-        for part in EFFORT.own_starts if own else (0.0,):
+        for part in EFFORT.own_starts if len(known) < len(own) else (0.0,):
             p = best.point.p.copy()
             for name in own:
-                p[system.parameter_names.index(name)] = part * (2 * np.pi if name in turning else longest)
+                looked_for = part * (2 * np.pi if name in turning else longest)
+                p[system.parameter_names.index(name)] = known.get(name, looked_for)
             for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
                 x0 = self._starts(system, passes, p, "validation", origin)
                 tries = [Point(p, x0, self._woken(noise, best)) for noise in noises]

@@ -13,8 +13,6 @@ from harness.effects.parameter import Role
 from harness.physics.compiled.kalman_pass import Pass
 from harness.physics.fitting.maximum import LikelihoodFit, Point
 
-__all__ = ["awake", "beside", "known", "nuisances", "per_record", "state_name", "state_values", "untold", "within"]
-
 
 def state_name(number: int, name: str) -> str:
     """Return the name of an initial state of a record, as :class:`Likelihood` has it."""

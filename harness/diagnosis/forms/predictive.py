@@ -17,8 +17,6 @@ from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit, Point
 from harness.signals import FloatArray
 
-__all__ = ["Predictive", "predictive", "spread_of", "whitened"]
-
 _MOST = 12
 """Steps; a record that is predicted needs one or two."""
 _ENOUGH = 0.02

@@ -20,8 +20,6 @@ from harness.effects.effect import Placed
 from harness.fingerprint import fingerprint, own_code
 from harness.signals import FloatArray
 
-__all__ = ["Remembered"]
-
 
 class Remembered(InOneGo):
     """Keeps finished fits; one that is asked for again is read back, whatever was asked before it.

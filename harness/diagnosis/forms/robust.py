@@ -12,8 +12,6 @@ from harness.diagnosis.search.fit import Fit
 from harness.physics.compiled.kalman_pass import Filtered
 from harness.signals import FloatArray
 
-__all__ = ["coloured_deviations", "robust_covariance"]
-
 
 def robust_covariance(
     errors: Sequence[FloatArray], jacobians: Sequence[FloatArray], order: int, floor: FloatArray

@@ -21,8 +21,6 @@ from harness.physics.compiled.system import System
 from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run
 
-__all__ = ["HoldingForm", "hidden", "lost_signs", "piled_up"]
-
 _WIDER = 4
 """Widths of a pile within which a smooth peak has twice as many readings as within one: it is a parabola."""
 

@@ -15,8 +15,6 @@ from harness.physics.compiled.kalman_pass import Filtered, Pass
 from harness.physics.compiled.smoother import Smoothed
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["SystemForm"]
-
 
 class SystemForm(ABC, Generic[SystemT]):
     """What :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm` leaves to each kind of system."""

@@ -24,8 +24,6 @@ from harness.physics.compiled.system import System
 from harness.physics.definition.parameters import Parameter
 from harness.signals import Dataset, Trajectory
 
-__all__ = ["Doubt", "Repair", "check_columns", "doubts", "repairs"]
-
 DEGREE = float(np.pi / 180)
 ANGULAR = ("rad", "rad/s", "rad/s^2")
 SAMPLES = 1500

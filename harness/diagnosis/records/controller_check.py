@@ -7,8 +7,6 @@ from harness.diagnosis.systems import AnySystem
 from harness.judgement import law_of
 from harness.signals import Dataset
 
-__all__ = ["check_controller"]
-
 
 def check_controller(dataset: Dataset, system: AnySystem) -> list[Doubt]:
     """Return a doubt where an input of the estimation records is nothing but the answer of a controller.

@@ -13,8 +13,6 @@ from harness.diagnosis.systems import AnySystem
 from harness.physics.compiled.system import System
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["Horizon", "choose_horizon", "short_window", "vanished"]
-
 
 @dataclass(frozen=True)
 class Horizon:

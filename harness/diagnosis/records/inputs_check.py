@@ -18,8 +18,6 @@ from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.likelihood_fit import fit_likelihood, likelihood_of
 from harness.signals import Dataset, FloatArray, Oddity, Run, Trajectory
 
-__all__ = ["inputs_checked"]
-
 _SAMPLES = 2000
 """Rows of a record that are asked; more would tell no other thing."""
 _STEPS = 12

@@ -11,8 +11,6 @@ from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects import Signals
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Motion", "measured_coordinates", "motion_band", "smooth_motion", "thinned"]
-
 ORDER = 4
 MOST = 20
 HELD, SMOOTH = 0.1, 0.2

@@ -15,8 +15,6 @@ from harness.physics.compiled.system import System
 from harness.resolution import resolution
 from harness.signals import Dataset
 
-__all__ = ["checked", "sizes_of"]
-
 SHORTEST = 64
 """Samples of a record: each has an initial state of its own to be fitted, and a residual needs some tens to be one."""
 

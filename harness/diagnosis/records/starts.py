@@ -11,8 +11,6 @@ from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["dead_times", "with_known_starts"]
-
 
 def with_known_starts(dataset: Dataset, system: AnySystem) -> Dataset:
     """Return the data set with the readings left out that inputs before a record still decide, and say so.

@@ -15,8 +15,6 @@ import numpy as np
 from harness.diagnosis.policy import DATA_POLICY
 from harness.signals import Dataset, FloatArray, Run
 
-__all__ = ["about_lines", "cut_alike", "parted", "stretched", "uncut", "windowed"]
-
 
 def stretched(
     dataset: Dataset,

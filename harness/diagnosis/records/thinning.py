@@ -24,16 +24,6 @@ from harness.diagnosis.records.motion import motion_band
 from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = [
-    "Thinned",
-    "hat_projection",
-    "local_cubics",
-    "thinned_by",
-    "thinned_dataset",
-    "white_keeping_filter",
-]
-
-
 ROLL_OFF = 0.5
 SPAN = 8
 """Half length of the filter of what nothing drives, in new samples."""

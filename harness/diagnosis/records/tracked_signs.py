@@ -14,8 +14,6 @@ import numpy as np
 from harness.diagnosis.policy import DATA_POLICY
 from harness.signals import FloatArray
 
-__all__ = ["LONGEST", "Path", "fourth_difference", "tracked"]
-
 BEAM = 16
 """Paths that are followed side by side."""
 LONGEST = 10_000

@@ -16,8 +16,6 @@ from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.tracked_signs import BEAM, Path, fourth_difference, tracked
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["HIDING", "Unfolding", "followed", "unfoldings"]
-
 HIDING = ("sensor_rectification",)
 """Effects on an output that hide its sign."""
 PERIODS = np.geomspace(6.0, 120.0, 16)  # samples

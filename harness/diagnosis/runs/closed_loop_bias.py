@@ -22,8 +22,6 @@ from harness.diagnosis.runs.residual_tests import effective_samples
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["BiasTest", "Instrumented", "Shift", "closed_loop_bias", "driven_part", "laguerre"]
-
 FUNCTIONS = 12
 
 

@@ -20,8 +20,6 @@ from harness.errors import HarnessError
 from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["FreeRuns", "changed", "free_runs", "seen", "seen_values", "told_noise"]
-
 
 @dataclass(frozen=True, eq=False)
 class FreeRuns:

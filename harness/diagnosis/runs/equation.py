@@ -20,8 +20,6 @@ from harness.effects.effect import Placed
 from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
-__all__ = ["Equations", "decimated", "equations_of", "expressible", "weak_rows"]
-
 Form = Literal["strong", "weak"]
 
 

@@ -23,8 +23,6 @@ from harness.errors import FitError
 from harness.physics.compiled.system import System
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["EquationForm"]
-
 
 class EquationForm:
     """Compare force residuals.

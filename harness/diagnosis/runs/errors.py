@@ -13,8 +13,6 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["equation_error", "figures", "simulation_error"]
-
 USES = ("estimation", "validation", "test")
 
 

@@ -14,8 +14,6 @@ from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
-__all__ = ["Fitted", "rms", "stacked"]
-
 
 @dataclass(frozen=True, eq=False)
 class Fitted:

@@ -19,8 +19,6 @@ from harness.physics.compiled.windows import Windows, data_states
 from harness.physics.fitting.levenberg import minimise_states
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["FreeRunForm"]
-
 
 class FreeRunForm:
     """Simulates fitted models along the records.

@@ -17,8 +17,6 @@ import numpy as np
 from harness.diagnosis.policy import RUN_POLICY
 from harness.signals import FloatArray
 
-__all__ = ["Interval", "block_interval", "correlation_samples"]
-
 SCALES = (2, 8, 32, 128)
 """Samples whose means show whether a residual is white."""
 

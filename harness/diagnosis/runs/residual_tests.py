@@ -9,18 +9,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = [
-    "Outcome",
-    "autocorrelation",
-    "correlation_band",
-    "cross_correlation",
-    "cusum_of_squares",
-    "effective_samples",
-    "input_correlation",
-    "ljung_box",
-    "max_autocorrelation",
-]
-
 
 @dataclass(frozen=True)
 class Outcome:

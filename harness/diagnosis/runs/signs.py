@@ -14,8 +14,6 @@ from harness.physics.compiled.simulator import Simulator
 from harness.physics.compiled.windows import Windows, data_states
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["signs_by_model"]
-
 
 def signs_by_model(form: WindowedForm, simulator: Simulator, record: Trajectory, p: FloatArray) -> FloatArray | None:
     """Return states (N, nx) of a record whose sensor hides the sign; None if the system has no such sensor.

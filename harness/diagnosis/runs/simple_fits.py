@@ -30,8 +30,6 @@ from harness.physics.fitting.output_error import fit_output_error
 from harness.rng import stream
 from harness.signals import FloatArray
 
-__all__ = ["SimpleFit", "SimpleFits"]
-
 _FAILURES = (HarnessError, ArithmeticError, np.linalg.LinAlgError)
 _HALVINGS = ((10, 6, 1.0), (40, EFFORT.points, 10.0), (200, EFFORT.points, 1e4))
 """Iterations of scattered starts, how many go on, and how much finer than roughly they are fitted, stage by stage."""

@@ -20,8 +20,6 @@ from harness.physics.compiled.windows import Windows
 from harness.physics.fitting.levenberg import minimise
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["carried_states", "led_states", "on_validation", "settled_states", "state_bases"]
-
 
 def on_validation(
     form: WindowedForm, system: AnySystem, record: Mapping[str, Any], own: Mapping[str, float]

@@ -11,8 +11,6 @@ from harness.physics.compiled.simulator import Simulator
 from harness.physics.compiled.windows import Windows
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["WindowedForm"]
-
 
 class WindowedForm(Protocol):
     """See :class:`harness.diagnosis.runs.form.FreeRunForm`."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Before", "Coloured", "burg", "coloured_likelihood", "fitted_error"]
-
 STEEPEST = 0.999
 """Largest partial autocorrelation: nearer to 1 an error is a drift without end."""
 LONGEST = 2000

@@ -15,20 +15,6 @@ from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
-__all__ = [
-    "Comparison",
-    "Judged",
-    "compared",
-    "difference",
-    "expected_difference",
-    "impossible",
-    "judged",
-    "pays",
-    "unremembered",
-    "violations",
-    "wrong_signs",
-]
-
 _NEAR_BOUND = 1e-4
 """Share of a bound's size within which a value lies on it."""
 

@@ -14,8 +14,6 @@ from harness.effects.effect import Placed
 from harness.physics.fitting.maximum import interval
 from harness.signals import FloatArray
 
-__all__ = ["WAVE", "Begun", "Column", "ColumnKind", "Fit", "Form", "InOneGo", "Jump", "Linearised", "Suspect"]
-
 ColumnKind = Literal["linear", "wave", "drift"]
 """What columns stand for: derivatives by linear parameters, or test functions of a force; the sine and the cosine of
 a wave; test functions of a force that changes through every record."""

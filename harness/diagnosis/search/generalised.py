@@ -15,8 +15,6 @@ from harness.diagnosis.search.table import Table, named, value
 from harness.diagnosis.search.warm import Fits, share_ends
 from harness.effects.effect import Placed
 
-__all__ = ["generalise", "generalised", "refined_twice", "starts_of"]
-
 
 def refined_twice(effects: Sequence[Placed]) -> bool:
     """Return True if two effects add the same to their laws at a place: a joint has its bristles once."""

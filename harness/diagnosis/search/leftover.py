@@ -12,8 +12,6 @@ from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
 from harness.diagnosis.search.scores import projected
 from harness.signals import FloatArray
 
-__all__ = ["Axis", "Leftover", "largest_evidence", "left_over"]
-
 PRIORS = tuple(float(prior) for prior in np.geomspace(1e-2, 1e6, 17))
 """Variances of the coefficients that are tried, in units of what the innovations can tell."""
 

@@ -9,50 +9,33 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.compare import Judged, difference, wrong_signs
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.generalised import generalise, generalised, refined_twice
 from harness.diagnosis.search.race import raced
-from harness.diagnosis.search.refusal import OF_ESTIMATION_AND_VALIDATION, Kind, Refusal, only
+from harness.diagnosis.search.refusal import Kind, Refusal, only
 from harness.diagnosis.search.scores import Lead, score_test
 from harness.diagnosis.search.table import Accepted, Answer, Round, Table, named, value
-from harness.diagnosis.search.ties import alike, physical, refines, tied, total
-from harness.diagnosis.search.warm import in_its_place, own_values, polished, start_between
+from harness.diagnosis.search.ties import alike, physical, tied, total
+from harness.diagnosis.search.warm import own_values, polished, start_between
 from harness.diagnosis.stand_in import same_whole
 from harness.effects.effect import Placed
-
-__all__ = [
-    "add",
-    "add_two",
-    "drop",
-    "exchange",
-    "exchange_contradicted",
-    "expanded",
-    "generalise_earlier",
-    "preferred",
-    "second_friction",
-    "specialise",
-]
 
 
 def preferred(table: Table, new: Answer, old: Answer, *, simpler: bool = False) -> bool:
     """Return True if one answer is to take the place of another: the rule of all moves.
 
     Every effect more must bring the evidence that is asked of one, an exchange more than a tie, and an effect less may
-    cost no more than a tie. A special case of a law takes its place where the data do not tell the two apart. What a
-    law adds to a special case of it is asked the share of a further effect: with less it is the corner of that one.
+    cost no more than a tie. A special case of a law takes its place where the data do not tell the two apart,
+    and where the law adds less than the share of a further effect: then it is the corner of the special case.
     """
     policy, more = table.policy, len(new.accepted) - len(old.accepted)
     asked = 2 * policy.evidence * more if more > 0 else policy.tie if more == 0 else -policy.tie
     if simpler:
         _, error = difference(old.model, new.model, ("estimation", "validation"), policy)
         asked = -max(policy.tie, policy.tie_z * error, _corner(table, old.model))
-    elif any(one.placed.generalises(other.placed) for one in new.accepted for other in old.accepted):
-        asked = max(asked, _corner(table, old.model))
     return value(new.model) > value(old.model) + asked
 
 
@@ -101,35 +84,28 @@ def add(table: Table, answer: Answer, past: Round) -> tuple[Judged, Answer] | No
 def _ended(table: Table, rows: Sequence[Judged], base: Fit) -> list[Judged]:
     """Return candidates of which those go to their end that nothing speaks against but that they have not come there.
 
-    Only those that would be the answer or tie with it: both uses decide that, and a fit is left by one of them. What
-    explains the estimation records far better than they do, and is refused by the validation records alone, is tried on
-    these once more from where it ended: they may have been started badly.
+    Only those that would be the answer or tie with it: both uses decide that, and a fit is left by one of them.
     """
-    found, again = list(rows), set[int]()
+    found = list(rows)
     for _ in range(EFFORT.onward):
         best = max((row for row in found if row.passed), key=total, default=None)
-        waiting = [k for k, row in enumerate(found) if _unfinished(row, best, table.policy, once=k not in again)]
+        waiting = [k for k, row in enumerate(found) if _unfinished(row, best, table.policy)]
         for k in waiting:
             row = found[k]
             assert row.fit is not None
             fit = table.fit(row.fit.effects, [row.fit.values], row.fit)
-            if fit is not None and (row.fit.beyond or not row.fit.converged or value(fit) > value(row.fit)):
+            if fit is not None:
                 found[k] = table.judged(row.added, fit, base)
-        again |= {*waiting}
         if not waiting:
             break
     return found
 
 
-def _unfinished(row: Judged, best: Judged | None, policy: Policy, *, once: bool) -> bool:
-    """Return True for a candidate whose fit goes on: it may be an answer, and ended early or badly."""
-    if row.fit is None or row.comparison is None or not row.refusals:
+def _unfinished(row: Judged, best: Judged | None, policy: Policy) -> bool:
+    """Return True for a candidate whose fit goes on: it may be an answer, and ended early."""
+    if row.fit is None or not row.refusals or not only(row.refusals, {Kind.STOPPED, Kind.UNCONVERGED}):
         return False
-    if only(row.refusals, {Kind.STOPPED, Kind.UNCONVERGED}):
-        return best is None or tied(best, row, policy)
-    known = 0.0 if best is None or best.comparison is None else best.comparison.evidence
-    sure = row.comparison.evidence > known + policy.misfit_gain
-    return once and sure and only(row.refusals, OF_ESTIMATION_AND_VALIDATION)
+    return best is None or tied(best, row, policy)
 
 
 def add_two(table: Table, answer: Answer) -> Answer | None:
@@ -155,10 +131,7 @@ def add_two(table: Table, answer: Answer) -> Answer | None:
 
 
 def _rivals(table: Table, answer: Answer) -> list[Judged]:
-    """Return the likeliest candidates of the first round that may be one of two.
-
-    What was tried beside the answer and is impossible there is not tried beside what is like it.
-    """
+    """Return the likeliest candidates of the first round that may be one of two; what refines others comes later."""
     policy, present = table.policy, named(answer.model.effects)
     so_far = value(answer.model) - value(table.nominal)
     rows = [
@@ -166,6 +139,7 @@ def _rivals(table: Table, answer: Answer) -> list[Judged]:
         for row in table.rounds[0].candidates
         if row.comparison is not None
         and row.comparison.evidence >= policy.evidence
+        and not row.added[0].effect.grows
         and str(row.added[0]) not in present
         and (physical(row) or row.refusals == (Refusal(Kind.STOPPED),))
         and (not answer.accepted or total(row) >= policy.reach * so_far)
@@ -225,7 +199,7 @@ def second_friction(base: Fit, best: Judged) -> bool:
 
 
 def exchange_contradicted(table: Table, answer: Answer, past: Round) -> Iterator[Answer]:
-    """Yield answers with a candidate in the place of an earlier effect where one of the two is no law beside the other.
+    """Yield answers with a candidate in the place of an earlier effect that is no law beside it.
 
     Signs that a law does not have show two effects that do the same.
     """
@@ -237,11 +211,8 @@ def exchange_contradicted(table: Table, answer: Answer, past: Round) -> Iterator
         for number, earlier in enumerate(answer.accepted):
             if earlier.given:
                 continue
-            lawless = wrong_signs(earlier.placed, row.fit.values)
-            richer = refines(row.added, earlier.placed, table.laws)
-            if lawless or (richer and wrong_signs(new, row.fit.values)):
-                starts = [row.fit.values, *in_its_place(row.fit.values, earlier.placed, [new])]
-                fit = table.fit([*answer.without(number), new], starts, base, base)
+            if wrong_signs(earlier.placed, row.fit.values):
+                fit = table.fit([*answer.without(number), new], [row.fit.values], base, base)
                 if fit is not None and table.judged([new], fit).passed:
                     yield answer.exchanged(number, new, fit, len(table.rounds) - 1)
 
@@ -313,37 +284,10 @@ def specialise(table: Table, answer: Answer) -> Answer:
             starts = [start_between(simple, alone, rich, model), {**model.values, **own_values(simple, alone)}]
             fit = table.fit([*others, simple], starts, model, model)
             trial = answer.exchanged(number, simple, fit, earlier.found) if fit and table.lawful(fit) else None
-            if trial is None or not preferred(table, trial, answer, simpler=True):
-                rivals = _beside_rivals(table, answer, number, simple, alone)
-                better = [one for one in rivals if preferred(table, one, answer)]
-                trial = max(better, key=lambda one: value(one.model), default=None)
-            if trial is not None:
+            if trial is not None and preferred(table, trial, answer, simpler=True):
                 answer = trial
                 break
     return answer
-
-
-def _beside_rivals(table: Table, answer: Answer, number: int, simple: Placed, alone: Fit) -> Iterator[Answer]:
-    """Yield answers with a special case in the place of a law, and a rival in that of the effect that was found last.
-
-    What made the law general may be what the rival explains and the last effect does not: beside the general law it
-    was as likely, and nothing but its evidence spoke against it.
-    """
-    place, last, earlier = len(answer.accepted) - 1, answer.accepted[-1], answer.accepted[number]
-    if number == place or last.given or last.found >= len(table.rounds):
-        return
-    past = table.rounds[last.found].candidates
-    known = max((total(row) for row in past if row.added == (last.placed,)), default=np.inf)
-    for row in past:
-        new, fit = row.added[0], row.fit
-        if fit is None or row.added == (last.placed,) or not physical(row) or total(row) < known - table.policy.tie:
-            continue
-        if named(fit.effects) != named([*answer.without(place), new]):
-            continue
-        effects = [placed for placed in fit.effects if placed != earlier.placed]
-        again = table.fit([*effects, simple], [start_between(simple, alone, earlier.placed, fit)], fit, answer.model)
-        if again is not None and table.lawful(again) and table.judged([new], again).passed:
-            yield answer.exchanged(number, simple, again, earlier.found).exchanged(place, new, again, last.found)
 
 
 # ---- drop ------------------------------------------------------------------------------------------------------------
@@ -354,8 +298,7 @@ def drop(table: Table, answer: Answer) -> Answer:
     for _, earlier in answer.earlier:
         number, model = answer.accepted.index(earlier), answer.model
         left = answer.without(number)
-        starts = [model.values, *in_its_place(model.values, earlier.placed, left)]
-        fit = table.fit(left, starts, model, model)
+        fit = table.fit(left, [model.values], model, model)
         if fit is not None and table.lawful(fit):
             trial = answer.dropped(number, fit)
             answer = trial if preferred(table, trial, answer) else answer

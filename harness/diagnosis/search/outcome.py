@@ -20,8 +20,6 @@ from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, Refusal, on
 from harness.diagnosis.search.table import Accepted, Round, named
 from harness.diagnosis.search.ties import total
 
-__all__ = ["Outcome"]
-
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
@@ -112,8 +110,11 @@ class Outcome:
         whole = max((self.form.change(base, placed) for placed in base.effects), default=0.0)
         return self.form.distance(rival.fit, base) >= policy.second_share * whole
 
-    def taken_back(self) -> Outcome:
-        """Return the same without any effect; that they were withdrawn stands in the rounds that accepted them."""
+    def taken_back(self, sure: float = 0.0) -> Outcome:
+        """Return the same without any effect; that they were withdrawn stands in the rounds that accepted them.
+
+        ``withdrawn`` are those that together gained so much in log-likelihood that something is there.
+        """
         names = {str(accepted.placed) for accepted in self.accepted}
         rounds = tuple(
             replace(past, candidates=tuple(
@@ -122,7 +123,9 @@ class Outcome:
                 for row in past.candidates
             )) for past in self.rounds
         )  # fmt: skip
-        return replace(self, model=self.nominal, accepted=(), withdrawn=self.accepted, rounds=rounds)
+        gained = sum(self.model.log_likelihood(use) - self.nominal.log_likelihood(use) for use in self.model.terms)
+        withdrawn = self.accepted if gained >= sure else ()
+        return replace(self, model=self.nominal, accepted=(), withdrawn=withdrawn, rounds=rounds)
 
 
 def _sure_where_fitted(row: Judged, policy: Policy) -> bool:

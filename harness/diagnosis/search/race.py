@@ -14,11 +14,9 @@ from harness.diagnosis.search.compare import pays, wrong_signs
 from harness.diagnosis.search.fit import Begun, Fit
 from harness.diagnosis.search.scores import Lead, ScoreTest, score_test
 from harness.diagnosis.search.table import Table, named
-from harness.diagnosis.search.warm import Fits, lawful_again, share_ends
+from harness.diagnosis.search.warm import Fits, share_ends
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
-
-__all__ = ["chosen", "raced"]
 
 Passes = Callable[[Placed, Fit], bool]
 
@@ -46,7 +44,6 @@ def raced(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -
             break
     fits |= dict.fromkeys(_special_cases(table, base, fits, race.begun))
     share_ends(table, base, fits, lambda placed: _best(fits, placed, passes))
-    lawful_again(table, base, fits, {lead.placed: lead.starts[0] for lead in test.leads})
     return fits, named(placed for placed in race.begun if placed not in fits)
 
 
@@ -69,8 +66,6 @@ class _Race:
     begun: dict[Placed, Begun | None] = field(default_factory=dict)
     origins: dict[Placed, Fit] = field(default_factory=dict)
     refused: set[Placed] = field(default_factory=set)
-    uncertain: set[Placed] = field(default_factory=set)
-    """Whose first steps may be short: along a narrow valley they are."""
 
     def gain(self, placed: Placed) -> float:
         """Return what the first steps gained."""
@@ -95,7 +90,7 @@ class _Race:
 
         What is exactly the same as the first one must not lose by its first steps.
         """
-        able = [placed for placed in self.begun if placed not in done and self._hoped(placed) >= self._needed(placed)]
+        able = [placed for placed in self.begun if placed not in done and self.gain(placed) >= self._needed(placed)]
         order = sorted(able, key=lambda placed: (self._forbidden(placed), -self.gain(placed)))
         order = order[: min(sum(not self._forbidden(placed) for placed in order) + 1, EFFORT.refits)]
         same = {name for placed in order[:1] for name in self.laws.family(placed.effect).exact}
@@ -109,11 +104,6 @@ class _Race:
     def _needed(self, placed: Placed) -> float:
         """Return what the first steps must gain: nothing is accepted that does not pay for its parameters."""
         return max(self.enough(), self.policy.reach * (self.policy.evidence + self._price(placed)))
-
-    def _hoped(self, placed: Placed) -> float:
-        first = self.begun[placed]
-        pace = first.pace if first is not None and placed in self.uncertain else 0.0
-        return self.gain(placed) + EFFORT.first_steps * pace
 
     def _forbidden(self, placed: Placed) -> bool:
         """Return True for what no law allows: it must not take the place of what one does."""
@@ -132,8 +122,6 @@ def _begun(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) 
         race.origins[lead.placed] = base
         race.begun[lead.placed] = table.begin([*base.effects, lead.placed], starts, base, before + race.enough())
     best = max((refit for refit in race.begun.values() if refit), key=lambda refit: refit.log_likelihood, default=None)
-    unsure = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.share < table.policy.clear}
-    race.uncertain |= {placed for placed in race.begun if str(placed) in unsure}
     for suspect in table.form.suspects(base, best, untried):
         table.say(str(suspect.placed))
         origin = base if suspect.base is None else suspect.base
@@ -141,8 +129,6 @@ def _begun(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) 
         race.origins[suspect.placed] = origin
         # its starts lie far off: two steps tell nothing of where it leads
         race.begun[suspect.placed] = table.begin([*base.effects, suspect.placed], starts, origin)
-        if race.gain(suspect.placed) > 0.0:
-            race.uncertain.add(suspect.placed)
     return race
 
 

@@ -6,8 +6,6 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-__all__ = ["OF_ESTIMATION_AND_VALIDATION", "WANT_OF_EVIDENCE", "Kind", "Refusal", "only", "subjects"]
-
 
 class Kind(Enum):
     """Kinds of refusal."""
@@ -46,14 +44,11 @@ class Kind(Enum):
     LASTING = "lasting"
     """What is said to happen once, the ``subject``, leaves lasting errors of free runs: their share of those before."""
     WITHDRAWN = "withdrawn"
-    """It was accepted, and taken back: with it the model runs further from the validation records."""
+    """It was accepted, and taken back: with it the model runs no nearer to the validation records."""
 
 
 WANT_OF_EVIDENCE = frozenset({Kind.EVIDENCE, Kind.ESTIMATION, Kind.VALIDATION, Kind.COLOURED, Kind.SHARE, Kind.SIZE})
 """Kinds that say nothing against a candidate but that the data do not ask for it."""
-
-OF_ESTIMATION_AND_VALIDATION = frozenset({Kind.EVIDENCE, Kind.ESTIMATION, Kind.VALIDATION})
-"""Kinds that compare log-likelihoods with what is asked of them."""
 
 
 @dataclass(frozen=True)

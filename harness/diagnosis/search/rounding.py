@@ -15,8 +15,6 @@ from harness.effects.effect import Placed
 from harness.resolution import quantisation_test
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["with_rounding"]
-
 
 def with_rounding(
     form: Form,

@@ -13,8 +13,6 @@ from harness.diagnosis.search.fit import Column, Fit, Form
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
-__all__ = ["Lead", "ScoreTest", "score_test"]
-
 SINGULAR = 1e-5
 """Singular values of unit columns below which nothing is divided by them."""
 

@@ -25,8 +25,6 @@ from harness.diagnosis.search.ties import asked_again, tie_set_of_last, unknown_
 from harness.diagnosis.search.warm import settled
 from harness.effects.effect import Placed
 
-__all__ = ["search"]
-
 
 def search(
     form: Form,

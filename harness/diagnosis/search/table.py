@@ -15,8 +15,6 @@ from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import FitError
 
-__all__ = ["Accepted", "Answer", "Round", "Say", "Table", "named", "value"]
-
 Say = Callable[[str], None]
 
 

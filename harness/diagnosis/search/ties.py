@@ -18,23 +18,6 @@ from harness.diagnosis.search.warm import own_values
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 
-__all__ = [
-    "alike",
-    "asked_again",
-    "close",
-    "held",
-    "may_tie",
-    "physical",
-    "refines",
-    "tie_set",
-    "tie_set_of_last",
-    "tied",
-    "total",
-    "typical_elsewhere",
-    "undecided",
-    "unknown_parts",
-]
-
 
 def total(row: Judged) -> float:
     """Return what decides between rivals: the gain of both uses together."""

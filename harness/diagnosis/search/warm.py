@@ -6,22 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
 
 from harness.diagnosis.effort import EFFORT
-from harness.diagnosis.search.compare import impossible, violations
+from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.table import Table, named, value
 from harness.effects.effect import Placed
-
-__all__ = [
-    "Fits",
-    "as_good",
-    "in_its_place",
-    "lawful_again",
-    "own_values",
-    "polished",
-    "settled",
-    "share_ends",
-    "start_between",
-]
 
 Fits = dict[Placed, Fit | None]
 """Fits of a base with one effect more, by that effect; None where it could not be simulated, or was left."""
@@ -42,17 +30,6 @@ def start_between(mine: Placed, fit: Fit | None, theirs: Placed, other: Fit) -> 
         elif fit is not None:
             start[mine.name(parameter.name)] = fit.values[mine.name(parameter.name)]
     return start
-
-
-def in_its_place(values: Mapping[str, float], gone: Placed, left: Sequence[Placed]) -> list[dict[str, float]]:
-    """Return values with which another effect at the same place carries the level of one that goes as well."""
-    starts = []
-    for other in left:
-        pairs = [(a, b) for a in gone.effect.parameters for b in other.effect.parameters if a.main and b.main]
-        for a, b in pairs:
-            if other.at == gone.at and a.unit == b.unit:
-                starts.append({**values, other.name(b.name): values[other.name(b.name)] + values[gone.name(a.name)]})
-    return starts
 
 
 def as_good(fit: Fit, other: Fit, *, contains: bool) -> bool:
@@ -101,24 +78,6 @@ def share_ends(
         again = table.fit([*base.effects, mine], [start_between(mine, fit, theirs, other)], other, rival(mine))
         if again is not None and (fit is None or value(again) > value(fit)):
             fits[mine] = again
-
-
-def lawful_again(table: Table, base: Fit, fits: Fits, starts: Mapping[Placed, Mapping[str, float]]) -> None:
-    """Fit a law whose values its own physics forbids once more, from a special case of it and its first start."""
-    for rich, simple in permutations(fits, 2):
-        fit, other = fits[rich], fits[simple]
-        if fit is None or other is None or rich not in starts or not rich.generalises(simple):
-            continue
-        if not violations(table.form, rich, fit):
-            continue
-        shared = {parameter.name for parameter in simple.effect.parameters if parameter.nuisance}
-        names = {*map(rich.name, rich.effect.parameter_names)}
-        own = {name: number for name, number in starts[rich].items() if name in names}
-        start = {**other.values, **own}
-        start |= {rich.name(name): other.values[simple.name(name)] for name in shared}
-        again = table.fit([*base.effects, rich], [start], other)
-        if again is not None and not violations(table.form, rich, again):
-            fits[rich] = again
 
 
 def polished(table: Table, base: Fit, fits: Sequence[Fit]) -> Fit:

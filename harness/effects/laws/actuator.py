@@ -7,19 +7,6 @@ from typing import Any
 from harness.effects.effect import effect, par
 from harness.effects.functions import absolute, clip, dead_band, exp, tanh
 
-__all__ = [
-    "actuator_lag",
-    "dead_zone",
-    "force_bias",
-    "input_compression",
-    "input_delay",
-    "input_gain",
-    "propeller_thrust",
-    "rate_limit",
-    "saturation",
-    "supply_sag",
-]
-
 
 @effect(
     "input",

@@ -17,16 +17,6 @@ from typing import Any
 from harness.effects.effect import EffectParameter, effect, par
 from harness.effects.functions import absolute, cos, exp, no_sooner, power, sign, sqrt
 
-__all__ = [
-    "lugre_asymmetric_friction",
-    "lugre_coulomb_friction",
-    "lugre_friction",
-    "lugre_load_dependent_friction",
-    "lugre_position_dependent_friction",
-    "lugre_sublinear_friction",
-    "lugre_yield_friction",
-]
-
 _UNLOADED = 1e-3
 """Share of the typical load that a guide carries at least: a level of nothing divides by nothing."""
 

@@ -7,8 +7,6 @@ from typing import Any
 from harness.effects.effect import EffectParameter, effect, par
 from harness.effects.functions import larger, smaller
 
-__all__ = ["drifting_damping", "drifting_gain", "sensor_drift"]
-
 
 def _length() -> EffectParameter:
     """Return the time in which the change happens."""

@@ -8,8 +8,6 @@ from harness.effects.effect import effect, par
 from harness.effects.functions import sigmoid, sin
 from harness.effects.laws.stiffness import CHANGE
 
-__all__ = ["force_step", "periodic_disturbance"]
-
 
 @effect(
     ("coordinate", "input", "process"),

@@ -11,25 +11,6 @@ from typing import Any
 from harness.effects.effect import EffectParameter, effect, par
 from harness.effects.functions import absolute, cos, exp, no_sooner, power, tanh
 
-__all__ = [
-    "asymmetric_damping",
-    "asymmetric_friction",
-    "coulomb_friction",
-    "degressive_friction",
-    "gear_friction",
-    "gear_stribeck_friction",
-    "hysteresis",
-    "load_dependent_friction",
-    "parallel_hysteresis",
-    "position_dependent_damping",
-    "position_dependent_friction",
-    "quadratic_drag",
-    "stribeck_friction",
-    "sublinear_friction",
-    "viscous_friction",
-    "yield_friction",
-]
-
 
 def _width() -> EffectParameter:
     """Return the smoothing width of a sign, which turns over within the motion: wider ones are viscous friction.

@@ -7,8 +7,6 @@ from typing import Any
 from harness.effects.effect import effect, par
 from harness.effects.functions import cos, sin
 
-__all__ = ["wobbling_base"]
-
 
 @effect(
     "coordinate",

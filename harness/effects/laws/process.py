@@ -7,8 +7,6 @@ from typing import Any
 from harness.effects.effect import EffectParameter, effect, par
 from harness.effects.functions import larger, sigmoid
 
-__all__ = ["leak", "level_saturation", "overflow"]
-
 
 def _height(name: str, meaning: str) -> EffectParameter:
     """Return a height that a level can reach."""

@@ -7,17 +7,6 @@ from typing import Any
 from harness.effects.effect import effect, par
 from harness.effects.functions import absolute, clip, sin
 
-__all__ = [
-    "sensor_cyclic_error",
-    "sensor_delay",
-    "sensor_gain",
-    "sensor_nonlinearity",
-    "sensor_offset",
-    "sensor_quantisation",
-    "sensor_rectification",
-    "sensor_saturation",
-]
-
 
 @effect(
     "output",

@@ -10,20 +10,6 @@ from typing import Any
 from harness.effects.effect import effect, par
 from harness.effects.functions import cos, dead_band, dead_band_slope, sigmoid, sin, sqrt
 
-__all__ = [
-    "counterbalance",
-    "cubic_spring",
-    "eccentric_load",
-    "end_stop",
-    "gravity_tilt",
-    "linear_spring",
-    "mass_step",
-    "maxwell_element",
-    "payload_step",
-    "quadratic_spring",
-]
-
-
 CHANGE = (
     par(
         "t0",

@@ -10,8 +10,6 @@ from typing import Any
 from harness.effects.effect import EffectParameter, effect, par
 from harness.effects.functions import tanh
 
-__all__ = ["thermal_damping", "thermal_friction", "thermal_gain"]
-
 
 def _reference() -> EffectParameter:
     """Return the temperature at which nominal parameters are what they are called: another one only renames them."""

@@ -17,17 +17,6 @@ from typing import Any
 from harness.effects.effect import EffectParameter, effect, par
 from harness.effects.functions import absolute, dead_band, dead_band_slope, sigmoid, sin, softplus, tanh
 
-__all__ = [
-    "backlash",
-    "cogging",
-    "elastic_load",
-    "elasticity",
-    "gear_loss",
-    "hardening_elasticity",
-    "torque_ripple",
-    "unilateral_backlash",
-]
-
 
 def _inertia(scale: str, grid: tuple[float, ...] = (1.0,)) -> EffectParameter:
     """Return the inertia of the motor's side."""

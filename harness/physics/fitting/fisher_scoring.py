@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from harness.physics.compiled.system import System
     from harness.physics.fitting.maximum import NoiseModel, Point
 
-__all__ = ["FisherScoring", "Maximised", "Place", "Quadratic", "Step", "damped", "joined", "scored"]
-
 _ENOUGH = 0.02
 """A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth."""
 _BROKEN = 1.0

@@ -15,8 +15,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["OutputErrorFit", "Result", "finish", "objective"]
-
 
 @dataclass(frozen=True, eq=False)
 class OutputErrorFit:

@@ -14,8 +14,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.definition.model_equations import Equations
 
-__all__ = ["Solution", "eliminated", "log_scaled", "minimise", "minimise_states"]
-
 # Smallest value of a parameter on a logarithmic scale, relative to where it started.
 _TINY = 1e-12
 _LARGEST_LOG_STEP = 2.0

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Intersample
     from harness.physics.compiled.system import System
 
-__all__ = ["Likelihood"]
-
 _STEP = 1e-6
 """Of the difference quotients, in units of a parameter's scale: half of the digits of a double are left."""
 _PART = 1e-3

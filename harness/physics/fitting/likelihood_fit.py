@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Intersample
     from harness.physics.compiled.system import System
 
-__all__ = ["first_noises", "first_state", "fit_likelihood", "force_scale", "likelihood_of", "sensor_noise"]
-
 SHARES = (0.02, 0.3)
 """Latent forces that a first fit starts from, as shares of the typical force."""
 FADES_AFTER = 20.0

@@ -15,8 +15,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["FIRST_DAMPING", "LONGEST", "LikelihoodFit", "NoiseModel", "Point", "interval"]
-
 FIRST_DAMPING = 1e-3
 """Of the first step of a search, over the diagonal."""
 LONGEST = 1.5

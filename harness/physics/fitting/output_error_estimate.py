@@ -12,8 +12,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics import OutputErrorFit, System
 
-__all__ = ["at_bound", "output_error_estimate"]
-
 LEVEL = 0.95
 LEAST_BLOCKS = 20
 """A covariance from the scatter of blocks needs so many of them: a variance of 20 numbers is 30 % uncertain."""

@@ -17,8 +17,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["LABEL", "Hull", "ResidualForce", "argument_columns"]
-
 LABEL = "learned from data, not physical"
 """What every report and file says of such a force."""
 

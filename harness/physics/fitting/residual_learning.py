@@ -17,8 +17,6 @@ from harness.signals import FloatArray, Trajectory
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["LearnedForce", "learn_residual_force"]
-
 SIZES = (6, 12, 24)
 """Numbers of basis functions that are tried: a smooth curve, one with corners, a surface. The validation records
 choose. Curves (one argument) are not tried with more than 12: their basis functions would be closer than what data with

@@ -19,8 +19,6 @@ from harness.signals import FloatArray, Trajectory
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["first_values"]
-
 # Enough samples to start from; the fit itself uses all.
 _SAMPLES = 6000
 _STARTS = 6

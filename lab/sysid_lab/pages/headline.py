@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from sysid_lab.outcome import has_double
 from sysid_lab.pages.statistics import clopper_pearson
 
-__all__ = ["alone", "figures", "share"]
-
 Row = dict[str, str]
 GOOD = ("right", "tied")
 DISTURBANCE = ((False, "without"), (True, "with"))

@@ -10,8 +10,6 @@ import numpy as np
 
 from harness.data.whole_files import whole_file
 
-__all__ = ["confusion_picture"]
-
 NOTHING, SEVERAL = "nothing", "several"
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from harness.errors import InputError
 
-__all__ = ["clopper_pearson", "upper_bound"]
-
 
 def upper_bound(found: int, of: int, *, confidence: float = 0.95) -> float:
     """Return the one-sided upper Clopper-Pearson bound of a probability.

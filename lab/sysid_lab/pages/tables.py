@@ -10,8 +10,6 @@ from sysid_lab.pages.headline import figures, share
 from sysid_lab.pages.statistics import upper_bound
 from sysid_lab.truths.disturbances import STRUCTURES
 
-__all__ = ["WORDS", "counts", "summary"]
-
 Row = dict[str, str]
 WORDS = ("right", "tied", "wrong", "flagged", "missed")
 

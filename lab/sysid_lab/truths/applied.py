@@ -14,8 +14,6 @@ import numpy as np
 from harness.signals import FloatArray
 from sysid_lab.truths.simulation import DT, SUBSTEPS
 
-__all__ = ["ACTUATOR", "FORCES", "STEP", "Law", "actuated", "force_law"]
-
 STEP = DT / SUBSTEPS
 """Of a fine step [s]."""
 Law = Callable[[float, float, float, float], float]

@@ -14,8 +14,6 @@ import numpy as np
 from harness.signals import FloatArray
 from sysid_lab.truths.context import rms
 
-__all__ = ["KINDS", "STRUCTURES", "TRUTH_ONLY", "UNNAMED", "disturbance", "named", "natural_frequency"]
-
 GAUSS_MARKOV = "gauss-markov"
 STRUCTURES = {
     "uneven-damping": "the viscous damping changes along the motion, by 1 % of the rms torque",

@@ -25,8 +25,6 @@ from dataclasses import replace
 from sysid_lab.truths.context import Context, Hidden, rms
 from sysid_lab.truths.simulation import DT
 
-__all__ = ["BRISTLES", "LAWS", "as_hardware"]
-
 BRISTLES = (
     "coulomb_friction",
     "stribeck_friction",

@@ -31,8 +31,6 @@ from sysid_lab.truths import machines
 from sysid_lab.truths.context import PRE, Context, Hidden, Sensor, rms
 from sysid_lab.truths.simulation import DT, GRAVITY, SUBSTEPS
 
-__all__ = ["OUTSIDE", "falling_damping", "force_size", "hide", "hide_outside", "sagging_gain"]
-
 OUTSIDE = ("even_drag", "cubic_drag", "force_pulse", "magnet", "tiring_drive")
 """Laws that the dictionary does not have."""
 _LEVEL = {"nominal": 1.0, "quarter": 0.25}

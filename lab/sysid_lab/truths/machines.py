@@ -14,8 +14,6 @@ from harness.signals import FloatArray
 from sysid_lab.truths.context import Context, Hidden, rms
 from sysid_lab.truths.simulation import DT, GRAVITY
 
-__all__ = ["counterbalanced", "lossy_gear", "propeller", "ripple", "supply_sag", "swaying_base"]
-
 
 def lossy_gear(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
     """Return a gear that loses this share of what it transmits."""

@@ -17,8 +17,6 @@ import numpy as np
 from harness.errors import InputError, PlantError
 from harness.signals import FloatArray
 
-__all__ = ["DT", "GRAVITY", "SUBSTEPS", "Motion", "simulate"]
-
 DT = 0.004
 """Sample time of all records [s]."""
 SUBSTEPS = 20
