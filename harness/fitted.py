@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from harness.models.forecasting import Forecast
     from harness.models.regulators import Regulator
 
-__all__ = ["FittedModel", "Usable", "load_model"]
-
 
 class Usable:
     """What can be done with a fitted model, whoever fitted it; ``model`` is the model itself.
@@ -384,11 +382,11 @@ class Usable:
         """Return the state that is given, or the one that follows a record."""
         if _is_array(start):
             return np.asarray(start, dtype=np.float64)
+        from harness.scoring.prediction import filtered
+
         record = self._record(start)
-        x = self.model.initial_state(record.measured())
-        for k in range(len(record)):
-            x = self.model.step(self.model.correct(x, record.u[k], record.y[k]), record.u[k])
-        return x
+        seen = filtered(self.model, self.model.initial_state(record.measured()), record)[-1]
+        return self.model.step(seen, record.u[-1])
 
     def _run(self, x: FloatArray, inputs: FloatArray) -> FloatArray:
         """Return the outputs of a free run from a state."""

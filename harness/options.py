@@ -15,8 +15,6 @@ import numpy as np
 
 from harness.errors import InputError
 
-__all__ = ["BoundsWarning", "instead", "meant_options", "options_of", "outside", "say_beyond"]
-
 _Factory = typing.TypeVar("_Factory", bound=Callable[..., Any])
 
 _WORDS: dict[Any, str] = {
@@ -34,6 +32,9 @@ _NEVER: tuple[tuple[Any, tuple[Any, ...]], ...] = (
     (list | tuple | dict, (float, int, bool, str, type(None))),
 )
 """Plain types that a value certainly is not, by its own; true and false first, which Python calls numbers."""
+
+ALIKE = 0.7
+"""Likeness of names from which one is proposed for the other: order and model have 0.6."""
 
 
 def meant_options(owner: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -162,7 +163,7 @@ def instead(unknown: Sequence[str], known: Iterable[str]) -> str:
     >>> instead(["frction"], ["friction", "mass"]), instead(["colour"], ["mass"])
     ('did you mean friction for frction?', 'remove colour')
     """
-    near = {name: difflib.get_close_matches(name, list(known), n=1) for name in unknown}
+    near = {name: difflib.get_close_matches(name, list(known), n=1, cutoff=ALIKE) for name in unknown}
     meant = [f"did you mean {found[0]} for {name}?" for name, found in near.items() if found]
     return " ".join(meant) if meant else f"remove {', '.join(unknown)}"
 

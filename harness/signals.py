@@ -18,8 +18,6 @@ from harness.display import drawing, page, table
 from harness.errors import InputError
 from harness.plots import plot_record
 
-__all__ = ["Channel", "Dataset", "FloatArray", "Oddity", "PlantSpec", "Ported", "Run", "Trajectory", "Use", "residual"]
-
 FloatArray = npt.NDArray[np.float64]
 Use = Literal["estimation", "validation", "test"]
 Kind = Literal["real", "integer", "boolean", "category"]
@@ -356,6 +354,9 @@ class Dataset:
         those that still lie on it tell it themselves (:func:`harness.resolution.resolution`).
     warnings : tuple of str
         What the reader noticed and the user should know.
+    recorded : dict
+        Unit in which a signal was recorded, by name, where it was another than that of its channel may be: in that unit
+        errors are told.
     oddities : tuple of Oddity or None
         What is odd about the records; None where nobody has looked (:func:`harness.data.oddities.examined` does).
 
@@ -375,6 +376,7 @@ class Dataset:
     warnings: tuple[str, ...] = ()
     resolution: dict[str, float] = field(default_factory=dict)
     oddities: tuple[Oddity, ...] | None = None
+    recorded: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "runs", tuple(self.runs))

@@ -14,8 +14,6 @@ from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec
 from scenarios.conditions import Conditions
 
-__all__ = ["AcrobotLqr"]
-
 JOINTS = ("theta1", "theta2")
 
 

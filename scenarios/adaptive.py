@@ -15,8 +15,6 @@ from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec
 from scenarios.closed_loop import ArmTracking
 
-__all__ = ["AdaptiveControl"]
-
 SMALL = 1e-3
 """Scale of a lumped parameter that is believed to be 0, relative to the largest."""
 

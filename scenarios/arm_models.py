@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
     from harness.physics.arms.rigid_tree import Arm
 
-__all__ = ["arm_model_of", "arm_of", "damping_of"]
-
 
 def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
     """Return the model of the arm that a controller uses; the iiwa for a plant with seven inputs.

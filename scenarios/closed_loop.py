@@ -18,8 +18,6 @@ from scenarios.arm_models import arm_model_of
 from scenarios.conditions import Conditions
 from scenarios.noise import PerChannel, not_negative, per_channel
 
-__all__ = ["ArmComputedTorque", "ArmPd", "ArmTracking", "CartPoleLqr"]
-
 InverseDynamics = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 

@@ -14,8 +14,6 @@ from harness.rng import Streams
 from harness.signals import Channel, FloatArray, PlantSpec
 from scenarios.noise import PerChannel, process_disturbance, sensor
 
-__all__ = ["Conditions", "Initial", "half_range"]
-
 Initial = Mapping[str, float | Sequence[float]]
 """Initial states by name: a number, or ``[low, high]`` to draw it anew for each run."""
 

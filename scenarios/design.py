@@ -15,17 +15,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = [
-    "Design",
-    "FourierReference",
-    "JointLimits",
-    "condition_number",
-    "design_reference",
-    "deviation_of",
-    "identifiable_columns",
-    "volume_of",
-]
-
 Regressor = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 Violation = Callable[[FloatArray, FloatArray, FloatArray], float]
 Criterion = Callable[[FloatArray], float]

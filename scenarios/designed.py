@@ -25,8 +25,6 @@ from scenarios.design import (
 if TYPE_CHECKING:
     from harness.physics.arms.rigid_tree import Arm
 
-__all__ = ["ArmDesigned"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ArmDesigned(ArmComputedTorque):

@@ -12,8 +12,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["PerChannel", "Sensor", "coloured_noise", "not_negative", "per_channel", "process_disturbance", "sensor"]
-
 PerChannel = float | Mapping[str, float]
 """One number for every channel, in the channel's own unit, or numbers by channel name (others: none)."""
 

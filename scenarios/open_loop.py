@@ -22,17 +22,6 @@ from scenarios import signals
 from scenarios.conditions import Conditions, half_range
 from scenarios.noise import PerChannel, not_negative, per_channel
 
-__all__ = [
-    "Chirp",
-    "FilteredNoise",
-    "FreeSwing",
-    "Multisine",
-    "OpenLoop",
-    "Prbs",
-    "RandomPolicy",
-    "Steps",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class OpenLoop(Conditions, ABC):

@@ -18,8 +18,6 @@ from harness.trust import registered_only
 from scenarios.conditions import Conditions
 from scenarios.noise import PerChannel, per_channel
 
-__all__ = ["PredictiveControl", "read_model"]
-
 _ROUNDS = {"mppi": 1, "cem": 3}
 """Times that a plan is drawn and improved at every sample; the plan of the sample before is its start."""
 

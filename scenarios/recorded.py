@@ -18,10 +18,8 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from harness.units import convert
 from scenarios.conditions import Conditions
 
-__all__ = ["ReplayedInput"]
-
-ON_GRID = 1e-6
-"""Part of a sample by which a stamp may miss an instant: what is lost by writing a time with nine digits."""
+ON_GRID = 1e-3
+"""Part of a sample by which a stamp may miss an instant: what is lost by writing it rounded, and moves no row."""
 
 
 @dataclass(frozen=True, kw_only=True)

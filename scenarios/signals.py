@@ -14,8 +14,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["band_noise", "chirp", "crest_factor", "lines_of_band", "multisine", "prbs", "staircase", "steps"]
-
 HIGHEST_ORDER = 32
 
 

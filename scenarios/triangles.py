@@ -10,8 +10,6 @@ from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec
 from scenarios.open_loop import OpenLoop
 
-__all__ = ["Triangle", "triangle"]
-
 
 def triangle(n: int, sample_time: float, frequency: float, *, levels: int = 1, start: float = 0.0) -> FloatArray:
     """Return a triangle wave within [-1, 1] whose amplitude climbs in equal steps over the record.

@@ -14,12 +14,14 @@ from harness.errors import InputError
 if TYPE_CHECKING:
     from harness.comparison import Comparison, OrderSelection, Spectrum
     from harness.data.recipe.chosen import Noted
+    from harness.fitted import Usable
     from harness.modal import Criteria, Modes
     from harness.models.arx_orders import ArxGrid
+    from harness.protocols import Model
 
 
 def compare(
-    models: Sequence[str | Path],
+    models: Sequence[str | Path | Model | Usable] | Mapping[str, str | Path | Model | Usable],
     dataset: Any,
     *,
     model: str | None = None,
@@ -27,12 +29,13 @@ def compare(
     force: bool = False,
     **records: Unpack[Noted],
 ) -> Comparison:
-    """Put stored models side by side on one data set: fit, residuals, frequency responses.
+    """Put models side by side on one data set: fit, residuals, frequency responses.
 
     Parameters
     ----------
-    models : sequence of path
-        Files that ``identify`` wrote, or folders that ``close_loop`` wrote.
+    models : sequence, or mapping by name
+        What ``identify`` or :func:`load_model` returned, files that ``identify`` wrote, or folders that ``close_loop``
+        wrote, which are called by the ends of their paths.
     dataset : path or table
         As for ``identify``.
     model : str, optional
@@ -52,14 +55,51 @@ def compare(
     from harness import comparison as room
     from harness.parts.stored import read_model
 
+    if not models:
+        raise InputError("what to compare", expected="one model or more", got="none", remedy="give a model")
     refuse_overwrite(out, force=force)
-    found = {str(path): read_model(path) for path in models}
+    given = models if isinstance(models, Mapping) else dict(zip(_names(models), models, strict=True))
+    found = {name: read_model(one) if isinstance(one, str | Path) else _bare(one) for name, one in given.items()}
     spec = next(iter(found.values())).spec
     ports = (spec.inputs, spec.outputs) if is_table(dataset) and model is None else None
     data = noted(dataset, model=model, ports=ports, **records)
     result = room.compare(found, data)
     write_page(out, result)
     return result
+
+
+def _names(models: Sequence[Any]) -> list[str]:
+    """Return a name for each model: of files the shortest ends of their paths that tell them apart."""
+    parts = [
+        Path(one).absolute().with_suffix("").parts if isinstance(one, str | Path) else (f"model {k}",)
+        for k, one in enumerate(models, start=1)
+    ]
+    if len(set(parts)) < len(parts):  # one.json beside one.toml, or one file twice
+        return [str(one) if isinstance(one, str | Path) else own[-1] for one, own in zip(models, parts, strict=True)]
+    while len(parts) > 1 and min(map(len, parts)) > 1 and len({own[-1] for own in parts}) == 1:
+        parts = [own[:-1] for own in parts]
+    names = []
+    for own in parts:
+        alike = [sum(other[-size:] == own[-size:] for other in parts) for size in range(1, len(own) + 1)]
+        names.append("/".join(own[-1 - alike.index(1) :]))
+    return names
+
+
+def _bare(model: Any) -> Model:
+    """Return the model inside what ``identify`` or ``load_model`` returned.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    inside: Model = getattr(model, "model", model)
+    if not hasattr(inside, "spec") or not hasattr(inside, "burn_in"):
+        raise InputError(
+            "what to compare", expected="a path, or what identify or load_model returned", got=type(model).__name__,
+            remedy="give models, and then the data set",
+        )  # fmt: skip
+    return inside
 
 
 def spectrum(

@@ -38,12 +38,16 @@ UNDRIVEN_IDENTIFIER = "arx"
 def default_identifier(spec: PlantSpec) -> str:
     """Return the id of the identifier that records of such channels get where none is asked for.
 
+    Categories are counted: the transitions of one state, or of several that may depend on each other.
+
     Examples
     --------
     >>> from harness import Channel, PlantSpec
     >>> default_identifier(PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 0.1))
     'prediction-error'
     """
+    if {channel.kind for channel in (*spec.inputs, *spec.outputs)} == {"category"}:
+        return "mdp-counting" if spec.ny == 1 and spec.nu < 2 else "factored-counting"
     return DEFAULT_IDENTIFIER if spec.nu else UNDRIVEN_IDENTIFIER
 
 
@@ -154,6 +158,7 @@ def identify(
         next(iter((*data.validation, *data.estimation)), None),
         _bounds_beside(fitted, measured, identifier, seed) if bounds else None,
         _by_use(data, fitted.torque_errors) if isinstance(fitted, Torques) else {},
+        data.recorded,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,8 @@ import numpy as np
 from harness.errors import InputError
 from harness.fitted import Usable
 from harness.protocols import Model
-from harness.signals import Trajectory, Use
+from harness.signals import Channel, Trajectory, Use
+from harness.units import behind, told
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,6 +42,14 @@ class Identified(Usable):
 
     torque_errors: dict[Use, list[tuple[TorqueError, ...]]] = field(default_factory=dict)
     """Of an arm: rms and NRMSE of every joint's torque along the measured motion, by use and run; empty for others."""
+
+    recorded: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
+    """Unit by channel in which the data came; what is not there is in that of the channel."""
+
+    def in_own_unit(self, size: float, channel: Channel) -> str:
+        """Return a size in the unit of a channel as text, in the unit in which the channel was recorded."""
+        own, unit = told(size, channel.unit, self.recorded.get(channel.name, channel.unit))
+        return f"{own:.3g}{behind(unit)}"
 
     def plot(self) -> Figure:
         """Return the figure of the record that judges: its inputs, what was measured, and the free run of the model."""
@@ -86,7 +96,7 @@ class Identified(Usable):
         uses: tuple[Use, ...] = ("validation", "test")
         held_out = [use for use in uses if self.torque_errors.get(use)]
         return [
-            (use, str(run), one.joint, f"{one.rms:.3g} {one.unit}", f"{one.nrmse:.3g}")
+            (use, str(run), one.joint, f"{one.rms:.3g}{behind(one.unit)}", f"{one.nrmse:.3g}")
             for use in held_out or self.torque_errors
             for run, joints in enumerate(self.torque_errors[use])
             for one in joints
@@ -95,7 +105,13 @@ class Identified(Usable):
     def _rows(self) -> list[tuple[str, ...]]:
         """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
         return [
-            (use, str(run), channel.name, *(f"{s.nrmse[k]:.4g}" for s in pair), f"{pair[1].rms[k]:.3g} {channel.unit}")
+            (
+                use,
+                str(run),
+                channel.name,
+                *(f"{s.nrmse[k]:.4g}" for s in pair),
+                self.in_own_unit(pair[1].rms[k], channel),
+            )
             for use in self.equation_error
             for run, pair in enumerate(zip(self.equation_error[use], self.simulation_error[use], strict=True))
             for k, channel in enumerate(self.model.spec.outputs)

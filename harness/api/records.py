@@ -110,7 +110,12 @@ def check_data(
 
 
 def new_dataset(
-    files: Sequence[str | Path], *, model: str | None = None, out: str | Path = "dataset.toml", force: bool = False
+    files: Sequence[str | Path],
+    *,
+    model: str | None = None,
+    out: str | Path = "dataset.toml",
+    sheet: str | None = None,
+    force: bool = False,
 ) -> Path:
     """Write a dataset.toml drafted from files of data (``sysid new dataset FILE...``).
 
@@ -121,6 +126,8 @@ def new_dataset(
     model : str, optional
         Nominal model, whose ports name the columns.
     out : path
+    sheet : str, optional
+        Of Excel workbooks.
     force : bool
         Overwrite it.
 
@@ -133,7 +140,7 @@ def new_dataset(
 
     out = Path(out)
     refuse_overwrite(out, force=force)
-    out.write_text(draft_dataset(files, model=model, folder=out.parent), encoding="utf-8")
+    out.write_text(draft_dataset(files, model=model, folder=out.parent, sheet=sheet), encoding="utf-8")
     return out
 
 

@@ -15,8 +15,6 @@ from harness.app.reach import Reach
 from harness.errors import InputError
 from harness.trust import names_fmu
 
-__all__ = ["LINEAR", "Choice", "Column", "matched", "ports_told", "read_choice", "spoken", "stated", "words"]
-
 LINEAR = "linear"
 """What a closed loop starts from where no physical model is chosen."""
 

@@ -6,8 +6,6 @@ import secrets
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
-__all__ = ["HOST", "Gate"]
-
 HOST = "127.0.0.1"
 """The only address that is listened on; a name could be made to mean it by a foreign page (DNS rebinding)."""
 SAFE = ("GET", "HEAD")

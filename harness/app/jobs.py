@@ -17,8 +17,6 @@ from typing import Any
 
 from harness.errors import InputError, printable
 
-__all__ = ["Job", "Jobs"]
-
 PROGRESS = re.compile(r"[^:]+: (\d+) %(?:, (.*))?")
 """How the command line tells its progress where standard error is no terminal."""
 PATIENCE = 4.0

@@ -17,8 +17,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.data.tables.table import Table
 
-__all__ = ["Logs", "extremes"]
-
 KEPT = 3
 """Logs that stay in memory."""
 POINTS = 4000

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from harness.errors import InputError
 
-__all__ = ["MODELS", "Reach"]
-
 MODELS = (".urdf", ".fmu", ".eqs")
 """Nominal models that are files. An MJCF and a Python file may name any other file and stay with the command line."""
 UPLOADED = "uploaded"

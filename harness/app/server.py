@@ -34,8 +34,6 @@ from harness.app.reach import Reach
 from harness.errors import HarnessError, InputError
 from harness.trust import names_fmu
 
-__all__ = ["Session", "application", "serve"]
-
 STATIC = Path(__file__).with_name("static")
 PARTS = ("page.css", "page.js", "plot.js", "runs.js", "ask.js")
 FIRST, CLOSED = 300.0, 30.0

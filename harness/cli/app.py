@@ -19,7 +19,7 @@ from harness import __version__, api
 from harness.cli.loop import close_loop, isolability, learn_residual
 from harness.cli.models import check_data, compare, export, identify, order, spectrum
 from harness.cli.opening import open_page
-from harness.cli.options import AsJson, Force, ModelName
+from harness.cli.options import AsJson, Force, ModelName, Sheet
 from harness.cli.results import print_fmu, print_parts, print_system
 from harness.cli.runs import bench, query, simulate, table
 from harness.cli.structures import analyse, equations, modes
@@ -30,8 +30,6 @@ from harness.parts.files import is_system
 from harness.registry import singular
 from harness.supervision.interrupts import INTERRUPTED, Interrupts
 from harness.trust import names_fmu
-
-__all__ = ["app", "run"]
 
 OWN_FAULT = 70
 """Exit status of a fault in this program: EX_SOFTWARE of sysexits.h (4.0BSD)."""
@@ -55,16 +53,18 @@ app.command(name="open")(open_page)
 
 
 def _holds_data(path: Path) -> bool:
-    """Return True for a file, and for the folder of a bag of ROS 2."""
-    return (bool(path.suffix) and path.is_file()) or (path / "metadata.yaml").is_file()
+    """Return True for a file, and for the folder of a bag of ROS 2 or of a closed loop."""
+    inside = ("metadata.yaml", "report.json")
+    return (bool(path.suffix) and path.is_file()) or any((path / name).is_file() for name in inside)
 
 
 @app.command(name="list")
 def list_command(
     what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE")] = None,
+    sheet: Sheet = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what is registered, or what is inside a file: data, a robot, an FMU or a system of them, a model.json."""
+    """Show what is registered, or what is inside a file: data, a robot, an FMU or a system, a model, a report."""
     if what is not None and names_fmu(what):
         description = api.describe_fmu(what)
         if as_json:
@@ -80,7 +80,7 @@ def list_command(
             print_system(system)
         return
     if what is not None and what not in api.LISTED and _holds_data(Path(what)):
-        found = api.describe_file(what)
+        found = api.describe_file(what, sheet)
         if as_json:
             print_json(found["content"])
             return
@@ -129,6 +129,7 @@ def new(
     ],
     folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made, or dataset.toml is written")] = Path("."),
     model: ModelName = None,
+    sheet: Sheet = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
@@ -136,7 +137,7 @@ def new(
     from harness.scaffold import entry_name
 
     if kind == "dataset":
-        out = api.new_dataset(name, model=model, out=folder / "dataset.toml", force=force)
+        out = api.new_dataset(name, model=model, out=folder / "dataset.toml", sheet=sheet, force=force)
         print_written([out], as_json=as_json)
         if not as_json:
             say(f"now: answer what stands as a question in it, then sysid close-loop {out}")
@@ -222,7 +223,8 @@ def _failed(error: Exception) -> int:
     if isinstance(error, HarnessError):
         return fail(" ".join(str(error).split()), 2)
     if hasattr(error, "format_message") and hasattr(error, "exit_code"):
-        return fail(f"{error.format_message()}; remedy: sysid --help", 2)
+        command = getattr(getattr(error, "ctx", None), "command_path", None) or "sysid"
+        return fail(f"{error.format_message()}; remedy: {command} --help", 2)
     if debug:
         raise error
     return fail(

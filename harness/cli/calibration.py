@@ -15,8 +15,6 @@ from harness.errors import InputError
 if TYPE_CHECKING:
     from harness.calibration import Calibration
 
-__all__ = ["Bounds", "Copies", "Free", "Initial", "Slopes", "Ssv", "Start", "Starts", "calibrated"]
-
 Free = Annotated[
     list[str] | None,
     typer.Option(

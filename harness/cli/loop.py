@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from harness.learned import LearnedResidual
     from harness.scoring.acceptance import Demands
 
-__all__ = ["close_loop", "isolability", "learn_residual"]
-
 
 @of_table
 def close_loop(

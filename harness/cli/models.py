@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from harness.data.recipe.chosen import Records, Signals
     from harness.models.arx_orders import ArxGrid
 
-__all__ = ["check_data", "compare", "export", "identify", "order", "spectrum"]
-
 
 @of_table
 def check_data(
@@ -64,7 +62,7 @@ def identify(
     identifier: Annotated[
         str | None,
         typer.Option(
-            help="id of an identifier; default prediction-error (arx without inputs) where no physical model is given",
+            help="id of an identifier; without a model prediction-error, arx without inputs, counts of categories",
             autocompletion=completed("identifiers"),
         ),
     ] = None,

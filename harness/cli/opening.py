@@ -11,8 +11,6 @@ import typer
 from harness.cli.terminal import say
 from harness.errors import InputError
 
-__all__ = ["open_page"]
-
 NEEDED = ("starlette", "uvicorn")
 """What the extra ``app`` brings."""
 

@@ -17,31 +17,6 @@ from harness.trust import trusting
 if TYPE_CHECKING:
     from harness.scoring.acceptance import Check, Demands
 
-__all__ = [
-    "AsJson",
-    "DatasetName",
-    "Engine",
-    "FailOn",
-    "Force",
-    "Junit",
-    "MaxError",
-    "MaxShare",
-    "ModelName",
-    "OptionPairs",
-    "Page",
-    "Picture",
-    "Resume",
-    "ScenarioPairs",
-    "Seed",
-    "Trust",
-    "Undriven",
-    "Validation",
-    "Workers",
-    "demands_of",
-    "judged",
-    "of_table",
-]
-
 
 def _trust(context: typer.Context, files: list[str] | None) -> list[str] | None:
     """Trust files until the command ends."""
@@ -99,11 +74,13 @@ Units = Annotated[
     typer.Option("--unit", metavar="NAME=UNIT", help="of a table: unit of a signal or of time, repeatable"),
 ]
 SampleTime = Annotated[
-    float | None, typer.Option("--sample-time", help="of a table without a time column, or with rough stamps [s]")
+    float | None,
+    typer.Option("--sample-time", help="of a table without a clock, with rough stamps, or with several clocks [s]"),
 ]
 Gaps = Annotated[
     str | None, typer.Option("--gaps", help="of a table with holes: split makes a record of every piece between them")
 ]
+Sheet = Annotated[str | None, typer.Option("--sheet", metavar="NAME", help="of an Excel workbook; default the first")]
 FailOn = Annotated[
     str | None,
     typer.Option(
@@ -132,7 +109,7 @@ def demands_of(fail_on: str | None, max_error: list[str] | None, max_share: floa
     """Return the demands on a result that the options state."""
     from harness.scoring.acceptance import Demands
 
-    words = [word.strip().replace("-", "_") for word in (fail_on or "").split(",")]
+    words = [word.strip().replace("-", "_").replace(" ", "_") for word in (fail_on or "").split(",")]
     return Demands(tuple(word for word in words if word), text_pairs(max_error, "--max-error"), max_share)
 
 
@@ -156,6 +133,7 @@ TABLE = {
     "unit": Units,
     "sample_time": SampleTime,
     "gaps": Gaps,
+    "sheet": Sheet,
     "run": Runs,
 }
 """Options that say which columns of a table are which signals, by name."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 if TYPE_CHECKING:
     from harness.api import Identified
@@ -14,17 +16,7 @@ if TYPE_CHECKING:
     from harness.diagnosis.planned import Planned
     from harness.models.estimate import Estimate
 from harness.cli.terminal import print_json, print_table, say, wide_console
-
-__all__ = [
-    "print_answer",
-    "print_bench",
-    "print_fmu",
-    "print_identified",
-    "print_parts",
-    "print_planned",
-    "print_public",
-    "print_system",
-]
+from harness.units import behind
 
 OWN = "sysid-harness"
 """The distribution whose parts go without a remark."""
@@ -113,8 +105,7 @@ def print_planned(found: Planned) -> None:
         for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
             say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
     for name, size in found.smallest.items():
-        unit = "" if size["unit"] == "1" else f" {size['unit']}"
-        say(f"seen from about {size['value']:.3g}{unit} of {size['parameter']}: {name}")
+        say(f"seen from about {size['value']:.3g}{behind(size['unit'])} of {size['parameter']}: {name}")
     for one, other, cosine in found.alike:
         say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
     for hidden in found.hidden:
@@ -133,7 +124,7 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     for use, one_step in fitted.equation_error.items():
         for run, (one, free) in enumerate(zip(one_step, fitted.simulation_error[use], strict=True)):
             for column, channel in enumerate(fitted.model.spec.outputs):
-                scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
+                scores = [f"{s.nrmse[column]:.4g} ({fitted.in_own_unit(s.rms[column], channel)})" for s in (one, free)]
                 lines.append((use, str(run), channel.name, *scores, free.initial_state))
     print_table(("use", "run", "output", "equation error", "simulation error", "initial state"), lines)
     for use, scores_of_use in fitted.probability.items():
@@ -155,12 +146,11 @@ def print_identified(fitted: Identified, identifier: str) -> None:
         say(f"  {estimate.rank}{condition}")
     for text in (*getattr(fitted.model, "equations", ()), *getattr(fitted.model, "findings", ())):
         say(f"  {text}")
-    _print_order(fitted.model, conditioned=estimate is not None)
+    elsewhere = {"estimate", "warning", "determined", "equations", *({"condition"} if estimate is not None else ())}
+    _print_notes(getattr(fitted.model, "notes", None) or {}, elsewhere)
+    _print_order(fitted.model)
     if gaps := gaps_words(bands_of(fitted.model), fitted.model.spec.sample_time):
         say(f"  {gaps}")
-    bands = (getattr(fitted.model, "notes", None) or {}).get("bands")
-    if isinstance(bands, str):  # how far ahead learned models vouch for their bands
-        say(f"  {bands}")
     for warning in fitted.warnings:
         say(f"warning: {warning}")
 
@@ -172,8 +162,7 @@ def _print_parameters(model: Any, named: Mapping[str, float], estimate: Estimate
         deviation = getattr(model, "deviations", {}).get(name)
         interval = estimate.interval(name) if estimate is not None and name in estimate.names else None
         text = f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else "")
-        unit = _unit_of(model, estimate, name)
-        text += "" if unit == "1" else f" {unit}"
+        text += behind(_unit_of(model, estimate, name))
         text += f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""
         say(text + (" (not determined alone)" if name in loose else ""))
 
@@ -192,7 +181,7 @@ def _print_lumps(model: Any, named: Mapping[str, float]) -> None:
     if not isinstance(found, Mapping):
         return
     rows = [
-        f"{name} = {value:.6g}" + ("" if unit == "1" else f" {unit}")
+        f"{name} = {value:.6g}{behind(unit)}"
         for name, unit, value in zip(found["names"], found["units"], found["values"], strict=True)
         if name not in named and value is not None
     ]
@@ -200,8 +189,8 @@ def _print_lumps(model: Any, named: Mapping[str, float]) -> None:
         say(f"  lumped: {', '.join(rows)}")
 
 
-VALUES = 8
-"""Singular values that are printed: enough to see where they fall to the noise."""
+VALUES, SHORT = 8, 40
+"""Values of a note that are printed, enough to see where singular values fall to the noise; letters of a short one."""
 ROUNDED = 1e-9
 """A mode at 1 (a constant, an integrator) comes out so far beyond it by rounding."""
 COEFFICIENTS = 40
@@ -213,7 +202,7 @@ def _print_estimate(estimate: Estimate) -> None:
     if len(estimate.names) <= COEFFICIENTS:
         for name, unit, value in zip(estimate.names, estimate.units, estimate.values, strict=True):
             interval = estimate.interval(name)
-            text = f"  {name} = {value:.6g}" + ("" if unit == "1" else f" {unit}")
+            text = f"  {name} = {value:.6g}{behind(unit)}"
             say(text + (f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""))
     else:
         say(f"  {len(estimate.names)} coefficients (--out writes them)")
@@ -229,18 +218,41 @@ def _print_method(estimate: Estimate) -> None:
         say(f"warning: not converged{f': {estimate.message}' if estimate.message else ''}")
 
 
-def _print_order(model: Any, *, conditioned: bool) -> None:
-    """Print states, spectral radius, and what decided on the order; a model that grows is told whatever its scores."""
+def _print_notes(notes: Mapping[str, Any], elsewhere: Collection[str]) -> None:
+    """Print what a fit notes: every number and word, and the first of a list or table of them; the file has all."""
+    words, lines = [], []
+    for name, value in notes.items():
+        title = name.replace("_", " ")
+        if name in elsewhere or value is None:
+            continue
+        parts = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else [value]
+        flat = [_plain(one) for one in parts]
+        if not flat or not all(flat):
+            continue  # a table of tables
+        if isinstance(value, Mapping):
+            flat = [f"{key} {one}".replace("_", " ") for key, one in zip(value, flat, strict=True)]
+        text = ", ".join(flat[:VALUES]) + f" and {len(flat) - VALUES} more" * (len(flat) > VALUES)
+        if len(flat) == 1 and len(text) <= SHORT:
+            words.append(f"{title} {text}")
+        else:
+            lines.append(text if isinstance(value, str) else f"{title}: {text}")
+    for line in ([", ".join(words)] if words else []) + lines:
+        say(f"  {line[:1].upper() + line[1:]}")
+
+
+def _plain(value: Any) -> str:
+    """Return a number or a word as text; nothing for anything else."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, int | np.integer | str):
+        return str(value)
+    return f"{value:.3g}" if isinstance(value, float | np.floating) else ""
+
+
+def _print_order(model: Any) -> None:
+    """Print states and spectral radius; a model that grows is told whatever its scores."""
     from harness.models.lqr import spectral_radius
 
-    notes = getattr(model, "notes", None) or {}
-    if not conditioned and isinstance(notes.get("condition"), float):
-        say(f"  condition number of the regressors {notes['condition']:.3g}")
-    for key in ("hankel_singular_values", "singular_values"):
-        if isinstance(notes.get(key), list):
-            level = f"; noise alone up to {notes['hankel_noise']:.3g}" if "hankel_noise" in notes else ""
-            values = ", ".join(f"{value:.3g}" for value in notes[key][:VALUES])
-            say(f"  {key.replace('_', ' ').capitalize()} {values}{level}")
     a = getattr(model, "a_matrix", None)
     if a is None or not len(a):
         return

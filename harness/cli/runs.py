@@ -15,8 +15,6 @@ from harness.cli.terminal import jobs_bar, noted, print_json, print_paths, print
 from harness.cli.words import completed, hidden_effect, option_pairs, seed_range, text_pairs
 from harness.errors import InputError, PlantError, printable
 
-__all__ = ["bench", "query", "simulate", "table"]
-
 
 def simulate(
     plant: Annotated[

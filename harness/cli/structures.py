@@ -27,8 +27,6 @@ from harness.cli.words import completed, option_pairs, whole_range
 if TYPE_CHECKING:
     from harness.data.recipe.chosen import Signals
 
-__all__ = ["analyse", "equations", "modes"]
-
 
 @of_table
 def modes(

@@ -21,23 +21,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 
-__all__ = [
-    "Lines",
-    "fail",
-    "jobs_bar",
-    "noted",
-    "print_json",
-    "print_paths",
-    "print_rows",
-    "print_table",
-    "print_written",
-    "progress_bar",
-    "say",
-    "share_bar",
-    "wide_console",
-]
-
-
 def fail(message: str, status: int) -> int:
     """Print one line on standard error and return the exit status."""
     print(f"sysid: {printable(message)}", file=sys.stderr)

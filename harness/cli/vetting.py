@@ -14,8 +14,6 @@ from harness.cli.words import option_pairs, text_pairs
 from harness.errors import InputError
 from harness.trust import names_fmu
 
-__all__ = ["check"]
-
 CALL = 10.0
 """Longest time for one call of an FMU [s], where none is given."""
 

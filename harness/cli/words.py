@@ -12,8 +12,6 @@ from harness.errors import InputError
 if TYPE_CHECKING:
     pass
 
-__all__ = ["completed", "hidden_effect", "option_pairs", "seed_range", "text_pairs", "whole_range"]
-
 
 def completed(kind: str) -> Callable[[str], list[str]]:
     """Return the function that completes the id of a part in a shell (``sysid --install-completion``)."""

@@ -16,8 +16,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["local_polynomial"]
-
 ORDER = 2
 """Of the polynomials, as the authors advise: even orders have no larger bias than the odd ones below."""
 SPARE = 7

@@ -26,11 +26,9 @@ LEGEND = (
     "Over time: what was measured, and the free run of every model with a band of 1.96 times the rms by which it "
     "misses the estimation data. Residuals are those of one-step predictions; the shaded regions hold 99 % of the "
     "lags of a white residual that is independent of the input. Bands and ellipses of models hold the truth with "
-    "95 % if their structure does; crosses are poles, circles zeros; dotted: frequencies that their data do not "
-    "determine."
+    "95 % if their structure does; crosses are poles, pale where their ellipse would be wider than the "
+    "unit circle, circles zeros; dotted: frequencies that their data do not determine."
 )
-
-__all__ = ["Compared", "Comparison", "compare", "free_run_errors"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +143,7 @@ class Comparison:
             elif spread.warning:
                 said.append(f"{name}: {spread.warning}.")
         words = "".join(f"<p>{escape(line)}</p>" for line in said)
-        titles = ["model", "modulus of the pole", "frequency [Hz]", "damping"]
+        titles = ["model", "modulus of the pole (95 %)", "frequency [Hz]", "damping"]
         return f'<div style="margin-top: 1.2em">{table(titles, rows[:MOST_POLES])}</div>{words}'
 
     def html(self) -> str:

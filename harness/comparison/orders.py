@@ -17,8 +17,6 @@ from harness.rng import stream
 from harness.scoring import predict
 from harness.signals import Dataset, FloatArray, Trajectory, residual
 
-__all__ = ["IDENTIFIERS", "ORDERS", "OrderError", "OrderSelection", "arx_orders", "order_selection"]
-
 IDENTIFIERS = ("arx", "n4sid", "ho-kalman")
 """One of each way to a linear model: lagged signals, a subspace of the data, the impulse response."""
 ORDERS = range(1, 13)

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError, as_written
-
-__all__ = ["Difference", "ReportComparison", "compare_reports", "is_report"]
+from harness.units import behind
 
 FORMAT = "sysid-harness/close-loop/"
 SAME = 1e-3
@@ -55,7 +54,7 @@ class ReportComparison:
         ]
 
     def __str__(self) -> str:
-        inputs = [one.what for one in self.differences if one.side == "input"]
+        inputs = list(dict.fromkeys(one.what for one in self.differences if one.side == "input"))
         answers = [one for one in self.differences if one.side == "answer"]
         if not answers:
             return "the answers are the same" + (f", though these differ: {', '.join(inputs)}" if inputs else "")
@@ -208,7 +207,9 @@ def _errors(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[Difference]:
     for name in dict.fromkeys([*sides[0], *sides[1]]):
         scores = [side.get(name, {}) for side in sides]
         if not _same(scores[0].get("rms"), scores[1].get("rms")):
-            shown = [f"{score.get('rms')} {score.get('unit', '')}".strip() for score in scores]
+            shown = [
+                "-" if score.get("rms") is None else f"{score['rms']:.4g}{behind(score['unit'])}" for score in scores
+            ]
             found.append(Difference("answer", f"simulation error of {name}", *shown))
     return found
 
@@ -224,7 +225,7 @@ def _parameter(own: Mapping[str, Any]) -> str:
     """Return a value with its interval."""
     interval = "" if own.get("low") is None else f" [{own['low']:.4g}, {own['high']:.4g}]"
     value = "-" if own.get("value") is None else f"{own['value']:.6g}"
-    return f"{value}{interval} {own.get('unit', '')}".strip()
+    return f"{value}{interval}{behind(own.get('unit') or '1')}"
 
 
 def _overlap(first: Mapping[str, Any], second: Mapping[str, Any]) -> str:

@@ -8,8 +8,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["LAGS", "Correlation", "correlations"]
-
 LAGS = 25
 """Lags looked at: Ljung's recommendation."""
 BOUND = 2.576

@@ -11,8 +11,6 @@ from harness.errors import InputError
 from harness.models.spread import quantile, step_deviation
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["Response", "length", "response"]
-
 DECAYED = 1e-2
 """What is left of the slowest mode where a response ends by itself: then nothing more is seen in a picture."""
 SAMPLES = (20, 2000)

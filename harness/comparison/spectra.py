@@ -14,8 +14,6 @@ from harness.errors import InputError
 from harness.frequency.segments import segment_spectra
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-__all__ = ["Spectrum", "spectrum"]
-
 ComplexArray = npt.NDArray[np.complex128]
 
 OVERLAP = 9.0 / 11.0

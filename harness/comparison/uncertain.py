@@ -20,9 +20,10 @@ from harness.models.spread import (
 )
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["bode_lines", "is_linear", "pole_figure", "pole_rows", "step_figure"]
-
 ELLIPSE = np.linspace(0.0, 2 * np.pi, 73)
+WIDEST, UNKNOWN = 1.0, 0.35
+"""Half axis of an ellipse beyond which a pole may lie anywhere in the unit circle, and how dark such a pole is drawn.
+"""
 SHOWN = 400
 """Samples of a step response that are drawn at most."""
 
@@ -127,16 +128,17 @@ def pole_figure(models: Mapping[str, Any]) -> Any:
             poles, covariance = np.linalg.eigvals(model.matrices[0]), None
         else:
             poles, covariance = pole_covariance(model)
-        (line,) = axis.plot(poles.real, poles.imag, "x", markersize=6, label=name)
+        (line,) = axis.plot([], [], "x", markersize=6, label=name)
         zeros = transmission_zeros(*model.matrices[:4])
         axis.plot(zeros.real, zeros.imag, "o", markersize=5, fillstyle="none", color=line.get_color())
-        for k, pole in enumerate(poles if covariance is not None else ()):
-            assert covariance is not None
-            values, vectors = np.linalg.eigh(covariance[k])
-            round_it = vectors * np.sqrt(np.maximum(values, 0.0)) @ np.stack([np.cos(ELLIPSE), np.sin(ELLIPSE)])
-            axis.plot(
-                pole.real + size * round_it[0], pole.imag + size * round_it[1], linewidth=0.9, color=line.get_color()
-            )
+        for k, pole in enumerate(poles):
+            values, vectors = np.linalg.eigh(np.zeros((2, 2)) if covariance is None else covariance[k])
+            half = size * np.sqrt(np.maximum(values, 0.0))
+            known = half.max() <= WIDEST
+            axis.plot(pole.real, pole.imag, "x", markersize=6, color=line.get_color(), alpha=1.0 if known else UNKNOWN)
+            if known:
+                x, y = vectors * half @ np.stack([np.cos(ELLIPSE), np.sin(ELLIPSE)])
+                axis.plot(pole.real + x, pole.imag + y, linewidth=0.9, color=line.get_color())
     axis.set(aspect="equal", xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), xlabel="real part of z", ylabel="imaginary part of z")
     axis.legend(fontsize=8, loc="upper left")
     return figure
@@ -175,6 +177,12 @@ def pole_rows(name: str, model: Any) -> list[tuple[str, str, str, str]]:
             continue
         rate = np.log(complex(pole)) / model.spec.sample_time
         hertz = f"{abs(rate) / (2 * np.pi):.4g}"
-        half = "" if deviation is None else f" ± {quantile(model.spread) * deviation[0][k]:.2g}"
-        rows.append((name, f"{abs(pole):.5g}{half}", hertz, f"{-rate.real / max(abs(rate), 1e-300):.3g}"))
+        half = None if deviation is None else quantile(model.spread) * deviation[0][k]
+        size = f"{abs(pole):.5g}" if not half else f"{abs(pole):.{_decimals(half)}f} ± {half:.2g}"
+        rows.append((name, size, hertz, f"{-rate.real / max(abs(rate), 1e-300):.3g}"))
     return rows
+
+
+def _decimals(half: float) -> int:
+    """Return the decimals that an interval leaves a number: two digits of its half width."""
+    return int(max(0, 1 - np.floor(np.log10(half))))

@@ -6,20 +6,6 @@ from typing import Any, Literal
 
 import msgspec
 
-__all__ = [
-    "Description",
-    "FilterSection",
-    "Gaps",
-    "NominalParameter",
-    "NominalSection",
-    "ResampleSection",
-    "RunSection",
-    "SignalSection",
-    "SourceFile",
-    "SourceSection",
-    "TimeSection",
-]
-
 Gaps = Literal["refuse", "split"]
 Column = str | int
 

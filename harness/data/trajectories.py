@@ -21,8 +21,6 @@ from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = ["read_trajectory", "stored_spec", "write_trajectory"]
-
 _KEY = b"sysid-harness/trajectory/1"
 
 

@@ -11,8 +11,6 @@ from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = ["from_control", "from_fmpy", "to_pandas", "to_polars", "to_xarray"]
-
 
 def to_pandas(trajectory: Trajectory) -> Any:
     """Return a record as a pandas ``DataFrame`` over time [s]; columns are titled ``name [unit]``.

@@ -11,8 +11,6 @@ from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["refused_by_system", "whole_file", "write_json", "write_text"]
-
 REMEDIES = {
     errno.ENOSPC: "make room on that disk, or write elsewhere",
     errno.EDQUOT: "make room in your quota, or write elsewhere",

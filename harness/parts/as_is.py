@@ -22,8 +22,6 @@ from harness.trust import names_fmu
 if TYPE_CHECKING:
     from harness.cosim.free_run import FreeRun
 
-__all__ = ["run_as_is"]
-
 
 def run_as_is(
     plant: str,

@@ -10,16 +10,17 @@ from harness.errors import InputError, as_written
 if TYPE_CHECKING:
     pass
 
-__all__ = ["describe_file"]
 
-
-def describe_file(path: str | Path) -> dict[str, Any]:
+def describe_file(path: str | Path, sheet: str | None = None) -> dict[str, Any]:
     """Return what is inside a file (``sysid list FILE``): of data, a robot, or a stored model. Nothing of it is run.
 
     Parameters
     ----------
     path : path
-        Data in any format that is read, a URDF, an MJCF, equations (``.eqs``), or a ``model.json``.
+        Data in any format that is read, a ``dataset.toml``, a URDF, an MJCF, equations (``.eqs``), a ``model.json``, or
+        a report of the closed loop, be it its folder.
+    sheet : str, optional
+        Of an Excel workbook.
 
     Returns
     -------
@@ -34,6 +35,7 @@ def describe_file(path: str | Path) -> dict[str, Any]:
     from harness.data.recipe.contents import contents_of
 
     path = Path(path)
+    path = path / "report.json" if (path / "report.json").is_file() else path
     suffix = path.suffix.lower()
     if suffix in (".urdf", ".xml", ".mjcf"):
         from harness.physics.arms.formats.robot_files import robot_contents
@@ -50,7 +52,9 @@ def describe_file(path: str | Path) -> dict[str, Any]:
         return _described_model(path)
     if suffix == ".eqs":
         return _described_equations(path)
-    found = contents_of(path)
+    if suffix == ".toml":
+        return _described_dataset(path)
+    found = contents_of(path, sheet)
     numbers = ("minimum", "maximum", "mean", "deviation")
     sizes = [{key: getattr(channel, key) for key in numbers} for channel in found.channels]
     rows = [
@@ -83,8 +87,36 @@ def _described_equations(path: Path) -> dict[str, Any]:
     return {"facts": facts, "tables": tables, "content": {"equations": facts[1:], **tables}}
 
 
+def _described_dataset(path: Path) -> dict[str, Any]:
+    """Return the signals and runs that a dataset.toml declares; the files are not read."""
+    import msgspec
+
+    from harness.data.recipe.description import read_description
+
+    found = read_description(path)
+    signals = [
+        {"signal": name, "role": one.role, "column": str(name if one.column is None else one.column),
+         "unit": one.unit or "as its title says"}
+        for name, one in found.signals.items()
+    ]  # fmt: skip
+    runs = [{"file": one.file, "use": one.use, "rows": "all" if one.rows is None else f"{one.rows[0]} to {one.rows[1]}"}
+            for one in found.runs]  # fmt: skip
+    facts = [f"{path.name}: data set {found.name!r}, {len(signals)} signals, {len(runs)} runs"]
+    facts += [] if found.nominal is None or found.nominal.model is None else [f"nominal model {found.nominal.model}"]
+    content: dict[str, Any] = msgspec.to_builtins(found)
+    return {"facts": facts, "tables": {"signals": signals, "runs": runs}, "content": content}
+
+
+def _described_report(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """Return what a report of the closed loop says."""
+    with as_written(path, "report.json of sysid close-loop"):
+        facts = [f"{path.name}: {content['summary']}", f"data set {content['dataset']}, model {content['model']}"]
+        effects = [{"effect": one["name"], "at": one["at"], "what it is": one["summary"]} for one in content["effects"]]
+    return {"facts": facts, "tables": {"effects": effects}, "content": content}
+
+
 def _described_model(path: Path) -> dict[str, Any]:
-    """Return what a model.json states, without making the model."""
+    """Return what a model.json states, without making the model; or a report that lies beside it."""
     import json
 
     try:
@@ -93,6 +125,8 @@ def _described_model(path: Path) -> dict[str, Any]:
         raise InputError(
             "a model.json", expected="JSON that sysid wrote", got=str(error)[:120], remedy="check the file", file=path
         ) from error
+    if isinstance(content, dict) and "verdict" in content:
+        return _described_report(path, content)
     if not isinstance(content, dict) or "kind" not in content:
         raise InputError(
             "a model.json",

@@ -13,19 +13,6 @@ from harness.errors import InputError
 from harness.protocols import Plant
 from harness.trust import names_fmu, trusted, trusting
 
-__all__ = [
-    "describe_fmu",
-    "describe_system",
-    "fingerprint",
-    "is_plant_file",
-    "is_system",
-    "make_coupled",
-    "make_hiding",
-    "make_part",
-    "make_plant",
-    "stream_key",
-]
-
 PLANT_FILES = (".fmu", ".toml", ".ssp", ".ssd")
 """Endings of files that are plants."""
 OSP = "OspSystemStructure"

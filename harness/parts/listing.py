@@ -10,8 +10,6 @@ from typing import Any
 from harness import registry
 from harness.errors import InputError, refuse_no_file
 
-__all__ = ["LISTED", "describe_part", "list_parts"]
-
 LISTED = ("plants", "identifiers", "scenarios", "effects", "models", "analyses", "suites", "recordings")
 """Kinds of parts that a person chooses among."""
 DESCRIBED = ("plants", "identifiers", "scenarios", "effects", "models", "analyses")

@@ -7,16 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from harness import registry
 from harness.errors import InputError, no_file, unread
-from harness.models.sound import refuse_unsound
+from harness.models.determined import bands_of
 from harness.protocols import Model
 from harness.trust import registered_only
 
-__all__ = ["MODEL", "read_model"]
-
 MODEL = "model.json"
 """The model in a folder of ``sysid close-loop``."""
+LARGEST = 1e150
+"""Size above which the square of a number overflows, and with it whatever is computed from it."""
 
 
 def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read") -> Model:
@@ -68,7 +70,7 @@ def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read"
         )
     try:
         model: Model = registry.load("model_readers", kind).from_dict(content)
-        refuse_unsound(model)
+        _refuse_unsound(model)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(
             "not a model",
@@ -78,3 +80,13 @@ def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read"
             file=path,
         ) from error
     return model
+
+
+def _refuse_unsound(model: Any) -> None:
+    """Raise ValueError for a model with matrices, offsets or bands that are no numbers, or too large to be squared."""
+    bands_of(model)
+    for name, value in vars(model).items() if hasattr(model, "__dict__") else ():
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+            wrong = value[~(np.abs(value) <= LARGEST)]
+            if wrong.size:
+                raise ValueError(f"{name} holds {wrong[0]:g}")

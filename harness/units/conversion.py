@@ -16,8 +16,6 @@ from harness.units.known import is_known, is_with_seconds
 if TYPE_CHECKING:
     import pint
 
-__all__ = ["base_units", "convert", "fits", "is_unit", "refuse_two_readings"]
-
 
 WRITTEN = {
     "Nm": "N*m",
@@ -144,6 +142,9 @@ AMBIGUOUS = {
 }
 """Texts with two readings: one counts only where the other does not fit what is measured."""
 
+ANGLES = ("radian", "degree", "turn", "revolutions_per_minute", "grade", "arcminute", "arcsecond")
+"""Angles and rates of them: SI calls these plain numbers, as it does shares and counts, which are none."""
+
 CYCLES = ("Hz", "kHz", "1/min", "min^-1", "cps")
 """What counts turns or events in a time: as a rate of an angle it may mean turns or radians."""
 
@@ -203,7 +204,7 @@ def _parsed(text: str) -> Any:
     plain = _INERTIA.sub(r"\1*\2^2", text.replace("\u2212", "-"))
     plain = _HYPHEN.sub("*", _EXPONENT.sub(r"^\1", plain))
     # a word of three letters or more is the same with capitals (RPM, Sec, mVolt); a short sign never is
-    words = plain.lower() if all(map(_WORD.fullmatch, re.findall("[A-Za-z]+", plain))) else plain
+    words = re.sub("[A-Za-z]+", lambda word: word[0].lower() if _WORD.fullmatch(word[0]) else word[0], plain)
     last: Exception | None = None
     for tried in dict.fromkeys((plain, words)):
         try:
@@ -300,10 +301,9 @@ def refuse_two_readings(unit: str) -> None:
 
 def _is_angle(unit: Any) -> bool:
     """Return True if a unit is one of an angle or its rates, and of nothing else."""
-    angles = ("radian", "degree", "turn", "revolutions_per_minute", "grade", "arcminute", "arcsecond")
     powers = {_root(name): power for name, power in _registry().Quantity(1.0, unit).unit_items()}
-    found = [name for name in powers if name in angles]
-    return len(found) == 1 and powers[found[0]] == 1 and set(powers) <= {*angles, "second", "minute", "hour"}
+    found = [name for name in powers if name in ANGLES]
+    return len(found) == 1 and powers[found[0]] == 1 and set(powers) <= {*ANGLES, "second", "minute", "hour"}
 
 
 def _root(name: str) -> str:
@@ -322,6 +322,22 @@ def fits(unit: str, target: str) -> bool:
     """
     goal = _parse(target)
     return any(_parsed(text).dimensionality == goal.dimensionality for text in _readings(unit))
+
+
+def factors_of(unit: str) -> dict[str, float]:
+    """Return the units that a unit is a product of, without prefixes, with their powers.
+
+    Examples
+    --------
+    >>> factors_of("Nmm"), factors_of("mV/krpm")
+    ({'newton': 1.0, 'meter': 1.0}, {'volt': 1.0, 'revolutions_per_minute': -1.0})
+    """
+    registry, found = _registry(), dict[str, float]()
+    for name, power in registry.Quantity(1.0, _parse(unit)).unit_items():
+        for part, own in registry.Quantity(1.0, registry.parse_units(_root(name))).unit_items():
+            root = _root(part)
+            found[root] = found.get(root, 0.0) + float(str(own)) * float(str(power))
+    return found
 
 
 def is_unit(text: str) -> bool:
@@ -383,6 +399,21 @@ def convert(values: FloatArray, unit: str, target: str) -> FloatArray:
     if _is_angle(goal) and not _is_angle(source):
         _refuse_count(unit, target)
     return np.asarray(_registry().Quantity(values, source).to(goal).magnitude, dtype=float)
+
+
+def told(size: float, unit: str, own: str) -> tuple[float, str]:
+    """Return a size, as of an error, in the user's own unit, and that unit; as it is where that has another zero.
+
+    Examples
+    --------
+    >>> told(0.25, "m", "mm"), told(0.1, "K", "degC")
+    ((250.0, 'mm'), (0.1, 'K'))
+    """
+    try:
+        zero, found = convert(np.array([0.0, size]), unit, own).tolist()
+    except InputError:  # a count that was taken for an angle
+        return size, unit
+    return (found, own) if zero == 0.0 else (size, unit)
 
 
 def _misfit(unit: str, target: str) -> InputError:

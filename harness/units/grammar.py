@@ -7,9 +7,8 @@ reading of a whole text computes what it finds, and 9^9^9 does not end.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
-
-__all__ = ["LONGEST", "RAISED", "factors"]
 
 LONGEST, DEEPEST, HIGHEST = 80, 4, 9
 """Characters, nested parentheses and size of an exponent that a unit may have: nothing that is measured needs more."""
@@ -32,6 +31,17 @@ _WORDS = (
 """What is said in words, and how the grammar writes it."""
 
 Factors = list[tuple[str, Fraction]]
+
+
+def behind(unit: str) -> str:
+    """Return a unit as it stands behind a number: nothing for plain numbers.
+
+    Examples
+    --------
+    >>> f"0.2{behind('N m')}", f"0.2{behind('1')}"
+    ('0.2 N m', '0.2')
+    """
+    return "" if unit == "1" else f" {unit}"
 
 
 def factors(text: str) -> Factors:
@@ -70,6 +80,61 @@ def factors(text: str) -> Factors:
     if left:
         raise ValueError("a parenthesis too many")
     return result
+
+
+def composed(powers: Mapping[str, float]) -> str:
+    """Return the text of a product of units with their powers, in order; ``1`` where nothing is left.
+
+    Examples
+    --------
+    >>> composed({"m": 1, "s": -2, "N": -1, "kg": 0}), composed({"s": 0.5})
+    ('m/(s^2 N)', 's^0.5')
+    """
+    over, under = (
+        [
+            name if size == 1 else f"{name}^{float(size):g}"
+            for name, power in powers.items()
+            if (size := sign * power) > 0
+        ]
+        for sign in (1, -1)
+    )
+    below = f"/({' '.join(under)})" if len(under) > 1 else f"/{under[0]}" if under else ""
+    return (" ".join(over) or "1") + below
+
+
+def product(parts: Iterable[tuple[str, int]]) -> str:
+    """Return the unit of a product of units, each with its power; what stands above and below goes out.
+
+    Examples
+    --------
+    >>> product([("m/s", 2), ("N", 1)]), product([("m?", 1), ("s", -1)])
+    ('m^2 N/s^2', '(m?)/(s)')
+    """
+    parts, powers = [(unit, power) for unit, power in parts if unit != "1" and power], dict[str, Fraction]()
+    if len(parts) == 1 and parts[0][1] == 1:
+        return parts[0][0]
+    try:
+        for unit, power in parts:
+            for name, own in factors(unit):
+                powers[name] = powers.get(name, Fraction(0)) + power * own
+    except ValueError:  # such as a name with a sign of its own: nothing is reckoned
+        over, under = (
+            " ".join(f"({unit})" + f"^{sign * power}" * (sign * power > 1) for unit, power in parts if sign * power > 0)
+            for sign in (1, -1)
+        )
+        return (over or "1") + f"/{under}" * bool(under)
+    return composed({name: float(power) for name, power in powers.items()})
+
+
+def quotient(unit: str, by: str) -> str:
+    """Return the unit of a coefficient: of what it makes, over that of what it is multiplied by.
+
+    Examples
+    --------
+    >>> quotient("rad", "m"), quotient("m/s", "m/s"), quotient("m", "1"), quotient("1/s^2", "1/s")
+    ('rad/m', '1', 'm', '1/s')
+    """
+    return "1" if unit == by else product([(unit, 1), (by, -1)])
 
 
 def _product(tokens: list[re.Match[str]], depth: int) -> tuple[Factors, list[re.Match[str]]]:

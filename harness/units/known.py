@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["is_known", "is_with_seconds"]
-
 PREFIXED = frozenset(
     "meter gram second ampere kelvin mole candela radian steradian hertz newton pascal joule watt coulomb volt farad "
     "ohm siemens weber tesla henry lumen lux becquerel gray sievert katal liter bar volt_ampere watt_hour ampere_hour "

@@ -60,6 +60,7 @@ def test_an_error_is_held_against_its_limit_in_any_unit(rms: float, limit: float
         ([], 0),
         (["--fail-on", "unexplained,model-does-not-fit"], 0),
         (["--fail-on", "effects_found"], 1),
+        (["--fail-on", "nothing missing, effects found"], 1),  # as the report words it
         (["--max-error", "theta=2mrad", "--max-share", "0.01"], 0),
         (["--max-error", "theta=0.5 mrad"], 1),
         (["--max-share", "1e-4"], 1),
@@ -172,6 +173,7 @@ def test_two_reports_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert str(compare_reports(one, one)) == "the answers are the same"
     found = {row["what"]: row for row in compare_reports(one, two).rows()}
     assert set(found) == {"model", "parameter J", "simulation error of theta"}
+    assert found["simulation error of theta"]["second"] == "0.002 rad"
     assert found["parameter J"]["meaning"] == "the intervals do not meet"
     assert "what went in differs: model" in run(["compare", one, two], capsys)[1]
     with pytest.raises(InputError, match="not a report"):

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete, lfilter, tf2ss
 
 from harness import api, registry
+from harness.api.comparing import _names
 from harness.command import main
 from harness.comparison import compare, correlations, spectrum
-from harness.comparison.uncertain import transmission_zeros
+from harness.comparison.uncertain import pole_rows, transmission_zeros
 from harness.errors import InputError
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
@@ -147,10 +148,7 @@ def test_the_better_model_is_seen(folder: Path, capsys: pytest.CaptureFixture[st
     with pytest.raises(SystemExit) as ended:
         main(["compare", *files, "-o", str(page), "--json"])
     assert ended.value.code == 0
-    rows = {
-        (Path(row["model"]).stem, row["use"]): row
-        for row in json.loads(capsys.readouterr().out.rpartition("]")[0] + "]")
-    }
+    rows = {(row["model"], row["use"]): row for row in json.loads(capsys.readouterr().out.rpartition("]")[0] + "]")}
     assert rows["arx2", "validation"]["fit_free_run"] > 90 > rows["arx1", "validation"]["fit_free_run"]
     assert not rows["arx1", "validation"]["independent"]
     assert rows["arx2", "validation"]["independent"]
@@ -159,7 +157,29 @@ def test_the_better_model_is_seen(folder: Path, capsys: pytest.CaptureFixture[st
     assert "is determined by its data: " in text
     assert "modulus of the pole" in text
     assert "\N{PLUS-MINUS SIGN}" in text
-    assert "arx2.json" in text
+    assert "<title>arx1, arx2</title>" in text
+
+
+def test_models_are_called_by_what_tells_their_paths_apart_or_by_name(folder: Path) -> None:
+    assert _names(["/a/monday/fit/model.json", "/a/tuesday/fit/model.json"]) == ["monday", "tuesday"]
+    assert _names(["mon/model.json", "mon/b.json", "tue/model.json"]) == ["mon/model", "b", "tue/model"]
+    assert _names(["fits/arx.json"]) == ["arx"]
+    assert _names(["a.json", "a.json"]) == ["a.json", "a.json"]
+    fitted, data = api.load_model(folder / "arx1.json"), folder / "dataset.toml"
+    assert _names([fitted, "a.json"]) == ["model 1", "a"]
+    named = api.compare({"first": fitted, "second": folder / "arx2.json"}, data).rows()
+    assert {row["model"] for row in named} == {"first", "second"}
+    for nothing, got in (([], "none"), ([3], "int")):
+        with pytest.raises(InputError, match=got):
+            api.compare(nothing, data)
+
+
+def test_poles_have_the_digits_that_their_interval_leaves(folder: Path) -> None:
+    model = api.load_model(folder / "arx2.json").model
+    for _, modulus, _, _ in pole_rows("arx2", model):
+        value, half = modulus.split(" \N{PLUS-MINUS SIGN} ")
+        assert float(half) > 0
+        assert 0.0099 < 10 ** -len(value.partition(".")[2]) / float(half) < 0.101
 
 
 def test_a_model_of_other_signals_or_of_python_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -45,6 +45,16 @@ def test_what_is_added_to_the_controller_is_enough(noise, integral):
         assert law_of(data) is None
 
 
+def test_outputs_that_remember_inputs_longer_than_those_are_asked_are_no_controller():
+    """Thirty lines, of which a lightly damped plant keeps more than the forty samples that are asked at first."""
+    k, x, y, rng = np.arange(1500), np.zeros(4, complex), np.zeros((1500, 2)), np.random.default_rng(1)
+    u = np.sin(np.linspace(0.03, 2.2, 30) * k[:, None] + rng.uniform(0, 6, 30)).sum(axis=1)
+    for row in k:
+        y[row] = x.real @ [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [1.0, -1.0]] + 1e-4 * rng.normal(size=2)
+        x = 0.999 * np.exp(1j * np.array([0.2, 0.6, 1.0, 1.5])) * x + u[row]
+    assert not feedback_of([Trajectory(0.1 * k, u[:, None], y, SPEC)]).found
+
+
 def filtered(seed, noise, *, kept=0.7, dither=0.0, n=800):
     """Return a record under a controller behind a filter of one pole, which acts on what its sensor says."""
     rng = np.random.default_rng(seed)

@@ -26,7 +26,6 @@ from harness.fleet.trends import new_effects, series_of, trends
 from harness.protocols import Hindsight
 from harness.scoring import errors, predict
 from harness.scoring.regret import Regret, _curve, _first
-from harness.scoring.rounds import interleaved
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.units import base_units, convert
 
@@ -192,22 +191,6 @@ def test_the_curve_of_a_regret_counts_the_losses_up_to_each_length() -> None:
     steps, curve = _curve(online, [record([0, 0, 0]), record([0, 0, 0])], np.array([1.0, 2.0, 4.0, 8.0]), np.ones(1), 3)
     assert steps.tolist() == [1, 2, 4]
     assert curve.tolist() == [1, 3, 15]
-
-
-def test_coverage_is_one_where_all_directions_are_seen_alike() -> None:
-    spec = PlantSpec((Channel("u"),), (Channel("x"),), 1.0)
-
-    class Refuses:
-        def fit(self, records: Any, *, rng: Any) -> Any:
-            raise FitError("too little", expected="more", got="less", remedy="record more")
-
-    def collect(gain: FloatArray, number: int) -> Trajectory:
-        return record([1, 1, -1, -1], [10, -10, 10, -10], spec)
-
-    identifier: Any = Refuses()
-    a, b = np.array([[0.5]]), np.array([[1.0]])
-    rounds = interleaved(identifier, collect, (a, b), np.zeros((1, 1)), rounds=2, rng=np.random.default_rng(0))
-    assert [one.coverage for one in rounds] == pytest.approx([1.0, 1.0])
 
 
 # ---- search

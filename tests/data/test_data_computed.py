@@ -545,7 +545,7 @@ def test_a_table_of_names_and_values_has_a_column_for_each_name(count: int, alig
     columns = {"time": [row[0] for row in rows], "value": [row[2] for row in rows]}
     source = SimpleNamespace(
         titles=["time", "name", "value", "unit"], notes=["before"],
-        texts=lambda title: [row[1] if title == "name" else f"u{row[1]}" for row in rows],
+        texts=lambda title: [{"name": row[1], "value": str(row[2])}.get(title, f"u{row[1]}") for row in rows],
         values=lambda title: np.array(columns[title]), unit=lambda title: "s", where=lambda row: f"line {row + 2}",
     )  # fmt: skip
     found = in_long_form(source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,35 @@ def test_robots_and_models(tmp_path: Path) -> None:
     (tmp_path / "bad.urdf").write_text("<html/>")
     with pytest.raises(InputError, match="no robot"):
         api.describe_file(tmp_path / "bad.urdf")
+
+
+def test_data_sets_and_reports_are_listed_and_a_model_holds_no_data(tmp_path: Path) -> None:
+    (tmp_path / "dataset.toml").write_text(
+        'name = "rig"\nsample_time = 0.1\n[signals.u]\nrole = "input"\nunit = "V"\n[signals.y]\nrole = "output"\n'
+        'column = "pos"\n[[runs]]\nfile = "a.csv"\nrows = [3, 90]\n'
+    )
+    found = api.describe_file(tmp_path / "dataset.toml")
+    assert found["tables"]["signals"][1] == {
+        "signal": "y", "role": "output", "column": "pos", "unit": "as its title says"
+    }  # fmt: skip
+    assert found["tables"]["runs"] == [{"file": "a.csv", "use": "estimation", "rows": "3 to 90"}]
+    effect = {"name": "cogging", "at": "theta", "summary": "Force of the teeth."}
+    report = {"summary": "pendulum lacks cogging", "dataset": "rig", "model": "pendulum", "effects": [effect],
+              "verdict": "effects_found"}  # fmt: skip
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    for path in (tmp_path, tmp_path / "report.json"):
+        assert "pendulum lacks cogging" in api.describe_file(path)["facts"][0]
+    shown = CliRunner().invoke(app, ["list", str(tmp_path)])
+    assert shown.exit_code == 0
+    assert "Force of the teeth." in shown.output
+    del report["effects"]
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    with pytest.raises(InputError, match=r"report\.json of sysid close-loop"):
+        api.describe_file(tmp_path)
+    for name in ("arm.urdf", "model.json", "plant.fmu"):
+        (tmp_path / name).write_text("{}")
+        with pytest.raises(InputError, match="a model where data are expected"):
+            api.identify(tmp_path / name)
 
 
 def test_a_draft_under_a_model_is_complete(tmp_path: Path) -> None:

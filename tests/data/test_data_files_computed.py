@@ -98,7 +98,7 @@ def test_a_column_that_is_not_there_is_refused_with_what_may_be_meant(tmp_path: 
         few.read("nothing")
     twice = Table(written(tmp_path, csv(*[[0.0, 1.0]] * 3, titles="q [m],w,q [rad]"), "twice.csv"))
     with pytest.raises(
-        InputError, match=r"there 2 times.*name its title with the unit, or give its number \(column = 2"
+        InputError, match=r"there 2 times.*name its title with the unit, or give its number \(--column NAME=2"
     ):
         twice.read("q")
     cache: dict[Path, Table] = {}
@@ -141,7 +141,7 @@ def test_sheets_of_a_workbook(tmp_path: Path) -> None:
     assert not any("sheets" in note for note in chosen.notes)
     two = Table(workbook(tmp_path, {"A": body, "B": body}))
     assert [note for note in two.notes if "sheets" in note] == [
-        "the workbook has 2 sheets: 'A', the first, is read; sheet = ... names another ('B')"
+        "the workbook has 2 sheets: 'A', the first, is read; --sheet names another ('B')"
     ]
     with pytest.raises(InputError, match="an Excel workbook"):
         open_table(written(tmp_path, "a,b\n1,2\n"), {}, "C")

@@ -13,17 +13,6 @@ from harness.data.sections import Gaps, ResampleSection
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = [
-    "JITTER_ACCEPTED",
-    "JITTER_UNNOTICED",
-    "ROUGH",
-    "TimeRules",
-    "clock_of_rows",
-    "first_instant",
-    "sample_time_of",
-    "tracked",
-]
-
 JITTER_UNNOTICED = 1e-3
 """Deviation from the grid, in sample times, that recorded time stamps have anyway (rounding)."""
 

@@ -6,8 +6,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["EDGE", "filtered", "hold_means"]
-
 EDGE = 0.8
 """Edge of the filter's pass band, as a part of half the new sample rate (the choice of ``scipy.signal.decimate``)."""
 

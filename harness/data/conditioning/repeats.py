@@ -12,8 +12,6 @@ from harness.data.conditioning.clock import TimeRules
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["REPEATED", "complemented", "refuse_two_in_one", "without_duplicates", "without_tail"]
-
 TWICE = 0.25
 """Part of a step by which the stamps of a row that was logged twice may differ."""
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from harness.signals import FloatArray, Run, Trajectory
 
-__all__ = ["swapped_in_and_out", "swapped_runs", "units_between_runs"]
-
 _LAGS = 6
 _MOST = 4000
 _DECIMATIONS = (1, 3, 10)

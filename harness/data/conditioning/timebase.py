@@ -31,8 +31,6 @@ from harness.signals import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
 
-__all__ = ["SHORTEST", "Piece", "pieces_of"]
-
 REGULAR = 0.9
 """Share of steps of one sample from which a record is a clock's with lost rows, and not one of irregular instants."""
 

@@ -9,8 +9,6 @@ from harness.data.sections import FilterSection
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Trajectory
 
-__all__ = ["conditioned", "filtered", "without_trend"]
-
 Trend = Literal["none", "constant", "linear"]
 
 

@@ -7,8 +7,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["refuse_unlikely_seconds"]
-
 SLOWEST_UNSTATED = 1.0
 """Steps [s] from which a time column without a unit is asked for one: whole numbers at 1 kHz count milliseconds, and a
 log of seconds that is as slow is told apart by nothing but its title."""

@@ -11,8 +11,6 @@ from harness.data.oddities.foretold import foretold
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray, Oddity, Run
 
-__all__ = ["mismatched"]
-
 _WHITE = 0.2
 """Correlation of neighbouring errors up to which a linear prediction is as good as the noise lets it be."""
 

@@ -18,8 +18,7 @@ from harness.data.oddities.pace import band_of, trend_of
 from harness.data.oddities.spikes import Spikes, alike, spikes_of, unfelt
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, Oddity, Trajectory
-
-__all__ = ["examined", "lines"]
+from harness.units import behind
 
 _SHOWN = 4
 """Rows that a sentence names."""
@@ -318,7 +317,7 @@ def _reads(
     channel: Channel, value: float | None, rows: npt.NDArray[np.intp], read: FloatArray, told: FloatArray, t: FloatArray
 ) -> str:
     """Return the sentence about odd readings."""
-    unit = "" if channel.unit == "1" else f" {channel.unit}"
+    unit = behind(channel.unit)
     if len(rows) == 1:
         when = f"row {rows[0]}" + ("" if value is not None else f" (t = {t[rows[0]]:g} s)")
         return f"{channel.name} reads {read[0]:.6g}{unit} in {when}, where its neighbours foretell {told[0]:.3g}{unit}"

@@ -12,8 +12,6 @@ from scipy.signal import lfilter
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-__all__ = ["Foretold", "foretold"]
-
 _GAUSS = 1.4826
 """Standard deviation over the median of the sizes, of Gaussian errors."""
 _PASSES = 3

@@ -10,8 +10,6 @@ import numpy.typing as npt
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-__all__ = ["Held", "held_readings", "rhythm_of", "runs_of_equal", "step_of", "stuck_rows"]
-
 _SHORTEST_STEP = 1e-9
 """Step of readings over their range below which it is rounding of the numbers."""
 _ON_LATTICE = 0.01

@@ -11,8 +11,6 @@ from scipy.stats import norm
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-__all__ = ["POSITIONS", "leaps_of"]
-
 POSITIONS = ("rad", "m")
 """Units of what has a rate, and so does not leap."""
 SIDE = 8

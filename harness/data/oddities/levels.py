@@ -8,8 +8,6 @@ from harness.data.oddities.held import runs_of_equal, step_of, stuck_rows
 from harness.data.oddities.numbers import ODD
 from harness.signals import Channel, FloatArray
 
-__all__ = ["coarse_step", "saturated", "stuck"]
-
 
 def stuck(channel: Channel, values: FloatArray, dt: float, kind: str = "output") -> list[str]:
     """Say that a sensor stood still while it otherwise never does."""

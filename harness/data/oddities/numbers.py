@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["ODD", "OddNumbers", "described"]
-
 
 def _number(value: Any, reason: str, source: str, tuned_on: str = "nothing") -> Any:
     return field(default=value, metadata={"reason": reason, "source": source, "tuned_on": tuned_on})

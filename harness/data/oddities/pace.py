@@ -8,8 +8,6 @@ from scipy.signal import detrend, welch
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-__all__ = ["band_of", "trend_of"]
-
 
 def band_of(y: FloatArray) -> float:
     """Return the part of half the sampling frequency below which nearly all of the motion lies; 0 if there is none.

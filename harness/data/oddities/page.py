@@ -12,8 +12,6 @@ from harness.data.oddities.examine import lines
 from harness.display import STYLE, drawing, page, table
 from harness.signals import Dataset, Oddity
 
-__all__ = ["DataCheck", "odd_pictures", "oddities_data"]
-
 _MOST = 1000
 """Rows that are listed by number."""
 

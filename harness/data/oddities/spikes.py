@@ -14,8 +14,6 @@ from harness.data.oddities.foretold import Foretold, foretold
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-__all__ = ["Spikes", "alike", "spikes_of", "unfelt"]
-
 _PASSES = 20
 """Rounds of the search, each on what the last one left."""
 _LEVER = 3.0

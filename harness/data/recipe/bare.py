@@ -8,17 +8,16 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from harness.data.recipe.chosen import TIME, Chosen
+from harness.data.recipe.chosen import TIME, Chosen, Found
 from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
 from harness.data.sections import Description, NominalSection, RunSection, SignalSection, TimeSection
 from harness.data.tables.bags import is_bag_folder
-from harness.data.tables.headers import REFERENCE, clock_of
-from harness.data.tables.table import FORMATS, Table, open_table, suffix_of
+from harness.data.tables.headers import REFERENCE
+from harness.data.tables.merging import grid_of, one_clock
+from harness.data.tables.table import FORMATS, WORKBOOKS, Table, open_table, suffix_of
 from harness.data.trajectories import stored_spec
 from harness.errors import InputError
 from harness.signals import Channel
-
-__all__ = ["describe_bare"]
 
 
 def describe_bare(
@@ -44,7 +43,7 @@ def describe_bare(
     InputError
         If neither a model nor the caller says which columns are meant, or a column is not there.
     """
-    table = open_table(path, tables)
+    table = open_table(path, tables, chosen.sheet)
     known = _known_ports(path, model, ports)
     chosen = chosen.by_signal(table, known)
     if known is None or chosen.outputs is not None or chosen.inputs is not None:
@@ -53,7 +52,7 @@ def describe_bare(
     else:
         found = _signals(table, known, path, notes, chosen)
     signals = dict(found.values())
-    runs, second = _runs(path, table, validation, next(iter(found)), tables, chosen)
+    runs, second = _runs(path, table, validation, found, tables, chosen)
     notes += second
     if chosen.sample_time is not None:
         notes += _joined_records(table, found, chosen)
@@ -75,9 +74,9 @@ LONGEST = 20
 """Rows that a record has at least on average: what changes more often numbers something else."""
 
 
-def _joined_records(table: Table, found: dict[str, tuple[str, SignalSection]], chosen: Chosen) -> list[str]:
+def _joined_records(table: Table, found: Found, chosen: Chosen) -> list[str]:
     """Say that a column numbers records that follow each other where no clock parts them."""
-    if TIME in chosen.columns or clock_of(table.titles, found) is not None:
+    if TIME in chosen.columns or table.clock(found) is not None:
         return []
     notes = []
     for title in table.titles:
@@ -107,17 +106,15 @@ def _known_ports(
     return None if stored is None else Ports(stored.inputs, stored.outputs, path.name, rates=False)
 
 
-def _time(table: Table, found: dict[str, tuple[str, SignalSection]], chosen: Chosen) -> TimeSection | None:
+def _time(table: Table, found: Found, chosen: Chosen) -> TimeSection | None:
     """Return what the caller says of the clock; None where the titles are to say it."""
     column, unit = chosen.columns.get(TIME), chosen.units.get(TIME)
     if column is None and unit is None:
         return None
-    return TimeSection(column=column or clock_of(table.titles, found) or TIME, unit=unit)
+    return TimeSection(column=column or table.clock(found) or TIME, unit=unit)
 
 
-def _signals(
-    table: Table, ports: Ports, path: Path, notes: list[str], chosen: Chosen
-) -> dict[str, tuple[str, SignalSection]]:
+def _signals(table: Table, ports: Ports, path: Path, notes: list[str], chosen: Chosen) -> Found:
     """Return by title the name and signal of every column that carries the name of a port or rate, or is said to."""
     inputs = {channel.name: channel.unit for channel in ports.inputs}
     outputs = {channel.name: (channel, 0) for channel in ports.outputs}
@@ -126,9 +123,9 @@ def _signals(
     units = {name: rate_unit(channel.unit, derivative) for name, (channel, derivative) in outputs.items()} | inputs
     said = chosen.placed(table, units)
     titles = _titles(table, units, said)
-    signals: dict[str, tuple[str, SignalSection]] = {}
-    for title in table.titles:
-        if title.startswith(REFERENCE):
+    signals: Found = {}
+    for title in (*table.titles, *(one for one in said if isinstance(one, int))):
+        if isinstance(title, str) and title.startswith(REFERENCE):
             signals[title] = table.split(title)[0], SignalSection(role="reference")
         elif title in titles:
             name, port = titles[title]
@@ -154,14 +151,14 @@ def _signals(
             "or write a dataset.toml",
             file=path,
         )
-    clock = next((title for title, name in said.items() if name == TIME), None) or clock_of(table.titles, signals)
+    clock = next((title for title, name in said.items() if name == TIME), None) or table.clock(signals)
     ignored = [title for title in table.titles if title and title not in signals and title != clock]
     if ignored:
         notes.append(f"columns that are no ports of {ports.model} are ignored: {', '.join(ignored[:8])}")
     return signals
 
 
-def _titles(table: Table, units: dict[str, str], said: dict[str, str]) -> dict[str, tuple[str, str]]:
+def _titles(table: Table, units: dict[str, str], said: dict[str | int, str]) -> dict[str | int, tuple[str, str]]:
     """Return by title the name of a signal and its port: as said, by its name, by its name and a unit behind it."""
     plain = {name.replace("_", ""): name for name in units}  # tau_1 is as good as tau1
     found = {title: (name, name) for title, name in said.items() if name != TIME}
@@ -184,25 +181,33 @@ def _runs(
     path: Path,
     table: Table,
     validation: str | Path | None,
-    first: str,
+    found: Found,
     tables: dict[Path, Table],
     chosen: Chosen,
 ) -> tuple[tuple[RunSection, ...], list[str]]:
     """Return the runs: the file and those beside it; two thirds and one third of it where none validates."""
-    own = RunSection(file=path.name, use="estimation")
+    own = RunSection(file=path.name, sheet=chosen.sheet, use="estimation")
     beside = [(use, Path(file)) for use, file in chosen.runs]
     beside += [] if validation is None else [("validation", Path(validation))]
-    runs = [RunSection(file=str(file if file in tables else _table_file(file, use)), use=use) for use, file in beside]
+    files = [(use, file if file in tables else _table_file(file, use)) for use, file in beside]
+    runs = [
+        RunSection(file=str(file), sheet=chosen.sheet if suffix_of(file) in WORKBOOKS else None, use=use)
+        for use, file in files
+    ]
     if chosen.whole or any(run.use == "validation" for run in runs):
         return (own, *runs), []
-    n = len(table.read(first)[0])
+    clocks = table.clocks(list(found)) if chosen.sample_time is not None else None
+    if chosen.sample_time is None or clocks is None or one_clock(clocks[0]):
+        n = len(table.read(next(iter(found)))[0])
+    else:
+        n = grid_of(clocks[0], [signal.role == "input" for _, signal in found.values()], chosen.sample_time)[1]
     cut = 2 * n // 3
     if cut < 1:
         return (own, *runs), []
     note = f"no validation file: rows {cut} to {n} of {path.name}, its last third, validate"
     return (
         msgspec.structs.replace(own, rows=(0, cut)),
-        RunSection(file=path.name, use="validation", rows=(cut, n)),
+        msgspec.structs.replace(own, use="validation", rows=(cut, n)),
         *runs,
     ), [note]
 

@@ -9,17 +9,19 @@ from typing import Any, TypedDict, get_args
 
 from harness.data.recipe.ports import Ports
 from harness.data.sections import Gaps, SignalSection
-from harness.data.tables.headers import REFERENCE, clock_of
+from harness.data.tables.headers import REFERENCE
 from harness.data.tables.table import Table
 from harness.errors import InputError
 from harness.signals import Use
-
-__all__ = ["TIME", "Chosen", "Noted", "Records", "Signals"]
 
 TIME = "time"
 """What names the clock among the columns and units."""
 NOTHING = "none"
 """What ``--input`` says where nothing drives the outputs."""
+
+
+Found = dict[str | int, tuple[str, SignalSection]]
+"""By title, or by number where two have one title, the name and the signal of a column."""
 
 
 class Signals(TypedDict, total=False):
@@ -29,14 +31,17 @@ class Signals(TypedDict, total=False):
     """Names of the inputs; an empty sequence, or ``"none"``, where nothing drives the outputs."""
     output: str | Sequence[str] | None
     """Names of the outputs."""
-    column: Mapping[str, str] | None
-    """Column by name of a signal, where it is called otherwise: ``{"theta": "Winkel", "time": "Zeit"}``."""
+    column: Mapping[str, str | int] | None
+    """Column by name of a signal, where it is called otherwise: ``{"theta": "Winkel", "time": "Zeit"}``; its number
+    (from 0) where two have one title."""
     unit: Mapping[str, str] | None
     """Unit by name of a signal, where its title states none: ``{"theta": "deg"}``."""
     sample_time: float | None
     """Sample time [s] of a table without a time column, or whose clock is one of this rate with rough stamps."""
     gaps: Gaps | None
     """``"split"``: pieces between holes of a table are records of their own."""
+    sheet: str | None
+    """Sheet of an Excel workbook; by default the first, or the only one with rows of numbers."""
     run: Any
     """Further records with the same columns: a file (or a table), ``(use, file)``, or a list of such; those without
     a use are for estimation."""
@@ -72,6 +77,8 @@ class Chosen:
         [s]
     gaps : str
         ``"split"`` or ``"refuse"``.
+    sheet : str, optional
+        Of workbooks.
     runs : tuple of (use, file or table)
     whole : bool
         True where the table is one record, and no part of it validates.
@@ -79,10 +86,11 @@ class Chosen:
 
     inputs: tuple[str, ...] | None = None
     outputs: tuple[str, ...] | None = None
-    columns: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, str | int] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     sample_time: float | None = None
     gaps: Gaps = "refuse"
+    sheet: str | None = None
     runs: tuple[tuple[Use, Any], ...] = ()
     whole: bool = False
 
@@ -132,6 +140,7 @@ class Chosen:
             dict(signals.get("unit") or {}),
             step,
             gaps,
+            signals.get("sheet"),
             tuple(_run(one) for one in runs),
         )
 
@@ -151,9 +160,9 @@ class Chosen:
         known = () if ports is None else (*ports.inputs, *ports.outputs)
         names = {TIME, *self.columns, *(channel.name for channel in known)}
         names |= {table.split(title)[0] for title in (*(self.inputs or ()), *(self.outputs or ()))}
-        titled = {title: name for name, title in self.columns.items()}
+        titled = {title: name for name, title in self.columns.items() if isinstance(title, str)}
         if TIME not in self.columns and any(key not in names | set(titled) for key in self.units):
-            clock = clock_of(table.titles, (*titled, *(self.inputs or ()), *(self.outputs or ())))
+            clock = table.clock((*titled, *(self.inputs or ()), *(self.outputs or ())))
             titled |= {} if clock is None else dict.fromkeys((clock, table.split(clock)[0]), TIME)
         units: dict[str, str] = {}
         for key, unit in self.units.items():
@@ -164,9 +173,11 @@ class Chosen:
                     place="--unit",
                 )  # fmt: skip
             units[name] = unit
-        return replace(self, units=units)
+        return replace(
+            self, units=units, columns={name: _numbered(one, table.titles) for name, one in self.columns.items()}
+        )
 
-    def sections(self, table: Table, ports: Ports | None) -> tuple[dict[str, tuple[str, SignalSection]], list[str]]:
+    def sections(self, table: Table, ports: Ports | None) -> tuple[Found, list[str]]:
         """Return name and signal of each chosen column, by its title, and what there is to say.
 
         Parameters
@@ -195,12 +206,13 @@ class Chosen:
             )
         known = {} if ports is None else {channel.name: channel.unit for channel in (*ports.inputs, *ports.outputs)}
         placed = self.placed(table, dict.fromkeys(names) | known)
-        found: dict[str, tuple[str, SignalSection]] = {}
+        found: Found = {}
         plain = []
         for role, name, title in wanted:
             like = self.units.get(name) or known.get(name)
             column = self.columns.get(name, title)
-            place = table.find(column, like) or column  # what has no title is found by a selector
+            # what has no title is found by a selector, and one of two with one title by its number
+            place = column if isinstance(column, int) else table.find(column, like) or column
             if place in found or placed.get(place, name) != name:
                 raise _two_from_one(place, found[place][0] if place in found else placed[place], name)
             stated = self.units.get(name) or table.read(column, like)[1]
@@ -214,7 +226,7 @@ class Chosen:
         notes = [] if not plain else [f"no unit is stated for {', '.join(plain)}: their numbers count as they are"]
         return found, notes
 
-    def placed(self, table: Table, units: Mapping[str, str | None]) -> dict[str, str]:
+    def placed(self, table: Table, units: Mapping[str, str | None]) -> dict[str | int, str]:
         """Return by title which signal the caller said that it holds, or ``time``.
 
         Parameters
@@ -229,10 +241,10 @@ class Chosen:
             If a name is none of these, a column is not there, or holds two.
         """
         self._refuse_unknown((*units, TIME))
-        found: dict[str, str] = {}
+        found: dict[str | int, str] = {}
         for name, given in self.columns.items():
-            title = table.find(given, self.units.get(name) or units.get(name))
-            if title is None:
+            title = given if isinstance(given, int) else table.find(given, self.units.get(name) or units.get(name))
+            if title is None or isinstance(given, int):
                 table.read(given)  # a selector, else refused
                 title = given
             if title in found:
@@ -272,7 +284,7 @@ class Chosen:
         )
 
 
-def _two_from_one(title: str, first: str, second: str) -> InputError:
+def _two_from_one(title: str | int, first: str, second: str) -> InputError:
     """Return the refusal of a column that is said to be two signals."""
     return InputError(
         "two signals from one column",
@@ -281,6 +293,11 @@ def _two_from_one(title: str, first: str, second: str) -> InputError:
         remedy="correct the column of one",
         place="--column",
     )
+
+
+def _numbered(column: str | int, titles: Sequence[str]) -> str | int:
+    """Return a column as it was chosen, or its number where no title is that number."""
+    return int(column) if isinstance(column, str) and column.isdecimal() and column not in titles else column
 
 
 def _names(given: str | Sequence[str] | None) -> tuple[str, ...] | None:

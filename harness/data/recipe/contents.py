@@ -10,12 +10,9 @@ import numpy as np
 
 from harness.data.conditioning.clock import ROUGH, sample_time_of
 from harness.data.conditioning.unstated import refuse_unlikely_seconds
-from harness.data.tables.headers import clock_of
-from harness.data.tables.table import Table, open_table, suffix_of
+from harness.data.tables.table import WORKBOOKS, Table, open_table, suffix_of
 from harness.errors import InputError
 from harness.signals import FloatArray
-
-__all__ = ["ChannelContent", "Contents", "contents_of"]
 
 
 @dataclass(frozen=True)
@@ -126,13 +123,15 @@ class Contents:
         return asdict(self)
 
 
-def contents_of(path: str | Path) -> Contents:
+def contents_of(path: str | Path, sheet: str | None = None) -> Contents:
     r"""Return the columns, units, sampling and notes of a file of data.
 
     Parameters
     ----------
     path : path
         Any format of :data:`harness.data.tables.table.FORMATS`; nothing in it has to be declared.
+    sheet : str, optional
+        Of an Excel workbook.
 
     Raises
     ------
@@ -150,14 +149,14 @@ def contents_of(path: str | Path) -> Contents:
     (0.01, 'V', 3.0)
     """
     path = Path(path)
-    sheet, notes = _sheet(path)
+    sheet, notes = (sheet, []) if sheet is not None else _sheet(path)
     table = open_table(path, {}, sheet)
     columns = [(title, selector) for title in table.titles for selector in _selectors(table, title)]
     try:
-        clock = clock_of([title for title in table.titles if title])
+        clock = table.clock()
     except InputError as error:
         clock, notes = None, [f"time: {error.what}: {error.got}"]
-    channels = tuple(_channel(table, title, selector) for title, selector in columns if title != clock)
+    channels = tuple(_channel(table, title, selector) for title, selector in columns if clock not in (title, selector))
     rows = max((channel.rows for channel in channels), default=0)
     if table.clocks([title for title in table.titles if title][:1]) is not None and clock in (None, "time"):
         clocks, kind = table.clocks([channel.column for channel in channels]) or ([], "")
@@ -209,7 +208,7 @@ def _timed(table: Table, channel: ChannelContent, time: FloatArray) -> ChannelCo
 
 def _sheet(path: Path) -> tuple[str | None, list[str]]:
     """Return the sheet of a workbook that is shown where several hold numbers and the first does not, and its note."""
-    if suffix_of(path) not in (".xlsx", ".xlsm") or not path.is_file():
+    if suffix_of(path) not in WORKBOOKS or not path.is_file():
         return None, []
     from harness.data.tables.excel import sheets_of
 

@@ -24,8 +24,6 @@ from harness.data.sections import (
 )
 from harness.errors import InputError
 
-__all__ = ["OPEN", "parse_description", "read_description"]
-
 OPEN = "?"
 """What a draft writes where something has to be decided: no value of any key, so that nothing is taken before it is."""
 

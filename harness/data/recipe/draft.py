@@ -16,12 +16,12 @@ from harness.errors import InputError
 from harness.signals import Channel
 from harness.units import fits
 
-__all__ = ["draft_dataset"]
-
 _JOINT = re.compile(r"\.(?P<list>position|velocity|effort)\[(?P<joint>[^\]]+)\]$")
 
 
-def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, folder: Path | None = None) -> str:
+def draft_dataset(
+    files: Sequence[str | Path], *, model: str | None = None, folder: Path | None = None, sheet: str | None = None
+) -> str:
     r"""Return the text of a dataset.toml for files of data, with a question as a comment where something is open.
 
     Parameters
@@ -32,6 +32,8 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
         Nominal model: columns that carry the names of its ports get them.
     folder : Path, optional
         Where the text will stand; files are named from there.
+    sheet : str, optional
+        Of the workbooks.
 
     Raises
     ------
@@ -49,7 +51,7 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
     ['[time]', '[signals."u"]', '[signals."y"]', '[[runs]]']
     """
     paths = [Path(file) for file in files]
-    found = [contents_of(path) for path in paths]
+    found = [contents_of(path, sheet) for path in paths]
     first = found[0]
     ports = None if model is None else ports_of(located_model(model, Path.cwd()), {})
     lines = [f"name = {_quoted(paths[0].stem)}", *_clock(first, ports), ""]
@@ -60,7 +62,7 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
         lines += _lacking(first, ports)
     for number, path in enumerate(paths):
         name = path if folder is None else _from(path, folder)
-        lines += _runs(number, str(name), found, ports)
+        lines += _runs(number, str(name), found, ports, sheet)
     return "\n".join(lines)
 
 
@@ -78,7 +80,7 @@ def _signals(first: Contents, ports: Ports | None) -> list[str]:
     return lines
 
 
-def _runs(number: int, name: str, found: Sequence[Contents], ports: Ports | None) -> list[str]:
+def _runs(number: int, name: str, found: Sequence[Contents], ports: Ports | None, sheet: str | None) -> list[str]:
     """Return the runs of a file: one alone is divided where it is long enough."""
     first, own = found[0], found[number]
     rows = _grid_rows(first, ports) if first.clock is None and first.length is not None else first.rows
@@ -89,7 +91,8 @@ def _runs(number: int, name: str, found: Sequence[Contents], ports: Ports | None
     for use in uses:
         lines += ["[[runs]]", f"file = {_quoted(name)}", f'use = "{use}"']
         if own.sheet is not None:
-            lines.append(f"sheet = {_quoted(own.sheet)}  # the first one with numbers: another?")
+            asked = "" if sheet is not None else "  # the first one with numbers: another?"
+            lines.append(f"sheet = {_quoted(own.sheet)}{asked}")
         if divided:
             lines.append(f"rows = {[0, cut] if use == uses[0] else [cut, rows]}")
         notes = own.notes if use == uses[0] and own.clock is not None else ()

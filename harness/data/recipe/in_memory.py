@@ -11,8 +11,6 @@ from harness.data.recipe.loaded import LoadedDataset, Nominal
 from harness.data.recipe.ports import Ports, located_model, ports_of
 from harness.signals import Dataset, Run, Trajectory
 
-__all__ = ["are_records", "examined_data", "of_records"]
-
 
 def are_records(data: Any) -> bool:
     """Return True for several records of ours."""

@@ -152,7 +152,7 @@ def _load(
             raise InputError(
                 "columns chosen beside a dataset.toml",
                 expected="the dataset.toml alone, which says it itself",
-                got="input, output, column, unit, sample_time, gaps or run",
+                got="input, output, column, unit, sample_time, gaps, sheet or run",
                 remedy="leave them out, or give the table itself",
                 file=path,
             )

@@ -18,8 +18,6 @@ from harness.trust import names_fmu
 if TYPE_CHECKING:
     from harness.physics import System
 
-__all__ = ["LoadedDataset", "Nominal"]
-
 
 @dataclass(frozen=True)
 class Nominal:

@@ -17,8 +17,6 @@ from harness.signals import Channel
 from harness.trust import names_fmu, registered_only
 from harness.units import convert, fits
 
-__all__ = ["Plan"]
-
 
 class Plan:
     """The declared side of a data set.

@@ -12,8 +12,6 @@ from harness.errors import InputError
 from harness.signals import Channel
 from harness.trust import names_fmu
 
-__all__ = ["ANY_PORTS", "Ports", "located_model", "model_options", "ports_of"]
-
 ANY_PORTS = "linear"
 """The built-in model that takes its ports from the data."""
 

@@ -21,15 +21,12 @@ from harness.data.recipe.sanity import check_run, check_runs
 from harness.data.recipe.second_clock import refuse_other_pace
 from harness.data.sections import Description, RunSection
 from harness.data.tables.bags import is_bag_folder
-from harness.data.tables.headers import clock_of
-from harness.data.tables.merging import in_turn, merged
+from harness.data.tables.merging import in_turn, merged, one_clock
 from harness.data.tables.table import Table, nearest, open_table
 from harness.errors import InputError
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 from harness.units import convert, fits
-
-__all__ = ["DATA_FOLDER", "Reader"]
 
 DATA_FOLDER = "SYSID_HARNESS_DATA"
 """Environment variable that names the folder of recordings."""
@@ -52,6 +49,7 @@ class Reader:
         self.plan = Plan(path, description, model=model, ports=ports, header_unit=self._header_unit)
         self.notes = [*notes, *self.plan.notes]
         self.steps: dict[str, list[float]] = {}
+        self.recorded: dict[str, str] = {}
         self.rules = TimeRules(
             description.sample_time,
             description.gaps,
@@ -105,9 +103,8 @@ class Reader:
         between = self.description.intersample or "zoh"
         # readings that are brought onto another clock no longer lie on the grid on which they were read
         steps = {name: min(found) for name, found in self.steps.items() if min(found) > 0.0}
-        dataset = examined_data(
-            Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes), steps), names
-        )
+        found = Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes), steps)
+        dataset = examined_data(replace(found, recorded=self.recorded), names)
         dataset = replace(
             dataset,
             runs=tuple(
@@ -298,9 +295,8 @@ class Reader:
         """Return the pieces of signals that have stamps of their own, cut to the rows of a run."""
         clocks, kind = own
         names, notes = tuple(columns), [f"time: {kind}"]
-        first = clocks[0]
-        if all(len(clock) == len(first) and np.array_equal(clock, first) for clock in clocks):
-            time, values, rules = first, np.column_stack(list(columns.values())), self.rules
+        if one_clock(clocks):
+            time, values, rules = clocks[0], np.column_stack(list(columns.values())), self.rules
         else:
             time, values = merged(
                 clocks, list(columns.values()), names=names, inputs=inputs, rules=self.rules, notes=notes
@@ -317,6 +313,7 @@ class Reader:
         unit = stated if signal.unit is None and stated is not None else self.plan.units[name]
         if stated is not None and signal.unit is not None and not _same_unit(stated, unit):
             self.notes.append(f"signals.{name}: the title says {stated!r}; {unit!r}, as declared, counts")
+        self.recorded.setdefault(self.plan.channels[name].name, unit)
         scaled = raw if signal.scale == 1.0 and signal.offset == 0.0 else signal.scale * raw + signal.offset
         if np.isinf(scaled).any():
             row = int(np.argmax(np.isinf(scaled)))
@@ -334,12 +331,12 @@ class Reader:
         declared = self.description.time
         if "time" in section.columns or declared is not None:
             return section.columns.get("time", declared.column if declared is not None else "time")
-        return clock_of(table.titles, [title for title in used if isinstance(title, str)])
+        return table.clock([title for title in used if isinstance(title, str)])
 
     def _time(self, section: RunSection, table: Table, used: dict[str | int, str]) -> FloatArray | None:
         """Return the time stamps [s]; None where only a sample time is declared and the file has no time column."""
-        titles = [table.find(column) for column in used]
-        column = self._clock(section, table, [title for title in titles if title is not None])
+        titles = [column if (title := table.find(column)) is None else title for column in used]
+        column = self._clock(section, table, titles)
         if column is None:
             if self.description.sample_time is None:
                 raise InputError(
@@ -358,6 +355,8 @@ class Reader:
             raise error.located(file=self.path, place="time.unit") from error
         if not stated and self.description.sample_time is None:
             refuse_unlikely_seconds(time, str(column))
+            note = f"{column}: no unit is stated: it is taken for seconds"
+            self.notes += [note] if note not in self.notes else []
         asked_for = declared is not None or "time" in section.columns
         if not asked_for:
             refuse_other_pace(table, column, time, stated=stated, used=titles)

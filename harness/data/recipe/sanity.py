@@ -13,8 +13,6 @@ from harness.data.recipe.si import SI_UNITS
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Run, Trajectory
 
-__all__ = ["check_run", "check_runs"]
-
 _FACTORS = (
     (180.0 / np.pi, "one is in degrees and the other in radians"),
     (np.pi / 180.0, "one is in degrees and the other in radians"),

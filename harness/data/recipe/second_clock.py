@@ -11,8 +11,6 @@ from harness.data.tables.table import Table
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["refuse_other_pace"]
-
 ROWS = 2000
 """Rows in which two clocks are compared: what runs at another pace shows it there, and reading texts takes time."""
 APART = 0.02
@@ -23,7 +21,7 @@ COARSE = 2.0
 
 
 def refuse_other_pace(
-    table: Table, column: str | int, time: FloatArray, *, stated: bool, used: Collection[str | None]
+    table: Table, column: str | int, time: FloatArray, *, stated: bool, used: Collection[str | int | None]
 ) -> None:
     """Refuse a time column that nobody chose where another one, or dates beside it, run at another pace.
 
@@ -39,7 +37,7 @@ def refuse_other_pace(
         Its stamps [s].
     stated : bool
         True if its unit was stated: else a column without a unit is compared as seconds too.
-    used : collection of str or None
+    used : collection of str, int or None
         Titles that are signals.
 
     Raises

@@ -15,8 +15,6 @@ from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
 
-__all__ = ["BagFile", "holds_json", "is_bag_folder"]
-
 REP_103 = {
     ("geometry_msgs/msg/Wrench", "force"): "N",
     ("geometry_msgs/msg/Wrench", "torque"): "N m",

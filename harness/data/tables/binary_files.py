@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,6 @@ from harness.data.tables.texts import suffix_by_content
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
-
-__all__ = ["FeatherFile", "Hdf5File", "MatFile", "NumpyFile", "ParquetFile", "broken", "open_mat"]
 
 
 def broken(path: Path, kind: str, error: Exception) -> InputError:
@@ -309,6 +308,8 @@ class Hdf5File(_Variables):
         variables: dict[str, Any] = {}
         self._units: dict[str, str] = {}
         self._unapplied: dict[str, str] = {}
+        self.links: dict[str, str] = {}
+        """Paths that lead to a data set of the file by a soft link, and its own."""
         try:
             with h5py.File(path, "r") as file:
 
@@ -324,7 +325,15 @@ class Hdf5File(_Variables):
                     if said := _unapplied(item.attrs):
                         self._unapplied[name] = said
 
+                def follow(name: str, link: Any) -> None:
+                    item = file.get(name) if isinstance(link, h5py.SoftLink) else None
+                    if item is not None:
+                        target = posixpath.join("/", posixpath.dirname(name), link.path).strip("/")
+                        parts = [""] if isinstance(item, h5py.Dataset) else [f"/{part}" for part in item]
+                        self.links.update({f"{name}{part}": f"{target}{part}" for part in parts})
+
                 file.visititems(visit)
+                file.visititems_links(follow)
         except InputError:
             raise
         except Exception as error:  # the library raises whatever its walk through a damaged file meets

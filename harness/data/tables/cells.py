@@ -13,19 +13,6 @@ from harness.errors import InputError
 from harness.signals import FloatArray
 from harness.units import convert, fits, is_unit
 
-__all__ = [
-    "EMPTY",
-    "is_number",
-    "is_unit_cell",
-    "measured",
-    "numbers_of",
-    "refuse_thousands",
-    "say_truths",
-    "seconds_of",
-    "units_below",
-    "with_unit",
-]
-
 EMPTY = {
     "",
     *"na n/a nan null none missing -nan nan(ind) -nan(ind) #n/a #num! #div/0! #value! #nv #n/d #nd".split(),
@@ -69,7 +56,7 @@ def is_unit_cell(cell: str) -> bool:
     >>> is_unit_cell("[Nm]"), is_unit_cell("Sekunden"), is_unit_cell("sek."), is_unit_cell("theta")
     (True, True, True, False)
     """
-    text = cell.strip().strip("[]()").strip()
+    text = cell.strip().strip("[](){}<>").strip()
     return is_unit(text) or text.rstrip(".").lower() in TIME_UNITS
 
 
@@ -86,7 +73,7 @@ def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None
     >>> units_below(["t", "u", "theta"], ["s", "[Nm]", "°"]), units_below(["t", "u"], ["0.0", "1.0"])
     (['t [s]', 'u [Nm]', 'theta [°]'], None)
     """
-    bare = [cell.strip().strip("[]()").strip() for cell in cells]
+    bare = [cell.strip().strip("[](){}<>").strip() for cell in cells]
     if len(bare) != len(titles) or not any(bare) or any(is_number(cell) and cell != "1" for cell in bare):
         return None
     if not any(cell and cell != "1" for cell in bare) or not all(is_unit_cell(cell) for cell in bare if cell):

@@ -13,8 +13,6 @@ from harness.data.tables.headers import TRUTH, split_header
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Trajectory
 
-__all__ = ["MemoryTable", "columns_of"]
-
 
 class MemoryTable:
     """Columns in memory.
@@ -38,7 +36,10 @@ class MemoryTable:
 
     def values(self, title: str) -> FloatArray:
         """Return one column (N,)."""
-        column = self._columns[title]
+        return self._numbers(title, self._columns[title])
+
+    def _numbers(self, title: str, column: Any) -> FloatArray:
+        """Return the numbers of a column."""
         if isinstance(column, np.ma.MaskedArray) and column.dtype.kind in "biuf":
             column = np.ma.filled(np.ma.asarray(column, np.float64), np.nan)  # what is masked was not measured
         array = np.asarray(column)

@@ -9,8 +9,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["DIGITS", "HALF_DAY", "dated", "unwrapped"]
-
 BITS = (16, 24, 32)
 """Widths of the counters of microcontrollers and field buses."""
 NARROW = (8, 10, 12, 14, 20, 31)

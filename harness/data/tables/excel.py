@@ -14,8 +14,7 @@ from harness.data.tables.packing import refuse_bomb
 from harness.data.tables.stacked import MOST_ROWS, stacked_titles
 from harness.errors import InputError
 from harness.extras import optional
-
-__all__ = ["ExcelFile", "sheets_of"]
+from harness.signals import FloatArray
 
 
 class ExcelFile(MemoryTable):
@@ -36,28 +35,32 @@ class ExcelFile(MemoryTable):
         body, titles = rows[count:], head[0] if named is None else named
         if stacked is not None:
             said.append(f"rows {skipped + 1} to {skipped + count} are read as one header")
-        _refuse_twins(titles, path)
-        columns = {title: [row[k] for row in body] for k, title in enumerate(titles) if title}
+        named_columns = [k for k, title in enumerate(titles) if title]
+        self._cells = [[row[k] for row in body] for k in named_columns]
         first = len(rows) - len(body) + skipped + 1
-        for k, title in enumerate(titles):
-            if (
-                title
-                and split_header(title)[1] == "%"
-                and (shown := _as_per_cent(path, read, k, first, columns[title]))
-            ):
-                columns[title] = shown
-                said.append(f"{title}: cells that show per cent hold a hundredth of it: what they show is read")
+        for place, k in enumerate(named_columns):
+            cells = self._cells[place] if split_header(titles[k])[1] == "%" else []
+            if cells and (shown := _as_per_cent(path, read, k, first, cells)):
+                self._cells[place] = shown
+                said.append(f"{titles[k]}: cells that show per cent hold a hundredth of it: what they show is read")
+        names = [titles[k] for k in named_columns]
+        columns = dict(zip(names, self._cells, strict=True))
         _refuse_truths(columns, first, path)
         _refuse_header(body, titles, head[0], first, path)
         super().__init__(columns, first=first)
+        self.titles = names  # two columns may have one
         self.notes += said
         if len(sheets) > 1 and sheet is None:
             others_named = [repr(name) for name in sheets if name != read]
             why = "the first, is read" if read == sheets[0] else "the only one with rows of numbers, is read"
             self.notes.append(
-                f"the workbook has {len(sheets)} sheets: {read!r}, {why}; sheet = ... names another "
+                f"the workbook has {len(sheets)} sheets: {read!r}, {why}; --sheet names another "
                 f"({', '.join(others_named[:5])}{' ...' if len(others_named) > 5 else ''})"
             )
+
+    def numbered(self, column: int) -> FloatArray:
+        """Return one column (N,) by its number, as two may have one title."""
+        return self._numbers(self.titles[column], self._cells[column])
 
 
 def _as_per_cent(path: Path, sheet: str, column: int, first: int, cells: list[Any]) -> list[Any] | None:
@@ -100,7 +103,7 @@ def _chosen(path: Path, sheet: str | None) -> tuple[list[str], str, list[list[An
                 f"the first sheet holds no rows of numbers, and {len(tables)} others do",
                 expected="the sheet that is meant",
                 got=", ".join(map(repr, tables[:8])) + (" ..." if len(tables) > 8 else ""),
-                remedy=f'name it in a dataset.toml (sysid new dataset {path.name} drafts one): sheet = "{tables[0]}"',
+                remedy=f'name it: --sheet "{tables[0]}", or sheet = "{tables[0]}" in a dataset.toml',
                 file=path,
             )
         sheet = tables[0]
@@ -135,19 +138,6 @@ def _refuse_header(body: list[list[Any]], titles: list[str], head: list[str], fi
             remedy="remove that row and what is empty above it, or put what stands below into a sheet of its own",
             file=path,
             place=f"row {again[0]}",
-        )
-
-
-def _refuse_twins(titles: list[str], path: Path) -> None:
-    """Refuse two columns of one title."""
-    twice = sorted({title for title in titles if title and titles.count(title) > 1})
-    if twice:
-        raise InputError(
-            f"two columns {twice[0]!r}",
-            expected="titles of their own",
-            got=", ".join(titles[:12]),
-            remedy="rename one",
-            file=path,
         )
 
 

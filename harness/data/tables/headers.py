@@ -9,22 +9,6 @@ from collections.abc import Collection, Iterator, Sequence
 from harness.errors import InputError
 from harness.units import fits, is_unit
 
-__all__ = [
-    "REFERENCE",
-    "TIME_UNITS",
-    "TIME_WORDS",
-    "TRUTH",
-    "clock_of",
-    "clock_unit",
-    "fraction_of",
-    "remarked_unit",
-    "says_time",
-    "split_header",
-    "stated_unit",
-    "unit_of_time",
-    "words_of",
-]
-
 REFERENCE = "reference:"
 """Prefix of columns that hold what came from outside a control loop: the instruments of the test for its bias."""
 
@@ -266,7 +250,7 @@ def _last_word(title: str) -> tuple[str, str]:
     return ("", "") if found is None else (found["stem"].lower(), found["word"].lower())
 
 
-def clock_of(titles: Sequence[str], taken: Collection[str] = ()) -> str | None:
+def clock_of(titles: Sequence[str], taken: Collection[str | int] = ()) -> str | None:
     """Return the title of the time column; None if there is none.
 
     ``time``, ``t`` and ``timestamp`` come first, then any title that holds words for time and its units only, then one
@@ -301,7 +285,15 @@ def clock_of(titles: Sequence[str], taken: Collection[str] = ()) -> str | None:
             return _only(spoken)
     bare = {title: title.strip().lower().removesuffix("()") for title in free}  # millis() of an Arduino
     units = [title for title, word in bare.items() if len(word) > 1 and word in TIME_UNITS and word not in _OTHERWISE]
-    return _only(units or [title for title in free if title == "X_Value [s]"])  # LabVIEW's
+    return _only(units or [title for title in free if _leads(*split_header(title))])
+
+
+def _leads(name: str, unit: str | None) -> bool:
+    """Return True if a title with a unit of time is that of an x axis, or a word for time with a channel's number."""
+    words = words_of(name)
+    axis = words in (["x"], ["x", "axis"], ["x", "value"])  # of scopes, and of LabVIEW
+    numbered = len(words) > 1 and _spoken(words[0]) and words[1].isdigit()  # of catman: Time  1 - default sample rate
+    return unit is not None and _time_unit(unit) is not None and (axis or numbered)
 
 
 def _only(titles: Sequence[str]) -> str | None:
@@ -408,6 +400,9 @@ def _fused(word: str) -> set[str]:
 def _time_unit(text: str) -> str | None:
     """Return a unit of time that stands in brackets; None for anything else."""
     text = text.strip(" ._")
+    first, *more = words_of(text) or [""]
+    if more and first in TIME_UNITS and all(word in _BESIDE for word in more):  # ns since boot
+        return TIME_UNITS[first]
     joined = text.lower().replace("-", "")
     if joined in TIME_UNITS and text != "Ms":  # a megasecond to SI, a millisecond to whoever wrote it
         return TIME_UNITS[joined]

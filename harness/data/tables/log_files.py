@@ -18,8 +18,6 @@ from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
 
-__all__ = ["McapFile", "MdfFile"]
-
 
 class MdfFile:
     """An MDF file (version 3 or 4); channels go by their name, ``time`` is the raster of the first channel.

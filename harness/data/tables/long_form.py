@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from harness.data.tables.cells import is_number
+from harness.data.tables.cells import EMPTY, is_number, numbers_of, with_unit
 from harness.data.tables.headers import clock_of, says_time, split_header
 from harness.errors import InputError
 from harness.signals import FloatArray
-
-__all__ = ["LongTable", "in_long_form"]
 
 NAMES = frozenset(
     "name signal signalname variable varname tag tagname channel channelname field _field key parameter sensor kanal "
@@ -57,9 +55,9 @@ class LongTable:
         names = list(dict.fromkeys(tags))
         self.titles = [clock, *names]
         stamps: FloatArray = source.values(clock)
-        readings: FloatArray = source.values(value)
         written = np.array(tags)
         own = {one: np.flatnonzero(written == one) for one in names}
+        readings, inside = _readings(source, value, own)
         first = stamps[own[names[0]]]
         if all(len(rows) == len(first) and np.array_equal(stamps[rows], first) for rows in own.values()):
             self._rows = own[names[0]]
@@ -71,7 +69,7 @@ class LongTable:
                 filled[one][rows] = readings[rows]
             self._columns = {one: column[self._rows] for one, column in filled.items()}
         self._columns[clock] = stamps[self._rows]
-        self._units = _units_of(source.texts(unit), own, source.where) if unit else {}
+        self._units = inside | (_units_of(source.texts(unit), own, source.where) if unit else {})
         shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
         self.notes = [
             *source.notes,
@@ -96,6 +94,23 @@ class LongTable:
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as the table's owner counts it."""
         return str(self._source.where(int(self._rows[row])))
+
+
+def _readings(source: Any, value: str, own: Mapping[str, Any]) -> tuple[FloatArray, dict[str, str]]:
+    """Return the readings (N,) of all signals, and the units that the cells of each carry."""
+    cells = source.texts(value)
+    if all(is_number(cell) or cell.strip().lower() in EMPTY for cell in cells):
+        return source.values(value), {}
+    readings, units = np.full(len(cells), np.nan), dict[str, str]()
+    for name, rows in own.items():
+
+        def where(row: int, rows: Any = rows) -> str:
+            return f"{source.where(int(rows[row]))}, column {value!r}"
+
+        texts = [cells[row] for row in rows]
+        found = with_unit(texts, name, where, source.notes, units)
+        readings[rows] = numbers_of(texts, where, source.notes) if found is None else found
+    return readings, units
 
 
 def _units_of(units: Sequence[str], own: dict[str, Any], where: Callable[[int], str]) -> dict[str, str]:

@@ -13,8 +13,6 @@ from harness.data.tables.headers import split_header
 from harness.errors import InputError
 from harness.signals import Trajectory
 
-__all__ = ["in_memory", "input_and_output"]
-
 
 def in_memory(data: Any) -> MemoryTable | None:
     """Return the table of data in memory; None for a path.

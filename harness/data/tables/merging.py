@@ -8,10 +8,9 @@ import numpy as np
 
 from harness.data.conditioning.clock import TimeRules
 from harness.data.conditioning.decimation import filtered, hold_means
+from harness.data.sections import ResampleSection
 from harness.errors import InputError
 from harness.signals import FloatArray
-
-__all__ = ["in_turn", "merged"]
 
 
 def merged(
@@ -37,7 +36,7 @@ def merged(
     inputs : sequence of bool
         Which signals are commands.
     rules : TimeRules
-        With ``resample``.
+        With the sample time of ``resample``, or of the record.
     notes : list of str
         What was done is added.
 
@@ -48,14 +47,15 @@ def merged(
     """
     rates = {name: _step(clock) for name, clock in zip(names, clocks, strict=True)}
     shown = ", ".join(f"{name} every {step:.4g} s" for name, step in list(rates.items())[:8])
-    section = rules.resample
-    if section is None or section.sample_time is None:
+    section = rules.resample or ResampleSection()
+    dt = section.sample_time or rules.sample_time
+    if dt is None:
         raise InputError(
             "signals with clocks of their own",
             expected="[resample] with sample_time, the grid on which they are put together",
             got=shown,
-            remedy=f"declare [resample] sample_time = {max(rates.values()):.4g} or another: inputs are held from their "
-            'stamps on, outputs interpolated (method = "linear" or "cubic")',
+            remedy=f"declare [resample] sample_time = {max(rates.values()):.4g} or another (sysid: --sample-time): "
+            'inputs are held from their stamps on, outputs interpolated (method = "linear" or "cubic")',
             place="resample",
         )
     for name, clock in zip(names, clocks, strict=True):
@@ -68,19 +68,15 @@ def merged(
                 remedy="sort the messages, or record them by one node",
                 place=name,
             )
-    dt = section.sample_time
-    begin = max(clock[0] for clock in clocks)
-    sensors = [clock[-1] for clock, is_input in zip(clocks, inputs, strict=True) if not is_input]
-    end = min(sensors) if sensors else min(clock[-1] for clock in clocks)
-    n = int(np.floor((end - begin) / dt + 1e-6)) + 1
+    begin, n = grid_of(clocks, inputs, dt)
     if n < 2:
         raise InputError(
             "signals that do not overlap in time",
             expected="one stretch in which all are recorded",
-            got=f"the last begins at {begin:.6g} s, the first ends at {end:.6g} s",
+            got=f"the last begins at {begin:.6g} s, the first ends at {begin + (n - 1) * dt:.6g} s",
             remedy="choose other topics, or a bag that holds them together",
         )
-    grid = begin + np.arange(n) * dt
+    grid: FloatArray = begin + np.arange(n, dtype=np.float64) * dt
     table = np.empty((n, len(signals)))
     for column, (clock, values) in enumerate(zip(clocks, signals, strict=True)):
         if inputs[column] and rules.intersample in (None, "zoh"):
@@ -100,6 +96,31 @@ def merged(
         f"stamps on, {', '.join(read)} interpolated ({section.method}); their own clocks: {shown}"
     )
     return grid, table
+
+
+def grid_of(clocks: Sequence[FloatArray], inputs: Sequence[bool], dt: float) -> tuple[float, int]:
+    """Return the first instant [s] and the number of samples of the grid that signals of several clocks share.
+
+    Examples
+    --------
+    >>> grid_of([np.array([0.0, 0.5, 1.0]), np.array([0.2, 0.6, 1.4])], [True, False], 0.4)
+    (0.2, 4)
+    """
+    begin = max(clock[0] for clock in clocks)
+    sensors = [clock[-1] for clock, is_input in zip(clocks, inputs, strict=True) if not is_input]
+    end = min(sensors) if sensors else min(clock[-1] for clock in clocks)
+    return float(begin), int(np.floor((end - begin) / dt + 1e-6)) + 1
+
+
+def one_clock(clocks: Sequence[FloatArray]) -> bool:
+    """Return True if all stamps are the same.
+
+    Examples
+    --------
+    >>> one_clock([np.arange(3.0), np.arange(3.0)]), one_clock([np.arange(3.0), np.arange(4.0)])
+    (True, False)
+    """
+    return all(np.array_equal(clock, clocks[0]) for clock in clocks)
 
 
 def in_turn(time: FloatArray, values: FloatArray) -> tuple[list[FloatArray], list[FloatArray]] | None:

@@ -8,8 +8,6 @@ from pathlib import Path
 from harness.errors import InputError
 from harness.trust import UNZIPPING
 
-__all__ = ["NUMBER", "most_unpacked", "refuse_bomb", "refuse_large"]
-
 LARGEST = 2 << 30
 """Bytes that any packed table may unpack to: a table of 1e8 numbers."""
 NUMBER = 8

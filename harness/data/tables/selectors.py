@@ -13,8 +13,6 @@ from harness.data.tables.cells import say_truths
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Selector", "parse_selector", "vector"]
-
 _STEP = re.compile(r"\{(\d+)\}|\[\s*(\d+)\s*(?:,\s*:\s*)?\]|\[\s*:\s*,\s*(\d+)\s*\]|\.([A-Za-z_]\w*)")
 
 

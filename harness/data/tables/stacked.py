@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from harness.data.tables.cells import is_number, is_unit_cell, units_below
 
-__all__ = ["MOST_ROWS", "stacked_titles"]
-
 MOST_ROWS = 6
 """Rows that a header may have."""
+UNEVEN = 0.2
+"""Part of a step by which two steps differ where numbers are no clock."""
 
 _LETTER = re.compile(r"[^\W\d_]|[\[(<{°%]")
 _BRACKETED = re.compile(r"[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]")
@@ -61,6 +61,86 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
         return None
     titles = units_below(names, units) if any(units) else names
     return None if titles is None else (titles, count)
+
+
+def are_counted(rows: Sequence[Sequence[str]]) -> bool:
+    """Return True if the first row numbers the columns, as pandas titles them, and is no reading.
+
+    It counts from 0 or 1, while every column below holds decimals, and the first column goes on otherwise: from 0, 1 to
+    0.01, 0.98 a time and a reading begin.
+
+    Examples
+    --------
+    >>> are_counted([["0", "1"], ["0.25", "-1.5"], ["0.75", "2.5"]])
+    True
+    >>> are_counted([["0", "1"], ["0.01", "0.98"], ["0.02", "0.95"]]), are_counted([["0", "1"], ["1", "0"]])
+    (False, False)
+    """
+    titles = list(rows[0])
+    names = titles[1:] if not titles[0] else titles
+    if len(rows) < 3 or not any(names == [str(first + k) for k in range(len(names))] for first in (0, 1)):
+        return False
+    columns = list(zip(*(row for row in rows[1:] if len(row) == len(titles)), strict=True))
+    if not all(re.search("[.eE]", cell) for column in columns[-len(names) :] for cell in column if cell):
+        return False
+    if not titles[0]:
+        return True
+    first = [float(row[0]) for row in rows[:3] if is_number(row[0])]
+    return len(first) < 3 or abs(first[2] - 2 * first[1] + first[0]) > UNEVEN * abs(first[2] - first[1])
+
+
+def logger_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | None:
+    """Return the titles of a logger's own header, and its rows; None for any other.
+
+    Reference: Campbell Scientific, *LoggerNet Instruction Manual*, "TOA5": station, names, units, kinds of value.
+
+    Examples
+    --------
+    >>> toa5 = [["TOA5", "CR1000", "1"], ["TIMESTAMP", "RECORD", "u"], ["TS", "RN", "Volts"], ["", "", "Smp"]]
+    >>> logger_titles([*toa5, ["2024-01-01 00:00:00", "0", "1.5"]])
+    (['TIMESTAMP', 'RECORD', 'u [Volts]'], 4)
+    """
+    if len(rows) < 5 or rows[0][0] != "TOA5" or len(rows[1]) != len(rows[2]):
+        return None
+    return [
+        f"{name} [{unit}]" if unit and unit not in ("TS", "RN") else name
+        for name, unit in zip(rows[1], rows[2], strict=True)
+    ], 4
+
+
+Cells = Callable[[list[str]], list[str]]
+
+
+def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str] | None:
+    """Return the titles of a scope's waveform, its rows above, what takes the cells of a row, and what to say of it.
+
+    Rigol counts the samples, and start and increment of the time stand once, behind the titles. Tektronix writes its
+    settings beside the first rows, in the first three columns.
+
+    Examples
+    --------
+    >>> rows = [["X", "CH1", "Start", "Increment"], ["Sequence", "Volt", "-0.5", "0.01"], ["0", "1.5", ""]]
+    >>> titles, above, cells_of, _ = scope_of(rows)
+    >>> titles, above, cells_of(["3", "1.25", ""])
+    (['time [s]', 'CH1 [Volt]'], 2, ['-0.47', '1.25'])
+    """
+    names, units = ([cell for cell in row if cell] for row in rows[:2]) if len(rows) > 1 else ([], [])
+    if names[:1] + units[:1] == ["X", "Sequence"] and names[-2:] == ["Start", "Increment"] and len(names) == len(units):
+        if not all(map(is_number, units[-2:])):
+            return None
+        start, step = map(float, units[-2:])
+        titles = [f"{name} [{unit}]" for name, unit in zip(names[1:-2], units[1:-2], strict=True)]
+
+        def counted(cells: list[str]) -> list[str]:
+            time = f"{start + step * float(cells[0]):.12g}" if is_number(cells[0]) else cells[0]
+            return [time, *cells[1 : len(titles) + 1]]
+
+        return ["time [s]", *titles], 2, counted, f"time: sample 0 at {start:g} s, every {step:g} s, as line 2 says"
+    settings = {row[0]: row[1] for row in rows if len(row) > 4 and row[0]}
+    if names[:1] + units[:1] != ["Record Length", "Sample Interval"] or settings.get("Horizontal Units") != "s":
+        return None
+    titles = ["time [s]", f"{settings.get('Source', 'y')} [{settings.get('Vertical Units', '1')}]"]
+    return titles, 0, lambda cells: cells[3:5], "the settings of the scope beside the first rows are left aside"
 
 
 def _head_rows(rows: Sequence[Sequence[str]]) -> int:

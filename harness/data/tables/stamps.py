@@ -12,8 +12,6 @@ from harness.data.tables.written_times import ahead_of_utc, minutes_of, plain_ti
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["clock", "is_date", "is_time", "is_time_of_day", "with_dates"]
-
 _DAY = (
     r"(?:(?P<year>\d{4})(?P<sign>[-/.]?)(?P<month>\d\d)(?P=sign)(?P<day>\d\d)"
     r"|(?P<first>\d{1,2})(?P<between>[./-])(?P<second>\d{1,2})(?P=between)(?P<last>\d{4}|\d\d))"

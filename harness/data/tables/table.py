@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Protocol
@@ -25,8 +25,6 @@ from harness.data.tables.stamps import clock, is_date, is_time_of_day, with_date
 from harness.errors import InputError, no_file
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
-
-__all__ = ["BARE", "FORMATS", "Source", "Table", "nearest", "open_table", "suffix_of", "unknown_format"]
 
 _TEXT = (".csv", ".tsv", ".txt", ".lvm", ".log", ".asc", ".prn", ".tab")
 _PACKED = (".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
@@ -150,6 +148,13 @@ UNPACKED = {
 """What takes a table out of what it is packed in."""
 
 
+WORKBOOKS = (".xlsx", ".xlsm")
+"""Suffixes of files that may have several sheets."""
+
+MODELS = (".urdf", ".xml", ".mjcf", ".fmu", ".ssp", ".eqs", ".py")
+"""Suffixes of what may be a model, which holds no data."""
+
+
 def unknown_format(path: Path) -> InputError:
     """Return the refusal of a file whose suffix says no format that is read.
 
@@ -159,6 +164,11 @@ def unknown_format(path: Path) -> InputError:
     save it as CSV or Parquet by LabVIEW, DIAdem, or Python's nptdms
     """
     by, out = ELSEWHERE.get(path.suffix.lower()), UNPACKED.get(path.suffix.lower())
+    if path.suffix.lower() in MODELS or path.name == "model.json":
+        return InputError(
+            "a model where data are expected", expected="a table, a log or a dataset.toml", got=path.name,
+            remedy="give the data, and the model beside it (--model; a model.json to sysid compare)", file=path,
+        )  # fmt: skip
     return InputError(
         "unknown format",
         expected=f"a dataset.toml, or a file that ends in {', '.join(FORMATS)}",
@@ -248,6 +258,29 @@ class Table:
         found: list[str] | None = None if find is None else find(title)
         return found
 
+    def clock(self, taken: Collection[str | int] = ()) -> str | None:
+        """Return the time column, or the one field of a structure or group that is called so; None if there is none.
+
+        Parameters
+        ----------
+        taken : collection of str
+            Columns that are signals.
+
+        Raises
+        ------
+        InputError
+            If two columns may be meant.
+        """
+        found = clock_of(self.titles, taken)
+        if found is not None or hasattr(self._source, "clocks"):
+            return found
+        paths = bool(getattr(self._source, "paths", False))
+        inside = [field for title in self.titles for field in self.inside(title) or [title] * paths]
+        times = [field for field in inside if field not in taken and clock_of([re.split("[./]", field)[-1]])]
+        if len(times) != 1 or (taken and len(self.read(times[0])[0]) not in {len(self.read(one)[0]) for one in taken}):
+            return None
+        return times[0]
+
     def read_any(self, title: str) -> FloatArray:
         """Return a column (N,) by its exact title, be it measured or true."""
         return self._source.values(title)
@@ -267,6 +300,7 @@ class Table:
             If two columns carry this name.
         """
         titles = self.titles
+        column = getattr(self._source, "links", {}).get(column, column)
         if isinstance(column, int):
             return titles[column] if 0 <= column < len(titles) else None
         exact = [title for title in titles if title == column]
@@ -282,7 +316,7 @@ class Table:
                 got=", ".join(found),
                 remedy="rename one, "
                 + ("name its title with the unit, " if len(set(found)) == len(found) else "")
-                + f"or give its number (column = {last} in a dataset.toml)",
+                + f"or give its number (--column NAME={last}, column = {last} in a dataset.toml)",
                 file=self.path,
             )
         return found[0] if found else None
@@ -528,9 +562,13 @@ def _sheet(path: Path, sheet: str) -> Source | None:
     """Return a sheet of a workbook; None where there is no file, which is refused as any other."""
     if not path.is_file():
         return None
-    if suffix_of(path) not in (".xlsx", ".xlsm"):
+    if suffix_of(path) not in WORKBOOKS:
         raise InputError(
-            "sheet", expected="an Excel workbook (.xlsx, .xlsm)", got=path.name, remedy="remove sheet", file=path
+            "sheet",
+            expected=f"an Excel workbook ({', '.join(WORKBOOKS)})",
+            got=path.name,
+            remedy="leave it out",
+            file=path,
         )
     from harness.data.tables.excel import ExcelFile
 

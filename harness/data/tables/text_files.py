@@ -23,17 +23,17 @@ from harness.data.tables.cells import (
     with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
-from harness.data.tables.stacked import MOST_ROWS, stacked_titles
+from harness.data.tables.stacked import MOST_ROWS, are_counted, logger_titles, scope_of, stacked_titles
 from harness.data.tables.stamps import is_time
 from harness.data.tables.texts import CODINGS, closed_lines, text_of
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["TextFile"]
-
 _DELIMITERS = (",", ";", "\t")
 _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
+NUMBERED, SETTINGS = 200, 30
+"""Rows that are asked whether the first one numbers the columns, and beside which a scope may write its settings."""
 MOST_ABOVE = 100
 """Lines that a logger may write above its table."""
 _RULE = re.compile(r"[\s|+:=\-]*-{3,}[\s|+:=\-]*")
@@ -119,23 +119,37 @@ class TextFile:
         numbers = sum(map(is_number, titles))
         mostly = any(titles) and 2 * numbers > len(titles) and not any(map(says_time, titles))
         named = self._named(lines, len(titles)) if mostly else None
-        if named is not None or (_are_numbers([cell for cell in titles if cell]) and any(titles)):
+        plain = _are_numbers([cell for cell in titles if cell]) and any(titles)
+        if plain and named is None and are_counted([self._cells(line) for _, line in self._lines[:NUMBERED]]):
+            self.titles, self._lines = titles, self._lines[1:]
+        elif named is not None or plain:
             self.titles = named or [str(number) for number in range(len(titles))]
+            if named is None:
+                self.notes.append(f"line {self._lines[0][0]} holds numbers: the columns are called 0, 1, ... in order")
         else:
             self.titles = titles
-            stacked = stacked_titles([self._cells(line) for _, line in self._lines[: MOST_ROWS + 2]])
+            if self._is_of_scope():
+                return
+            head = [self._cells(line) for _, line in self._lines[: MOST_ROWS + 2]]
+            stacked = logger_titles(head) or stacked_titles(head)
             count = 1 if stacked is None else stacked[1]
             if stacked is not None:
                 self.titles = stacked[0]
                 self.notes.append(f"lines {self._lines[0][0]} to {self._lines[count - 1][0]} are read as one header")
             self._lines = self._lines[count:]
-            if (
-                stacked is None
-                and self._lines
-                and (named := units_below(titles, self._cells(self._lines[0][1]))) is not None
-            ):
-                self.titles = named
-                self._lines = self._lines[1:]
+            below = units_below(titles, self._cells(self._lines[0][1])) if stacked is None and self._lines else None
+            if below is not None:
+                self.titles, self._lines = below, self._lines[1:]
+
+    def _is_of_scope(self) -> bool:
+        """Return True for a waveform as scopes write them, of which time and readings are taken."""
+        found = scope_of([self._cells(line) for _, line in self._lines[:SETTINGS]])
+        if found is None:
+            return False
+        self.titles, above, cells_of, said = found
+        self._lines = [(n, self._joined(cells_of(self._cells(line)))) for n, line in self._lines[above:]]
+        self.notes.append(said)
+        return True
 
     def values(self, title: str) -> FloatArray:
         """Return one column (N,)."""
@@ -256,6 +270,8 @@ class TextFile:
         width = len(rows[-1])
         numbers = [len(row) == width and _are_readings(row) for row in rows]
         begin = next((row for row in range(1, len(rows) - 2) if all(numbers[row : row + 3])), 0) - 1
+        if begin > 1 and len(rows[begin - 1]) == width and all(map(is_unit_cell, rows[begin])):
+            begin -= 1  # titles above their units
         if begin < 1 or len(set(rows[begin])) < width or any(map(is_number, rows[begin])):
             return
         plain = (cell.replace(",", ".", 1) for row in rows[:begin] for cell in row)

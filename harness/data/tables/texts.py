@@ -15,8 +15,6 @@ from harness.data.tables.packing import most_unpacked
 from harness.errors import InputError
 from harness.trust import UNZIPPING
 
-__all__ = ["CODINGS", "closed_lines", "suffix_by_content", "text_of"]
-
 CODINGS = {
     "cp1252": "Windows, Western Europe",
     "cp1251": "Windows, Cyrillic",

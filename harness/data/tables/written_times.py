@@ -10,9 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["ahead_of_utc", "minutes_of", "plain_time", "span_of"]
-
-
 MONTHS = {
     word: number
     for number, words in enumerate(

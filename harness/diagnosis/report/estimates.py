@@ -13,8 +13,8 @@ from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset
-
-__all__ = ["effect_data", "estimate", "known", "ratio_unit", "ratios", "scaled_together"]
+from harness.units import quotient
+from harness.units.grammar import composed
 
 
 def known(value: float | None) -> float | None:
@@ -112,18 +112,13 @@ def ratio_unit(above: str, below: str) -> str:
     Examples
     --------
     >>> ratio_unit("N m s/rad", "kg m^2"), ratio_unit("N m", "kg m^2"), ratio_unit("kg", "mg")
-    ('1/s', '1/s^2', '(kg)/(mg)')
+    ('1/s', '1/s^2', 'kg/mg')
     """
     (first, factor), (second, other) = _base(above), _base(below)
     if factor != 1.0 or other != 1.0:
-        return f"({above})/({below})"
-    powers = {name: first.get(name, 0) - second.get(name, 0) for name in {**first, **second} if name != "rad"}
-
-    def joined(sign: int) -> list[str]:
-        return [name if sign * power == 1 else f"{name}^{sign * power:g}" for name, power in sorted(powers.items())
-                if sign * power > 0]  # fmt: skip
-
-    return "/".join([" ".join(joined(1)) or "1", *joined(-1)])
+        return quotient(above, below)
+    names = sorted({*first, *second} - {"rad"})
+    return composed({name: first.get(name, 0) - second.get(name, 0) for name in names})
 
 
 def _base(unit: str) -> tuple[dict[str, float], float]:

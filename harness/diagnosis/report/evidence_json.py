@@ -21,6 +21,9 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
 ``errors``
     ``before`` and ``after``: ``equation_error``, ``simulation_error`` (free runs over the horizon, by use and output),
     ``log_likelihood`` by use.
+``recorded``
+    By output ``unit``, in which all figures here are, and ``recorded``, in which the data came and the summary and the
+    tables of the page are told, where it is another.
 ``parameters``
     ``before`` and ``after``: every parameter with its 95 % interval from the curvature of the likelihood; ``state`` is
     ``determined``, or where there are no limits ``fixed``, ``on_bound`` or ``not_determined``.
@@ -35,8 +38,8 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     Every refit with the reason it was rejected; then what the score test alone set aside. ``main``: by name value, low
     and high of the effect's size, limits null where ``parameters`` would have none.
 ``withdrawn``
-    Effects that were accepted and taken back: something is left, and with them the model runs further from the
-    validation records.
+    Effects that were accepted and taken back: something is left, and with them the model runs no nearer to the
+    validation records, or further.
 ``left_over``
     What free forces over position, speed, input and time would gain beside the final model, axis by axis.
 ``policy``
@@ -66,10 +69,10 @@ from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.motion import measured_coordinates
 from harness.diagnosis.report.estimates import effect_data, estimate, known, ratios, scaled_together
-from harness.diagnosis.report.experiments import Bench, separate_with, separating
+from harness.diagnosis.report.experiments import Bench, separate_with, separating, undeclared_motion
 from harness.diagnosis.report.keys import blank, numbers
 from harness.diagnosis.report.refusals import refusal_text, refusals_text
-from harness.diagnosis.report.words import change_text, named, standing_in
+from harness.diagnosis.report.words import as_recorded, change_text, named, standing_in
 from harness.diagnosis.runs import residual_tests
 from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
 from harness.diagnosis.runs.equation_form import EquationForm
@@ -82,11 +85,10 @@ from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import by_equations
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
+from harness.units import behind
 
 if TYPE_CHECKING:
     from harness.diagnosis.diagnosis import Diagnosis
-
-__all__ = ["Answer", "answer_of", "evidence_data", "innovations"]
 
 SELECTED = "validation used for selection: there is no test run, so the figures after are not independent of the choice"
 AROUND = (
@@ -140,6 +142,11 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "tie_sets": [[_named(member) for member in effect.tie] for effect in accepted],
         "separating_experiments": [separating([p for member in effect.tie for p in member]) for effect in accepted],
         "separate_with": [separate_with(bench, effect.tie) for effect in accepted],
+        "recorded": {
+            channel.name: {"unit": channel.unit, "recorded": own}
+            for channel in found.dataset.spec.outputs
+            if (own := found.dataset.recorded.get(channel.name, channel.unit)) != channel.unit
+        },
         "errors": {
             "before": errors,
             "after": deepcopy(errors) if unchanged else _errors(found, answer.fit, answer.runs),
@@ -175,7 +182,8 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
     cause = _cause(found) if found.verdict == "unexplained" else ""
-    data["summary"] = _summary(data, found.policy.least, cause, _lasting(found))
+    advice = undeclared_motion(found.system) if cause else ""
+    data["summary"] = "; ".join(filter(None, [_summary(data, found.policy.least, cause, _lasting(found)), advice]))
     return data
 
 
@@ -190,6 +198,8 @@ def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
         said.append(f"{', '.join(given)}: given, and not asked for evidence")
     if together:
         said.append(FREE)
+    if (found.stand_in or found.misfit) and (advice := undeclared_motion(found.system)):
+        said.append(advice)
     if not by_equations(found.system):
         said.append(AROUND)
     if not fit.converged:
@@ -443,12 +453,17 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
 
     ``cause`` is what speaks for something that has no name, ``lasting`` what free runs leave that is no noise.
     """
-    before = data["errors"]["before"]["simulation_error"]["validation"]
-    after = data["errors"]["after"]["simulation_error"]["validation"]
+    before, after = (
+        {
+            name: as_recorded(figure, name, data)
+            for name, figure in data["errors"][when]["simulation_error"]["validation"].items()
+        }
+        for when in ("before", "after")
+    )
     if data["verdict"] == "model_does_not_fit":
         return f"{data['model']} does not fit these data: {'; '.join(data['misfit'])}"
     change = ", ".join(
-        f"{name} {_short(before[name]['rms'])} -> {_short(after[name]['rms'])} {before[name]['unit']}"
+        f"{name} {_short(before[name]['rms'])} -> {_short(after[name]['rms'])}{behind(before[name]['unit'])}"
         for name in before
         if name in after
     )
@@ -472,7 +487,10 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
         if data["stand_in"]["flagged"]:
             text = f"{standing_in(data, data['model'])}{_still_left(data['noise']['after']['forces'])}"
         elif all(effect["rounds"] for effect in data["effects"]):
-            steps = " and ".join(f"{effect['at']} is read in steps of {_step(effect)}" for effect in data["effects"])
+            steps = " and ".join(
+                f"{one['at']} is read in steps of {_step(as_recorded(one['parameters']['step'], one['at'], data))}"
+                for one in data["effects"]
+            )
             return (
                 f"nothing is missing in {data['model']}{beside} but that {steps}; "
                 f"validation simulation error {change}; {words}"
@@ -482,13 +500,12 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
         if worse := _grown(before, after):
             return f"the validation simulation error grows ({worse}), although the likelihood rises: {text}; {words}"
         return f"{text}; validation simulation error {change}; {words}"
-    plain = change.split(" -> ")[0] if ", " not in change else ", ".join(p.split(" -> ")[0] for p in change.split(", "))
-    units = ", ".join(dict.fromkeys(figure["unit"] for figure in before.values()))
+    plain = ", ".join(f"{name} {_short(figure['rms'])}{behind(figure['unit'])}" for name, figure in before.items())
     if data["verdict"] == "nothing_missing":
-        return f"nothing is missing in {data['model']}{beside}: validation simulation error {plain} {units}; {words}"
+        return f"nothing is missing in {data['model']}{beside}: validation simulation error {plain}; {words}"
     return (
         f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
-        f"({plain} {units}; {words})"
+        f"({plain}; {words})"
     )
 
 
@@ -500,10 +517,9 @@ def _lasting(found: Diagnosis) -> list[str]:
     return [f"an error of free runs that lasts (of {output}, {_short(100 * found.lasting)} % of its motion)"]
 
 
-def _step(effect: Mapping[str, Any]) -> str:
+def _step(step: Mapping[str, Any]) -> str:
     """Return the step in which a sensor rounds its readings."""
-    step = effect["parameters"]["step"]
-    return f"{_short(step['value'])} {step['unit']}"
+    return f"{_short(step['value'])}{behind(step['unit'])}"
 
 
 def _cause(found: Diagnosis) -> str:
@@ -513,7 +529,7 @@ def _cause(found: Diagnosis) -> str:
         return f"a force at {best.name} would"
     if found.outcome.withdrawn:
         names = " and ".join(_words(accepted.placed) for accepted in found.outcome.withdrawn)
-        return f"{names} would by the likelihood, and takes free runs further from the validation records"
+        return f"{names} would by the likelihood, and brings free runs no nearer to the validation records"
     refused = found.promised
     if refused is not None and refused.comparison is not None:
         names = " and ".join(map(_words, refused.added))
@@ -574,6 +590,6 @@ def _grown(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
     if not factors or max(factors.values()) >= POLICY.changed or min(factors.values()) > 1 / POLICY.changed:
         return ""
     return ", ".join(
-        f"{name} {_short(both[name][0])} -> {_short(both[name][1])} {before[name]['unit']}, {change_text(factor)}"
-        for name, factor in factors.items()
+        f"{name} {_short(both[name][0])} -> {_short(both[name][1])}{behind(before[name]['unit'])}, {change_text(times)}"
+        for name, times in factors.items()
     )

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from harness.diagnosis.diagnosis import Diagnosis
     from harness.diagnosis.search.fit import Fit
 
-__all__ = ["drawn", "pictures", "render_evidence", "write_evidence"]
-
 MOST_PORTS = 3
 """Latent forces that the page shows."""
 

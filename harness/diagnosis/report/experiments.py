@@ -13,12 +13,48 @@ from harness.diagnosis.policy import PLAN_POLICY
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.effect import Placed
 from harness.signals import Dataset, FloatArray
-
-__all__ = ["Bench", "separate_with", "separating"]
+from harness.units import base_units
 
 SHORTEST, LONGEST, ROWS = 20.0, 60.0, 500
 """Seconds of an experiment at least and at most, and rows that it has at least, however slow the plant is."""
 PERIODS = 6
+
+
+SPEEDS = ({"rad": 1.0, "s": -1.0}, {"m": 1.0, "s": -1.0})
+"""Units of what may be the speed of a motion, in base units."""
+
+
+def undeclared_motion(system: AnySystem) -> str:
+    """Return which speeds that inputs drive are declared as no motion, in words; nothing where there are none.
+
+    Examples
+    --------
+    >>> from harness.physics import Ode
+    >>> o = Ode("motor", x="i w", u="v", p="R L K J", units={"i": "A", "w": "rad/s"})
+    >>> (i, w), (v,), (R, L, K, J) = o.x, o.u, o.p
+    >>> o.rhs = [(v - R * i - K * w) / L, K * i / J]
+    >>> undeclared_motion(o.system())[:37]
+    'w [rad/s] is driven as a speed is, bu'
+    """
+    if not by_equations(system):
+        return ""
+    import casadi as ca
+
+    first = 2 * len(system.coordinates)
+    own, pushed = (np.array(ca.DM(ca.jacobian(system.rates, by).sparsity(), 1)) for by in (system.x, system.u))
+    driven = np.any(pushed, axis=1)
+    for _ in range(driven.size):
+        driven |= np.any(own[:, first:] * driven, axis=1)
+    states = zip(system.states[first:], driven, strict=True)
+    found = [c for c, moved in states if moved and c.name not in system.process and base_units(c.unit)[0] in SPEEDS]
+    if not found:
+        return ""
+    return (
+        f"{', '.join(f'{c.name} [{c.unit}]' for c in found)} {'is' if len(found) == 1 else 'are'} driven as a speed "
+        "is, but declared as no motion, so that no law of a joint (friction, backlash, a payload) was tried there: "
+        f'declare motions={{"NAME": ("{found[0].name}", INERTIA)}}, in equations as text \'motion NAME: '
+        f"{found[0].name}, INERTIA'"
+    )
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Overlay", "Pictures", "ResidualView", "draw", "drawing", "legend"]
-
 INK, GREY, GRID = "#1d2733", "#8a94a0", "#e3e7ec"
 BEFORE, AFTER, DATA = "#d9622b", "#1769aa", "#9aa5b1"
 NUMBER, LABEL, BESIDE, BELOW, TITLE, RIGHT = 9.0, 15.0, 9.5, 35.0, 20.0, 9.0

@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.report.words import change_text, digits, shown
-
-__all__ = ["environment", "error_rows"]
+from harness.diagnosis.report.words import as_recorded, change_text, digits, shown
 
 
 def environment() -> Any:
@@ -29,6 +27,7 @@ def environment() -> Any:
         change=change_text,
         shown=shown,
         arrows=_arrows,
+        as_recorded=as_recorded,
         sentence=_sentence,
     )
     return made
@@ -45,24 +44,32 @@ def error_rows(data: dict[str, Any]) -> list[dict[str, Any]]:
                 error = data["errors"]["before"][kind]
                 horizon = "whole record" if error["whole_record"] else f"{error['horizon_s']:g} s windows"
             for name in before:
-                rows.append(_error_row(use, label, horizon, name, before[name], after.get(name)))
+                rows.append(_error_row(data, use, label, horizon, name, before[name], after.get(name)))
         begun = [data["errors"][key]["simulation_error"].get("from_measured_state", {}) for key in ("before", "after")]
         for name, figures in begun[0].get(use, {}).items():
             text = f"{data['errors']['before']['simulation_error']['horizon_s']:g} s windows from the measured state"
-            rows.append(_error_row(use, "simulation error", text, name, figures, begun[1][use].get(name)))
+            rows.append(_error_row(data, use, "simulation error", text, name, figures, begun[1][use].get(name)))
         others = data["errors"]["before"]["simulation_error"]["other_horizons"]
         later = data["errors"]["after"]["simulation_error"]["other_horizons"]
         for old, new in zip(others, later, strict=True):
             for name in old.get(use, {}):
                 text = f"{old['horizon_s']:g} s windows"
-                rows.append(_error_row(use, "simulation error", text, name, old[use][name], new[use].get(name)))
+                rows.append(_error_row(data, use, "simulation error", text, name, old[use][name], new[use].get(name)))
     return rows
 
 
 def _error_row(
-    use: str, label: str, horizon: str, name: str, before: dict[str, Any], after: dict[str, Any] | None
+    data: dict[str, Any],
+    use: str,
+    label: str,
+    horizon: str,
+    name: str,
+    before: dict[str, Any],
+    after: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """Return one row of the table, with the factor gained."""
+    before = as_recorded(before, name, data)
+    after = None if after is None else as_recorded(after, name, data)
     a, b = before["rms"], None if after is None else after["rms"]
     factor = a / b if a is not None and b else None
     return {

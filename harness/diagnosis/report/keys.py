@@ -10,8 +10,6 @@ from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.number import described
 from harness.diagnosis.policy import ARM_POLICY, DATA_POLICY, PLAN_POLICY, RUN_POLICY, Policy
 
-__all__ = ["FORMAT", "blank", "numbers"]
-
 FORMAT = "sysid-harness/close-loop/2"
 
 
@@ -33,6 +31,7 @@ def blank() -> dict[str, Any]:
         "tie_sets": [],
         "separating_experiments": [],
         "separate_with": [],
+        "recorded": {},
         "errors": {when: {"equation_error": {}, "simulation_error": {}, "one_step": {}, "log_likelihood": {}}
                    for when in ("before", "after")},
         "parameters": {"before": {}, "after": {}},

@@ -7,11 +7,9 @@ from html import escape
 from typing import Any
 
 from harness.diagnosis.report.html import error_rows
-from harness.diagnosis.report.words import digits, shown
+from harness.diagnosis.report.words import as_recorded, digits, shown
 from harness.display import page, table
 from harness.plots import embedded
-
-__all__ = ["notebook"]
 
 PICTURES = {
     "overlay": "validation data and simulation",
@@ -52,6 +50,7 @@ def _effects(data: Mapping[str, Any]) -> str:
     for effect in data["effects"]:
         name = f"{str(effect['name']).replace('_', ' ')} at {effect['at']}"
         for key, entry in effect["parameters"].items():
+            entry = as_recorded(entry, effect["at"], data)
             figures = shown(entry)
             rows.append((name, key, figures["value"], figures["interval"], entry["unit"], entry.get("meaning", "")))
             name = ""

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable
 
 from harness.diagnosis.search.refusal import Kind, Refusal
 
-__all__ = ["refusal_text", "refusals_text"]
-
 _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
     Kind.NOT_SIMULATED: lambda r: "with it the model cannot be simulated along these records",
     Kind.STOPPED: lambda r: "its fit was stopped early: its steps came near neither the best rival nor what it costs",
@@ -56,7 +54,7 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
         f"beside it {r.subject} would be no such law any more: {'' if r.cause is None else refusal_text(r.cause)}"
     ),
     Kind.WITHDRAWN: lambda r: (
-        "with it the model runs further from the validation records than the nominal one at its nearest"
+        "with it the model runs no nearer to the validation records than the nominal one at its nearest, or further"
     ),
 }
 

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from harness.diagnosis.policy import POLICY
-
-__all__ = ["change_text", "digits", "named", "shown", "standing_in"]
+from harness.units import told
 
 SAID = 3
 """Rivals that a sentence names; a list below it names all."""
 NOTHING = 1e-11
 """A value on a bound below this is 0: what is fitted through its logarithm cannot be."""
+SIZES = ("rms", "value", "low", "high")
+"""Keys of figures that have the unit of their entry."""
 
 
 def change_text(factor: float | None) -> str:
@@ -148,6 +149,22 @@ def shown(entry: Mapping[str, Any]) -> dict[str, str]:
     decimals = power + 1 - math.floor(math.log10(half) + 1e-9)
     texts = [_fixed(number, power, decimals) for number in ends]
     return {"value": texts[0], "interval": f"{texts[1]} … {texts[2]}"}
+
+
+def as_recorded(entry: Mapping[str, Any], channel: str, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures in the unit of a channel in the one in which it was recorded; others as they are.
+
+    Examples
+    --------
+    >>> data = {"recorded": {"x": {"unit": "m", "recorded": "mm"}}}
+    >>> as_recorded({"rms": 0.002, "nrmse": 0.1, "unit": "m"}, "x", data)
+    {'rms': 2.0, 'nrmse': 0.1, 'unit': 'mm'}
+    """
+    known = data.get("recorded", {}).get(channel)  # reports of earlier versions have none
+    if known is None or entry["unit"] != known["unit"]:
+        return dict(entry)
+    own = {key: told(entry[key], known["unit"], known["recorded"]) for key in SIZES if entry.get(key) is not None}
+    return {**entry, **{key: size for key, (size, _) in own.items()}, "unit": told(1.0, *known.values())[1]}
 
 
 def _fixed(number: float, power: int, decimals: int) -> str:
