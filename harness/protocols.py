@@ -16,29 +16,6 @@ import numpy as np
 from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-__all__ = [
-    "Ability",
-    "Batch",
-    "BatchTruth",
-    "Controller",
-    "Distribution",
-    "Experiment",
-    "Feedthrough",
-    "FreeRun",
-    "Growth",
-    "Hindsight",
-    "Identifier",
-    "Model",
-    "OnlineIdentifier",
-    "OnlinePredictive",
-    "Plant",
-    "Predictive",
-    "Scenario",
-    "Snapshots",
-    "Tracking",
-    "Truth",
-]
-
 Ability = Literal["snapshots", "feedthrough", "batch", "truth", "batch-truth"]
 
 
@@ -67,7 +44,15 @@ class Plant(Protocol):
         ...
 
     def step(self, u: FloatArray) -> FloatArray:
-        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,)."""
+        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,).
+
+        Raises
+        ------
+        InputError
+            If ``u`` has the wrong shape or is not finite.
+        PlantError
+            If the motion diverges, or the plant is closed.
+        """
         ...
 
     def close(self) -> None:
@@ -230,6 +215,15 @@ class FreeRun(Protocol):
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
+        ...
+
+
+@runtime_checkable
+class Filter(Protocol):
+    """A model that filters a record faster than step by step, with equal results."""
+
+    def filtered(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the states (N, nx) from the first, x (nx,), each after its output was seen: u (N, nu), y (N, ny)."""
         ...
 
 

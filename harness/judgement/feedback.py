@@ -9,12 +9,11 @@ import numpy as np
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["FORETOLD", "Feedback", "feedback_of", "granger", "moves", "unit_columns"]
-
 # Of an input: what its own past leaves when it follows from it, as a multisine or a free motion does.
 FORETOLD = 1e-6
-# An input's own past: so many times what outputs have to say, and at most so many samples.
-_LONGER, _OWN = 4, 40
+# An input's own past: so many times what outputs have to say, and at most so many samples; where outputs seem to have
+# more to say, the latter: a lightly damped structure with precise sensors remembers inputs that long.
+_LONGER, _OWN, _LONG = 4, 40, 200
 # Mean fourth power of normal numbers, over the square of their mean square.
 _NORMAL = 3.0
 
@@ -51,7 +50,8 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     """Test whether outputs foretell the input beyond its own past: feedback (Granger 1969; Ljung 1999, sec. 13.4).
 
     The input's own past is as long as all samples of the outputs are many: a sum of sines follows from a past of twice
-    their number, and outputs that only stand for an older past are no feedback.
+    their number, and outputs that only stand for an older past are no feedback. So what is found must stay where the
+    input tells all of a long past of its own.
 
     Parameters
     ----------
@@ -72,17 +72,26 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     """
     if records[0].spec.nu == 0:
         return Feedback(0.0, 1.0)
-    shares, chances, alone, counted = granger(records, lags)
+    short = _of(*granger(records, lags))
+    long = _of(*granger(records, lags, _LONG)) if short.found else short
+    return short if long.found else long
+
+
+def _of(shares: FloatArray, chances: FloatArray, alone: FloatArray, counted: FloatArray) -> Feedback:
+    """Return the feedback of what :func:`granger` finds, of the input where it is most."""
     worst = int(np.argmax(shares))
     chance = min(1.0, float(chances[worst]) * shares.size)
     few = float(np.where(alone > FORETOLD, counted, np.inf).min())
     return Feedback(float(shares[worst]), chance, float(alone[worst]), few)
 
 
-def granger(records: Sequence[Trajectory], lags: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def granger(
+    records: Sequence[Trajectory], lags: int, longest: int = _OWN
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return, of every input: share that outputs explain, its chance in open loop, what the own past leaves, and moves.
 
-    Moves are the samples in which it leaves something, none counted where the records are too short to say.
+    Its own past is at most so many samples long. Moves are the samples in which it leaves something, none counted where
+    the records are too short to say.
     """
     from scipy.stats import f
 
@@ -90,7 +99,7 @@ def granger(records: Sequence[Trajectory], lags: int) -> tuple[FloatArray, Float
     nu, ny = spec.nu, spec.ny
     nothing = np.zeros(nu), np.ones(nu), np.ones(nu), np.full(nu, np.inf)
     rows = sum(map(len, records))
-    past = min(lags + _LONGER * (lags + 1) * ny, _OWN)
+    past = longest if longest > _OWN else min(lags + _LONGER * (lags + 1) * ny, longest)
     past = max(lags, min(past, (rows // 4 - (lags + 1) * ny) // max(nu, 1), min(map(len, records)) // 3))
     long = [record for record in records if len(record) > past + 1]
     rows = sum(len(record) - past for record in long)

@@ -11,8 +11,6 @@ import numpy as np
 from harness.judgement.feedback import FORETOLD, granger, unit_columns
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = ["SHORT", "THIN", "Law", "dependence_text", "first_rows", "law_of"]
-
 # Samples that are looked at: at so many, what an excitation of 5 % of the input does to the outputs shows.
 _ROWS = 10_000
 # Samples before and after the window of a law that bear witness against it.

@@ -11,8 +11,6 @@ from harness.judgement.feedback import FORETOLD, unit_columns
 from harness.judgement.law import SHORT, THIN, dependence_text, first_rows, law_of
 from harness.signals import Trajectory
 
-__all__ = ["refuse_law", "refuse_undetermined"]
-
 # What looks like a controller too: an output that holds the input itself.
 _ANSWERS = "; if there is none, and an output answers within the sample, declare feedthrough = true"
 # Inputs move nearly together if the others leave so little of one; its coefficient is chance if its standard deviation

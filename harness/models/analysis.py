@@ -12,8 +12,6 @@ from harness.display import page, table
 from harness.errors import InputError
 from harness.signals import Dataset
 
-__all__ = ["Analysis", "Findings", "Takes", "as_dataset"]
-
 Takes = Literal["process", "maker", "definition", "data", "records"]
 """What an analysis looks at: a process (a plant, or a fitted model in its file), a maker of plants
 ``make(**options)``, the equations of a model (:class:`harness.physics.System`), or a data set; ``"records"``: a data

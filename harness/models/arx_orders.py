@@ -12,8 +12,6 @@ import numpy.typing as npt
 from harness.errors import FitError, InputError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["ArxGrid", "Delay", "LagTriangle", "arx_order_grid", "input_delays"]
-
 Criterion = Literal["held-out", "aic", "bic"]
 CRITERIA: tuple[Criterion, ...] = ("held-out", "aic", "bic")
 MEMORY = 12
@@ -200,12 +198,7 @@ class ArxGrid:
         return found
 
     def plot(self) -> Any:
-        """Draw the best one-step error against the number of coefficients, and what each criterion prefers.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-        """
+        """Draw the best one-step error against the number of coefficients, and what each criterion prefers."""
         from harness.plots import sheet
 
         figure = sheet(figsize=(8, 4.5), layout="constrained")

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-__all__ = ["Damping", "damped_descent"]
-
 Point = TypeVar("Point")
 System = TypeVar("System")
 

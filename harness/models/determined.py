@@ -13,8 +13,6 @@ from harness.models.other_orders import agreeing
 from harness.models.spread import Matrices, gains, steps
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["KEY", "bands_of", "bands_words", "determined_bands", "gaps_words", "outside"]
-
 KEY = "determined"
 """Where a model's notes hold its bands: by pair of channels, ``[[low, high], ...]`` in Hz."""
 WIDTH = 2.0 ** (1.0 / 3.0)

@@ -13,8 +13,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, residual
 
-__all__ = ["Categories", "NormalMixture", "normal"]
-
 _SUM = 1e-6
 """How far the probabilities of an output may be from a sum of 1: rounding of long products, not an error of a model."""
 

@@ -15,8 +15,6 @@ import numpy as np
 from harness.errors import InputError, as_described
 from harness.signals import FloatArray
 
-__all__ = ["Estimate", "RankDecision", "estimate_of", "null_words"]
-
 SHARE = 0.05
 """A parameter whose share in a null direction (columns at unit length) is below this is left out of its words."""
 

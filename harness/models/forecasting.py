@@ -10,8 +10,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-__all__ = ["Forecast", "forecast_bands"]
-
 FEW = 10
 """Innovations below which their size is not known."""
 

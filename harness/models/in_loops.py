@@ -12,8 +12,6 @@ from harness.judgement import feedback_of
 from harness.models.arx_orders import EQUATIONS, MEMORY, LagTriangle
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["innovations", "without"]
-
 ASKED = 5_000
 """Samples in which feedback is looked for."""
 ANSWERED = 0.05

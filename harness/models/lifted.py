@@ -19,8 +19,6 @@ from harness.models.lqr import lqr_gain, stabilisable
 from harness.protocols import Model
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Eigenfunctions", "Lifted", "LiftedController", "deviations", "eigenfunctions", "lifted_lqr", "lifted_mpc"]
-
 _CONSTANT = 1e-6  # a row of [A B] this near to one that keeps itself is that of the constant function
 _SHOWN = 0.95  # the largest values lie in corners that no record reached, and would hide the rest
 HORIZON = 30
@@ -247,10 +245,6 @@ class Eigenfunctions:
             Functions.
         points : int
             Points along each side.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
 
         Raises
         ------

@@ -9,17 +9,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = [
-    "CostRatio",
-    "kalman_gain",
-    "lqr_cost_ratio",
-    "lqr_gain",
-    "reachable",
-    "spectral_radius",
-    "stabilisable",
-    "state_observable",
-]
-
 
 @dataclass(frozen=True)
 class CostRatio:

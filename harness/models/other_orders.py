@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["agreeing"]
-
 ORDERS = (1, 2, 3, 4, 6, 8)
 """Of the models that are asked."""
 DRAWS = 20

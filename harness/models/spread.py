@@ -11,21 +11,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = [
-    "Matrices",
-    "Spread",
-    "covariance_of",
-    "deviation_of",
-    "gain_and_phase_deviation",
-    "gains",
-    "matched_poles",
-    "pole_covariance",
-    "quantile",
-    "response_covariance",
-    "step_deviation",
-    "steps",
-]
-
 ComplexArray = npt.NDArray[np.complex128]
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """A, B, C, D."""

@@ -11,8 +11,6 @@ from harness.errors import InputError
 from harness.models.spread import Matrices, gains
 from harness.signals import FloatArray
 
-__all__ = ["Hold", "Reduction", "continuous", "discrete", "reduction"]
-
 Hold = Literal["zoh", "foh", "tustin", "matched"]
 SMALL = 1e-9
 """Singular values, and poles, below this share of the largest (of 1) have no logarithm worth the name."""

@@ -15,8 +15,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.units import convert
 
-__all__ = ["Check", "Demands", "write_junit"]
-
 VERDICTS = ("effects_found", "nothing_missing", "unexplained", "model_does_not_fit")
 """What ``verdict`` of report.json may say (harness/schemas/report.json)."""
 STATUSES = ("refused", "unfit", "failed", "diverged", "crashed", "timeout", "terminated")

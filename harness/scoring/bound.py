@@ -19,8 +19,6 @@ from harness.errors import HarnessError
 from harness.scoring.control import linearise
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["LeastErrors", "LinearTruth", "least_errors", "linear_truth"]
-
 EXACT = 1e-6
 """A plant is linear if its matrices foretell its next state to this share of the state's spread: integrators are that
 exact, and so small a nonlinearity adds less than any noise that a bound is asked for."""

@@ -18,17 +18,6 @@ from harness.models.lqr import kalman_gain, lqr_gain, reachable, spectral_radius
 from harness.protocols import Identifier
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = [
-    "ControlRegret",
-    "ControlScore",
-    "LinearPlantModel",
-    "control_regret",
-    "control_score",
-    "in_states",
-    "linearise",
-    "pulse_sizes",
-]
-
 # Variance of the sensors against what a unit disturbance at the inputs does to them within the first samples.
 _SENSOR = 1e-4
 # A step that costs so many times the dearest one under the first controller: the design does not hold the plant.

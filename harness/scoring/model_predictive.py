@@ -19,8 +19,6 @@ from harness.scoring.prediction import free_runs
 from harness.scoring.regulation import GONE
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["HORIZON", "ModelPredictive", "predictive_score"]
-
 HORIZON, HELD = 30, 3
 """Samples that are looked ahead, and samples for which an input of the plan is held."""
 STEPS = 240

@@ -14,21 +14,8 @@ import numpy as np
 from numpy.exceptions import ComplexWarning
 
 from harness.errors import InputError, PluginError
-from harness.protocols import FreeRun, Model
+from harness.protocols import Filter, FreeRun, Model
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-
-__all__ = [
-    "Score",
-    "equation_error",
-    "errors",
-    "free_run",
-    "free_runs",
-    "predict",
-    "same_language",
-    "simulation_error",
-    "states_ahead",
-]
-
 
 _FIRST = 50
 
@@ -161,7 +148,7 @@ def predict(
         predictions = np.full((len(data), model.spec.ny), np.nan)
         if len(data) <= horizon:
             return predictions
-        states = _ahead(model, _filtered(model, x, data), data.u, horizon)
+        states = _ahead(model, filtered(model, x, data), data.u, horizon)
         predictions[horizon:] = model.output(states, data.u[horizon:])
     return predictions
 
@@ -193,7 +180,7 @@ def states_ahead(model: Model, data: Trajectory, horizon: int = 1, *, initial_sa
         )
     with _numbers_of(model):
         x = _initial_state(model, data, None, initial_samples)
-        return _ahead(model, _filtered(model, x, data), data.u, horizon)
+        return _ahead(model, filtered(model, x, data), data.u, horizon)
 
 
 def errors(
@@ -248,7 +235,7 @@ def errors(
             states = np.array([_initial_state(model, data[k : k + steps], None, initial_samples) for k in starts])
         else:
             how = f"filtered up to the start of each window of {horizon:g} s"
-            states = _filtered(model, _initial_state(model, data, None, initial_samples or _FIRST), data)[starts]
+            states = filtered(model, _initial_state(model, data, None, initial_samples or _FIRST), data)[starts]
         whole = n // steps
         if whole:
             inputs = data.u[: whole * steps].reshape(whole, steps, -1)
@@ -347,8 +334,11 @@ def free_runs(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
     return outputs
 
 
-def _filtered(model: Model, x: FloatArray, data: Trajectory) -> FloatArray:
+def filtered(model: Model, x: FloatArray, data: Trajectory) -> FloatArray:
     """Return the states (N, nx) after the output of the same sample was seen."""
+    if isinstance(model, Filter):
+        fast: FloatArray = model.filtered(x, data.u, data.y)
+        return fast
     n = len(data)
     states = np.empty((n, x.shape[-1]))
     for k in range(n):

@@ -19,8 +19,6 @@ from harness.scoring.prediction import states_ahead
 from harness.scoring.regret import Regret
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-__all__ = ["ProbabilityScore", "Reliability", "forecast", "log_regret", "probability_score", "reliability"]
-
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 """Probabilities whose sets are checked: half, the usual three, and no further, because a record of a few hundred
 samples holds only a few outside 99 %."""

@@ -17,8 +17,6 @@ from harness.errors import FitError
 from harness.protocols import Growth, Hindsight, OnlineIdentifier, Tracking
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 
-__all__ = ["Regret", "regret"]
-
 SETTLED = 2
 """Burn-ins after which a curve is held against the law of theory: the first estimates err by more than it says."""
 

@@ -10,8 +10,6 @@ import numpy as np
 from harness.errors import PlantError
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["Controller", "StateFeedback", "regulation_costs"]
-
 GONE = 1e6  # outputs beyond this count as gone: no cost of such a run means anything
 
 

@@ -14,8 +14,6 @@ from harness.protocols import Identifier
 from harness.scoring.control import in_states
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Round", "interleaved"]
-
 
 @dataclass(frozen=True)
 class Round:

@@ -7,8 +7,6 @@ from typing import Protocol, runtime_checkable
 
 from harness.signals import Trajectory
 
-__all__ = ["TorqueError", "Torques"]
-
 
 @dataclass(frozen=True)
 class TorqueError:

@@ -15,18 +15,6 @@ from harness.models.distributions import NormalMixture
 from harness.protocols import Model
 from harness.signals import FloatArray, Trajectory, residual
 
-__all__ = [
-    "Ahead",
-    "Bands",
-    "banded",
-    "drawn_together",
-    "held_out_folds",
-    "held_out_runs",
-    "misses",
-    "refuse_share",
-    "told",
-]
-
 Start = Callable[[Trajectory], FloatArray]
 
 _LEVEL = 0.9

@@ -10,14 +10,6 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = [
-    "absolute_deviations",
-    "instrumental_variables",
-    "instruments_of",
-    "largest_components",
-    "total_least_squares",
-]
-
 
 def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: str, lags: int = 3) -> FloatArray:
     """Return theta (p, ny) of ``y[k+1] = theta' [y[k], u[k], 1]`` by instruments that sensor noise does not reach.

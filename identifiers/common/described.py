@@ -13,8 +13,6 @@ import numpy as np
 from harness.signals import PlantSpec
 from harness.specs import spec_from_dict, spec_to_dict
 
-__all__ = ["Described"]
-
 
 class Described:
     """A dataclass that is written and read field by field: arrays as lists, signals and parts as their descriptions.

@@ -14,16 +14,6 @@ from identifiers.common.criteria import instruments_of
 from identifiers.common.records import lagged, lagged_blocks
 from identifiers.common.regression import Solution, solve
 
-__all__ = [
-    "Columns",
-    "Dependence",
-    "excited_lags",
-    "law_of_part",
-    "nearly_dependent",
-    "refuse_feedback",
-    "refuse_feedback_of_records",
-]
-
 # Columns have rms 1: a combination ten times smaller is a near-dependence, one of size 1 is a signal by itself.
 _WEAK = 0.1
 # A louder residual does not hide a law: at most so much of it is counted against the law's coefficients.

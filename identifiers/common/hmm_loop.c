@@ -13,11 +13,10 @@
 #endif
 
 /* Returns the log likelihood, or minus infinity if the record is impossible. filtered (n, s) receives the scaled
-   forward variables; with backward == 0 nothing else is touched. posterior (n, s) may be null. work holds 2 s. */
+   forward variables; with backward == 0 nothing else is touched. work holds 2 s. */
 EXPORT double sysid_hmm_pass(long n, long s, const int *seen, const int *action, const double *start,
                              const double *transition, const double *emission, double *filtered, double *scale,
-                             int backward, double *pairs, double *emitted, double *first, double *posterior,
-                             double *work)
+                             int backward, double *pairs, double *emitted, double *first, double *work)
 {
     double total = 0.0;
     for (long k = 0; k < n; k++) {
@@ -50,7 +49,6 @@ EXPORT double sysid_hmm_pass(long n, long s, const int *seen, const int *action,
         for (long j = 0; j < s; j++) {
             const double gamma = now[j] * beta[j];
             out[j] += gamma;
-            if (posterior) posterior[k * s + j] = gamma;
             if (k == 0) first[j] += gamma;
         }
         if (k == 0) break;
@@ -68,5 +66,18 @@ EXPORT double sysid_hmm_pass(long n, long s, const int *seen, const int *action,
             beta[i] = sum;
         }
     }
+    return total;
+}
+
+/* Adds the sums of records that lie one behind the other; filtered and scale hold the longest of them. */
+EXPORT double sysid_hmm_counts(long records, const long *lengths, long s, const int *seen, const int *action,
+                               const double *start, const double *transition, const double *emission,
+                               double *filtered, double *scale, double *pairs, double *emitted, double *first,
+                               double *work)
+{
+    double total = 0.0;
+    for (long r = 0; r < records; seen += lengths[r], action += lengths[r], r++)
+        total += sysid_hmm_pass(lengths[r], s, seen, action, start, transition, emission, filtered, scale, 1, pairs,
+                                emitted, first, work);
     return total;
 }

@@ -14,8 +14,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import Bands
 from identifiers.common.described import Described
 from identifiers.common.observers import fitted_start, run_in_steps
-
-__all__ = ["LagModel", "Scaling", "regression_data"]
+from identifiers.common.records import lagged, recent
 
 _START = 30
 """Samples that the unknown past at the start of a record is fitted to: some times the usual number of lags."""
@@ -177,6 +176,11 @@ class LagModel(Described, ABC):
         new[..., -1] = 0.0
         return new
 
+    def filtered(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the states (N, nx), each after its output was seen, under inputs u (N, nu) and outputs y (N, ny)."""
+        known = np.append((_SURE * self.y_size) ** 2, 0.0)
+        return np.hstack([recent(x[: -known.size], self.lags, u, y), np.tile(known, (len(y), 1))])
+
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
         return run_in_steps(self, x, u)
@@ -184,7 +188,5 @@ class LagModel(Described, ABC):
 
 def regression_data(records: list[Trajectory], lags: int) -> tuple[FloatArray, FloatArray]:
     """Return regressors (n, p) and next outputs (n, ny) of all records; no row reaches across a seam."""
-    from identifiers.common.records import lagged
-
     rows = np.concatenate([lagged(record, lags) for record in records])
     return rows, np.concatenate([record.y[lags:] for record in records])

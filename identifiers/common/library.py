@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from harness.signals import FloatArray
+from harness.units import product
 from identifiers.common.described import Described
-
-__all__ = ["InLibrary", "Library", "equation_text"]
 
 
 @dataclass(frozen=True)
@@ -68,21 +67,14 @@ class Library(Described):
         >>> Library(("q", "v", "u"), degree=2, angles=(0,)).units(("rad", "m/s", "N"))[2:8]
         ('1', 'm/s', 'N', 'm/s', 'N', 'm/s')
         >>> Library(("v", "u"), degree=2).units(("m/s", "N"))
-        ('1', 'm/s', 'N', '(m/s)^2', '(m/s) N', 'N^2')
+        ('1', 'm/s', 'N', 'm^2/s^2', 'm N/s', 'N^2')
         """
         letters: list[str] = []
         for column, unit in enumerate(arguments):
             letters += ["1"] * (2 * self.harmonics) if column in self.angles else [unit]
         texts = []
         for pick in _monomials(self):
-            powers = [(letters[i], pick.count(i)) for i in sorted(set(pick)) if letters[i] != "1"]
-            if len(powers) == 1 and powers[0][1] == 1:
-                texts.append(powers[0][0])
-                continue
-            parts = [unit if unit.isalnum() else f"({unit})" for unit, _ in powers]
-            texts.append(
-                " ".join(part if n == 1 else f"{part}^{n}" for part, (_, n) in zip(parts, powers, strict=True)) or "1"
-            )
+            texts.append(product((letters[i], pick.count(i)) for i in sorted(set(pick))))
         return tuple(texts)
 
     def __len__(self) -> int:

@@ -10,13 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import InputError
+from harness.models.recurrence import recurrence
 from harness.models.spread import Matrices, Spread, gains, steps
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.scaling import Scaling, sizes
-
-__all__ = ["LinearModel"]
 
 # Outputs are not told apart by what a free run leaves of them below this fraction of their size.
 _QUIET = 1e-3
@@ -143,16 +142,15 @@ class LinearModel:
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
-        m, n = u.shape[:2]
-        driven = u @ self.b_matrix.T + self.state_offset
-        states = np.empty((m, n, self.a_matrix.shape[0]))
-        transposed = np.ascontiguousarray(self.a_matrix.T)
-        state = np.array(np.broadcast_to(x, (m, self.a_matrix.shape[0])))
-        for k in range(n):
-            states[:, k] = state
-            state = state @ transposed + driven[:, k]
-        y: FloatArray = states @ self.c_matrix.T + u @ self.d_matrix.T + self.output_offset
-        return y
+        return self.output(recurrence(self.a_matrix, x, u @ self.b_matrix.T + self.state_offset), u)
+
+    def filtered(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the states (N, nx), each after its output was seen, under inputs u (N, nu) and outputs y (N, ny)."""
+        kept = np.eye(len(self.a_matrix)) - self.filter_gain @ self.c_matrix
+        seen = (y - u @ self.d_matrix.T - self.output_offset) @ self.filter_gain.T
+        driven = seen @ self.a_matrix.T + u @ self.b_matrix.T + self.state_offset
+        states: FloatArray = recurrence(self.a_matrix @ kept, x[None], driven[None])[0] @ kept.T + seen
+        return states
 
     def in_units(self, scaling: Scaling) -> LinearModel:
         """Return this model, fitted to scaled records, for records in their own units."""

@@ -9,8 +9,6 @@ from typing import Any, Literal
 from harness.errors import FitError, InputError
 from harness.options import meant_options
 
-__all__ = ["named", "wrong_options"]
-
 
 def named(kind: Literal["identifiers", "scenarios", "plants"], name: str, options: Mapping[str, Any]) -> Any:
     """Return a registered part with its options.

@@ -8,8 +8,6 @@ import logging
 from pathlib import Path
 from typing import Any
 
-__all__ = ["declared", "library", "pointers"]
-
 log = logging.getLogger(__name__)
 
 

@@ -11,19 +11,6 @@ from harness.models.spread import Matrices, Spread
 from harness.signals import FloatArray
 from identifiers.common.regression import Solution
 
-__all__ = [
-    "BIAS",
-    "GROUPS",
-    "LARGEST",
-    "along_covariance",
-    "coefficients_without",
-    "edges",
-    "spread_of",
-    "stacked",
-    "steps_without",
-    "triangles_without",
-]
-
 GROUPS = 20
 """Stretches, each 5 % of the rows: long beside the memory of the noise, and 19 degrees of freedom (Kott 2001)."""
 CHECKED = 20_000

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["Blocks", "NormalEquations", "scaled_equations", "solved"]
-
 Blocks = Iterable[tuple[FloatArray, FloatArray]]
 # Squared condition number beyond which the Gram matrix has lost all digits.
 _POOR = 1e-12

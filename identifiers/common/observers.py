@@ -13,17 +13,6 @@ from harness.protocols import Model
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.linear_model import LinearModel
 
-__all__ = [
-    "alpha_beta_gains",
-    "best_gain",
-    "fitted_start",
-    "innovation_form",
-    "likeliest_start",
-    "riccati_gains",
-    "run_in_steps",
-    "stationary_gain",
-]
-
 Step = Callable[[FloatArray, FloatArray], FloatArray]
 
 

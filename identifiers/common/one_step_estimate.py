@@ -10,19 +10,11 @@ import numpy as np
 from harness.errors import FitError
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.units import quotient
 from identifiers.common.excitation import Columns
 from identifiers.common.neighbours import GROUPS
 from identifiers.common.records import lagged
 from identifiers.common.regression import Solution
-
-__all__ = [
-    "foretold_output",
-    "jackknife_estimate",
-    "least_squares_estimate",
-    "lifted_estimate",
-    "quotient",
-    "whiteness",
-]
 
 LEVEL = 0.95
 LAGS = 20
@@ -186,20 +178,6 @@ def _record(
         RankDecision(len(theta), len(theta), rule="inputs and states move by more than their noise"),
         solution.condition,
     )
-
-
-def quotient(unit: str, by: str) -> str:
-    """Return the unit of a coefficient.
-
-    Examples
-    --------
-    >>> quotient("rad", "m"), quotient("m/s", "m/s"), quotient("m", "1"), quotient("m/s", "N s")
-    ('rad/m', '1', 'm', '(m/s)/(N s)')
-    """
-    if unit == by:
-        return "1"
-    over, under = (text if text.isalnum() else f"({text})" for text in (unit, by))
-    return unit if by == "1" else f"{over}/{under}"
 
 
 def _rows(record: Trajectory, lags: int, offset: bool) -> FloatArray:

@@ -12,8 +12,6 @@ import numpy.typing as npt
 from harness.signals import FloatArray
 from identifiers.common.described import Described
 
-__all__ = ["Reach"]
-
 _CENTRES = 200
 """Rows that stand for the data, each as far as can be from those before it: the edge is among the first."""
 

@@ -13,19 +13,6 @@ from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.normal import NormalEquations
 
-__all__ = [
-    "filled",
-    "lagged",
-    "lagged_blocks",
-    "missing_notes",
-    "moving",
-    "real_signals",
-    "snapshot_sums",
-    "usable",
-    "without_holes",
-]
-
-
 SEAMS = "equations with a missing reading are left out"
 """What most fits do about missing readings."""
 
@@ -177,11 +164,13 @@ def real_signals(spec: PlantSpec, what: str) -> None:
     """
     names = [channel.name for channel in (*spec.inputs, *spec.outputs) if channel.kind == "category"]
     if names:
+        whole = len(names) == spec.nu + spec.ny
+        counting = "mdp-counting" if spec.ny == 1 and spec.nu < 2 else "factored-counting"
         raise FitError(
             f"{what} cannot learn from categories",
             expected="real signals",
             got=f"category channels {', '.join(names)}",
-            remedy="use mdp-counting for finite processes",
+            remedy=f"use {counting}, which counts transitions" if whole else "leave these channels out",
         )
 
 
@@ -245,6 +234,32 @@ def lagged(trajectory: Trajectory, lags: int) -> FloatArray:
     [[1.0, 0.0, 1.0, 1.0], [2.0, 1.0, 1.0, 1.0]]
     """
     return _rows(trajectory, lags, 0, len(trajectory) - lags, ())
+
+
+def recent(past: FloatArray, lags: int, u: FloatArray, y: FloatArray) -> FloatArray:
+    """Return ``[y[k], ..., y[k - lags + 1], u[k - 1], ..., u[k - lags + 1]]`` of every sample, begun with a past.
+
+    Parameters
+    ----------
+    past : array (p,)
+        The same at the first sample, whose own output is not looked at.
+    lags : int
+    u, y : array (N, nu), (N, ny)
+
+    Returns
+    -------
+    array (N, p)
+
+    Examples
+    --------
+    >>> recent(np.array([0.0, 7, 8]), 2, np.array([[1.0], [2]]), np.array([[3.0], [4]])).tolist()
+    [[3.0, 7.0, 8.0], [4.0, 3.0, 1.0]]
+    """
+    n, ny, nu = len(y), y.shape[1], u.shape[1]
+    y = np.concatenate([past[ny : lags * ny].reshape(lags - 1, ny)[::-1], y])
+    u = np.concatenate([past[lags * ny :].reshape(lags - 1, nu)[::-1], u[:-1]])
+    starts = range(lags - 1, -1, -1)
+    return np.hstack([*(y[k : k + n] for k in starts), *(u[k : k + n] for k in starts[1:])])
 
 
 def lagged_blocks(

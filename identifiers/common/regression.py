@@ -12,8 +12,6 @@ from harness.judgement import dependence_text
 from harness.signals import FloatArray
 from identifiers.common.normal import NormalEquations
 
-__all__ = ["Solution", "solve"]
-
 # The Gram matrix squares the condition number: beyond this (of scaled columns) half of the digits are gone.
 _GRAM_LIMIT = 1e5
 Blocks = Callable[[], Iterable[tuple[FloatArray, FloatArray]]]

@@ -9,8 +9,6 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray
 
-__all__ = ["Estimator", "huber", "instrumental", "total", "whitening"]
-
 Estimator = Literal["least-squares", "unweighted", "total", "instruments", "huber", "l1"]
 HUBER = 1.345
 """Residuals above so many robust standard deviations weigh less: 95 % efficiency at the normal (Huber 1981, ch. 4)."""

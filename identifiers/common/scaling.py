@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["EXACT", "Scaling", "centred", "lively", "noise_levels", "scaled", "sizes", "together"]
-
 # A column that moves by less than this fraction of its value counts as constant: what moves may be rounding.
 _STILL = 1e-12
 # An output is lively if a model foretells more than this share of its mean square on samples that it has not seen.

@@ -12,8 +12,6 @@ from harness.errors import FitError
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray
 
-__all__ = ["RADIUS", "clip_eigenvalues", "convex_stable", "nearest_stable", "stable_lags"]
-
 # Eigenvalues of a model that is asked to be stable stay within this: at 1 itself a free run never forgets its start.
 RADIUS = 0.999
 # Rounds of the search: each halves the rest at most, and costs one small eigenvalue problem.

@@ -12,8 +12,6 @@ from harness.errors import InputError
 from harness.models.analysis import Findings, Takes
 from harness.models.lifted import eigenfunctions
 
-__all__ = ["EigenfunctionsOfModel"]
-
 
 @dataclass(frozen=True)
 class EigenfunctionsOfModel:

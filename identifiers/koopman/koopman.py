@@ -25,14 +25,12 @@ from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import LARGEST, coefficients_without, spread_of
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import lifted_estimate
-from identifiers.common.records import missing_notes, moving, real_signals, usable
+from identifiers.common.records import missing_notes, moving, real_signals, recent, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.stability import clip_eigenvalues, nearest_stable
 from identifiers.koopman.learned import Stretch, learned_functions
 from identifiers.linear.arx import solution_notes
 from identifiers.sparse.stlsq import eliminate
-
-__all__ = ["Dictionary", "Edmdc", "KoopmanModel", "register_functions", "registered"]
 
 _BLOCK = 50_000
 BIAS_OF_FUNCTIONS = (
@@ -247,6 +245,10 @@ class KoopmanModel:
         """Return the state (..., nx) lifted from the output just seen."""
         past = x[..., self.lifted + self.spec.ny :]
         return self._state(np.concatenate([np.broadcast_to(y, (*x.shape[:-1], self.spec.ny)), past], axis=-1))
+
+    def filtered(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the states (N, nx), each lifted when its output was seen, under u (N, nu) and y (N, ny)."""
+        return self._state(recent(x[self.lifted :], self.delays, u, y))
 
     def _state(self, past: FloatArray) -> FloatArray:
         return np.concatenate([self.dictionary.lift(past), past], axis=-1)

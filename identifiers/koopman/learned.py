@@ -10,8 +10,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Learned", "Stretch", "learned_functions"]
-
 ITERATIONS = 300
 """Of the quasi-Newton search; held-out stretches end it before as a rule."""
 PATIENCE = 40

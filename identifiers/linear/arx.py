@@ -26,8 +26,6 @@ from identifiers.common.stability import nearest_stable, stable_lags
 from identifiers.linear.arx_channels import arx_by_channel, arx_orders_of, channel_neighbours
 from identifiers.linear.polynomials.orders import Counts
 
-__all__ = ["Arx", "design", "lag_model", "one_step", "operating_point", "solution_notes", "with_lag_neighbours"]
-
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 # An order is kept only if it lowers the validated error by this much: below it the gain is chance.
 _GAIN = 0.98

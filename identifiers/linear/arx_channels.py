@@ -13,16 +13,15 @@ from harness.errors import FitError
 from harness.models.arx_orders import Delay, arx_order_grid, input_delays
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.units import quotient
 from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.neighbours import BIAS, LARGEST, coefficients_without
-from identifiers.common.one_step_estimate import EXACT, LEVEL, foretold_output, quotient
+from identifiers.common.one_step_estimate import EXACT, LEVEL, foretold_output
 from identifiers.common.one_step_estimate import LARGEST as MOST
 from identifiers.common.records import lagged_blocks
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import sizes
 from identifiers.linear.polynomials.orders import Counts, by_pair
-
-__all__ = ["ArxOrders", "arx_by_channel", "arx_orders_of", "channel_neighbours"]
 
 HIGHEST = 8
 """Order up to which what is not given is chosen, by Schwarz's criterion over all of them (one factorisation)."""

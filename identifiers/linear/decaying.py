@@ -13,8 +13,6 @@ from identifiers.common.scaling import sizes
 from identifiers.linear.impulse.kernels import kernel_root
 from identifiers.linear.markov import normal_equations
 
-__all__ = ["LARGEST", "Decaying", "Prior", "decaying_response"]
-
 LARGEST = 600
 """Unknowns of one output (lags times inputs) up to which the prior is tried: an eigenvalue problem each time."""
 _DECAYS = 14

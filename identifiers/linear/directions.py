@@ -10,8 +10,6 @@ import numpy as np
 from harness.signals import Channel, FloatArray, Trajectory
 from identifiers.common.linear_model import LinearModel
 
-__all__ = ["Directions", "lively_directions"]
-
 LAGS = 2
 """Samples before and after in which a direction must show: whatever has dynamics is correlated over one or two."""
 CHANCE = 1e-3

@@ -26,8 +26,7 @@ from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import Scaling, lively, noise_levels, sizes
 from identifiers.common.stability import clip_eigenvalues, nearest_stable, stable_lags
 from identifiers.linear.arx import lag_model, one_step, operating_point, solution_notes, with_lag_neighbours
-
-__all__ = ["Dmdc"]
+from identifiers.linear.state_space_estimate import state_space_estimate
 
 # Rows of a block when many snapshots are reduced to a triangle.
 _BLOCK = 16_384
@@ -76,8 +75,8 @@ class Dmdc:
     Notes
     -----
     Without ``rank`` and ``ridge`` the model keeps the record of its estimate
-    (:func:`harness.models.estimate.estimate_of`), with intervals where the residuals are white. With ``rank`` the
-    directions are estimated too, and there is none.
+    (:func:`harness.models.estimate.estimate_of`), with intervals where the residuals are white. With ``rank``, whose
+    directions are estimated too, or a ridge it is that of poles and static gains, by leaving out stretches.
 
     Examples
     --------
@@ -130,7 +129,9 @@ class Dmdc:
             model = replace(model, spread=spread_of(near))
         bands = determined_bands(model.matrices, records)
         said = {**notes, **model.notes, "rank": rank, "total": bool(total), KEY: bands}
-        return replace(model.in_units(scaling), notes=said)
+        model = replace(model.in_units(scaling), notes=said)
+        estimate = state_space_estimate(model, [], "given" if rank == self.rank else "held-out prediction errors")
+        return model if estimate is None else replace(model, notes={**said, "estimate": estimate.to_dict()})
 
     def _check(self, what: str) -> None:
         """Refuse options that make no sense."""
@@ -171,7 +172,10 @@ class Dmdc:
             coefficients = nearest_stable(coefficients, factor, self.delays * spec.ny, project, weights)
             return lag_model(spec, coefficients, self.delays, self.offset, {**notes, "stabilized": True})
         model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})
-        return with_lag_neighbours(model, records, solution, self.delays, self.offset, estimate=estimate)
+        model = with_lag_neighbours(model, records, solution, self.delays, self.offset, estimate=estimate)
+        if self.ridge > 0.0 and self.delays == 1 and (estimate := state_space_estimate(model, [], "given")):
+            model = replace(model, notes={**model.notes, "estimate": estimate.to_dict()})
+        return model
 
     def _total_is_better(
         self, records: Sequence[Trajectory], spec: PlantSpec, rank: int, what: str

@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["Hankel", "leading_triplets"]
-
 # Up to so many block rows or columns a product with the matrix itself is faster than one by FFT.
 _DENSE = 250
 # Blocks of the Krylov space before the matrix counts as one without a gap after the leading values.

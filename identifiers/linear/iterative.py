@@ -13,8 +13,6 @@ from harness.models.analysis import Findings, Takes
 from harness.protocols import Model
 from harness.signals import FloatArray
 
-__all__ = ["IterativeLearning", "Learned", "LiftedMap", "TimeVarying", "learn_input", "linearised_along"]
-
 
 class LiftedMap(Protocol):
     """What changes of all inputs of a run do to all its outputs."""

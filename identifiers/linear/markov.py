@@ -14,8 +14,6 @@ from identifiers.common.neighbours import edges
 from identifiers.common.normal import NormalEquations
 from identifiers.common.records import usable
 
-__all__ = ["markov_parameters", "normal_equations", "sums_without"]
-
 # Up to so many unknowns the dense normal equations are as fast as conjugate gradients.
 _DENSE = 40
 

@@ -37,8 +37,6 @@ from identifiers.linear.projections import (
 )
 from identifiers.linear.state_space_estimate import state_space_estimate
 
-__all__ = ["Subspace"]
-
 # Without an order the candidates are those up to here; a larger one is taken only for this gain in validated error.
 _MOST = 12
 _GAIN = 0.99

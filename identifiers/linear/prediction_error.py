@@ -38,8 +38,6 @@ from identifiers.linear.state_space_estimate import state_space_estimate
 from identifiers.linear.statespace.fit import state_space_of
 from identifiers.linear.statespace.ladder import ORDERS
 
-__all__ = ["PredictionError"]
-
 Structure = Literal["auto", "state-space", "oe", "arx", "armax", "bj"]
 
 LADDER = (1, 2, 3, 4, 6)

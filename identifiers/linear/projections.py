@@ -15,19 +15,6 @@ from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import stacked, triangles_without
 from identifiers.common.observers import innovation_form, stationary_gain
 
-__all__ = [
-    "ANY_LOOP",
-    "RANK",
-    "ROUNDING",
-    "Method",
-    "Stacked",
-    "completed",
-    "oblique",
-    "parsim",
-    "pbsid",
-    "weighted",
-]
-
 # Candidates: none, and half decades of the largest squared singular value of the columns, down to rounding.
 _PENALTIES = np.concatenate([[0.0], 10.0 ** np.arange(-16.0, 0.0, 0.5)])
 # Directions of the columns below this share of the largest are rounding.

@@ -16,15 +16,6 @@ from identifiers.common.records import real_signals, usable
 from identifiers.linear.ho_kalman import HoKalman
 from identifiers.linear.markov import markov_parameters
 
-__all__ = [
-    "Response",
-    "ResponseControl",
-    "ResponseController",
-    "StateController",
-    "estimated_response",
-    "response_controller",
-]
-
 _TAIL = 0.05
 """The response has died out where its last tenth holds less than this share of its size."""
 

@@ -13,8 +13,6 @@ from harness.frequency.segments import segment_spectra
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.records import moving, real_signals, usable
 
-__all__ = ["FrequencyResponse", "etfe", "welch"]
-
 ComplexArray = npt.NDArray[np.complex128]
 # Neighbouring Hann segments that overlap by half are correlated by 1/6: averages count for so many fewer.
 _OVERLAP = 1.0 + 2.0 / 36.0

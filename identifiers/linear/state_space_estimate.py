@@ -9,10 +9,9 @@ import numpy as np
 from harness.models.estimate import Estimate, RankDecision
 from harness.models.spread import Matrices, covariance_of, matched_poles, quantile
 from harness.signals import FloatArray
+from harness.units import quotient
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.one_step_estimate import LARGEST, LEVEL, quotient
-
-__all__ = ["state_space_estimate"]
+from identifiers.common.one_step_estimate import LARGEST, LEVEL
 
 INTEGRATES = 1e-6
 """Distance of a pole from 1 below which a static gain would be that of an integrator."""

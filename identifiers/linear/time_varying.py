@@ -21,8 +21,6 @@ from identifiers.common.records import moving, real_signals, usable
 from identifiers.linear.arx import design, one_step
 from identifiers.linear.iterative import TimeVarying
 
-__all__ = ["AlongTrajectory", "AlongTrajectoryModel"]
-
 WIDTHS = (0, 1, 2, 4, 8, 16, 32, 64)
 """Half widths in samples over which coefficients are pooled, in doubling steps; a constant model is tried too."""
 REPEATED = 3

@@ -9,8 +9,6 @@ import numpy as np
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Derivative", "derivative_rows", "measured_motion", "polynomial_test_function"]
-
 Derivative = Literal["weak", "smooth", "difference"]
 Functions = Callable[[FloatArray], FloatArray]
 """``functions(arguments (n, rows)) -> (p, rows)``."""

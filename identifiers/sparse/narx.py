@@ -13,12 +13,13 @@ from harness.errors import FitError
 from harness.judgement import refuse_undetermined
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.units import quotient
 from identifiers.common.excitation import refuse_feedback_of_records
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import Scaling
 from identifiers.common.library import Library
 from identifiers.common.normal import NormalEquations
-from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL, quotient
+from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL
 from identifiers.common.records import lagged, missing_notes, moving, real_signals, usable
 from identifiers.common.scaling import sizes
 from identifiers.sparse.narx_model import NarxModel, argument_names
@@ -123,7 +124,7 @@ class Narx:
         std, white = np.zeros(spec.ny), []
         moved: list[list[float]] = []
         for output, support in enumerate(supports):
-            found = _last_fit(records, library, support, output, self.lags, self.noise)
+            found = last_fit(records, library, support, output, self.lags, self.noise)
             coefficients[output, support] = found.theta
             inside.append(found.covariance)
             std[output] = found.rms * scaling.y_std[output]
@@ -197,7 +198,7 @@ class Narx:
             supports.append(list(path.order[:count]) or [0])
             ratios.append({library.names[j]: float(r) for j, r in zip(path.order[:count], path.ratios, strict=False)})
         notes: dict[str, Any] = {"error_reduction": ratios}
-        first = [_last_fit(records, library, one, i, self.lags, self.noise) for i, one in enumerate(supports)]
+        first = [last_fit(records, library, one, i, self.lags, self.noise) for i, one in enumerate(supports)]
         known = [fit.white or fit.rms <= EXACT for fit in first]
         alive = np.array([fit.rms**2 < _HALF for fit in first])
         for longest in _SHORTER:
@@ -222,7 +223,7 @@ class Narx:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class Fit:
     """Coefficients (k,) of chosen terms, their covariance (k, k), rms, and whether the errors are white.
 
     ``noise`` is their moving average, ``coloured`` (N,) what it makes of the targets.
@@ -272,14 +273,14 @@ def _coloured(
     records: Sequence[Trajectory], library: Library, supports: list[list[int]], lags: int, memory: int
 ) -> list[FloatArray]:
     """Return what past errors make of the next outputs of every record (ny, N - lags)."""
-    fits = [_last_fit(records, library, support, i, lags, memory) for i, support in enumerate(supports)]
+    fits = [last_fit(records, library, support, i, lags, memory) for i, support in enumerate(supports)]
     edges = np.cumsum([len(record) - lags for record in records])[:-1]
     return list(np.split(np.stack([fit.coloured for fit in fits]), edges, axis=1))
 
 
-def _last_fit(
+def last_fit(
     records: Sequence[Trajectory], library: Library, support: list[int], output: int, lags: int, memory: int
-) -> _Fit:
+) -> Fit:
     """Return the least-squares fit of chosen terms, with past errors of the equation beside them where asked for.
 
     Covariance ``s^2 (Phi' Phi)^-1`` (Ljung 1999, eq. 9.42), and a test of whether the errors are foretold by as many
@@ -320,7 +321,7 @@ def _last_fit(
     again = np.hstack([full, before(errors, lags)])
     share = 1.0 - float(np.sum((errors - again @ _solved(again, errors)) ** 2)) / max(float(errors @ errors), 1e-300)
     white = rms > EXACT and float(chi2.sf(len(y) * max(share, 0.0), lags)) >= DOUBT
-    return _Fit(theta[:count], covariance, rms, white, theta[count:].tolist(), full[:, count:] @ theta[count:])
+    return Fit(theta[:count], covariance, rms, white, theta[count:].tolist(), full[:, count:] @ theta[count:])
 
 
 def _solved(phi: FloatArray, y: FloatArray) -> FloatArray:

@@ -11,8 +11,6 @@ from harness.signals import FloatArray, PlantSpec
 from identifiers.common.lag_state import LagModel
 from identifiers.common.library import InLibrary, Library, equation_text
 
-__all__ = ["NarxModel", "argument_names"]
-
 _FAR = 100.0
 """As of :mod:`identifiers.common.lag_state`: a free run so many sizes away from the data has diverged."""
 _FEW = 24

@@ -11,8 +11,6 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.common.normal import NormalEquations, scaled_equations, solved
 
-__all__ = ["Criterion", "Path", "criterion_value", "frols", "helpful", "lost_share"]
-
 Criterion = Literal["ebic", "bic", "aic"]
 
 # A column of which the chosen ones leave less than this share of its square follows from them: the Gram matrix has

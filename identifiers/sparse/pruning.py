@@ -12,8 +12,6 @@ from identifiers.common.library import Library
 from identifiers.common.normal import NormalEquations, scaled_equations, solved
 from identifiers.sparse.orthogonal import Criterion, criterion_value, helpful, lost_share
 
-__all__ = ["Windows", "pruned"]
-
 LONGEST, SAMPLES = 200, 4000
 """Samples of a free run that judges, and of all of them: long beside the lags, few enough to run for all candidates."""
 _OFFERED, _EXCHANGED = 8, 3

@@ -13,8 +13,6 @@ import numpy.typing as npt
 from harness.signals import FloatArray
 from identifiers.common.normal import NormalEquations, scaled_equations, solved
 
-__all__ = ["Ensemble", "best_subset", "ensemble", "lasso", "lasso_path"]
-
 BoolArray = npt.NDArray[np.bool_]
 Rule = Callable[[NormalEquations], tuple[FloatArray, BoolArray]]
 # Up to so many subsets of one size all are tried; beyond that terms are exchanged until no exchange helps.

@@ -18,8 +18,6 @@ from identifiers.common.linear_model import freeze
 from identifiers.common.observers import fitted_start
 from identifiers.sparse.derivatives import measured_motion
 
-__all__ = ["SparseModel"]
-
 # Polynomials run away outside the data: this many times beyond their range a run has diverged.
 _FAR = 100.0
 

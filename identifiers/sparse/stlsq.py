@@ -14,14 +14,16 @@ from harness.errors import FitError
 from harness.judgement import refuse_law
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.units import quotient
 from identifiers.common.excitation import refuse_feedback_of_records
 from identifiers.common.judge.told import told
 from identifiers.common.library import Library
 from identifiers.common.normal import NormalEquations, scaled_equations, solved
 from identifiers.common.observers import alpha_beta_gains, best_gain
-from identifiers.common.one_step_estimate import DEPENDENT, LARGEST, quotient
+from identifiers.common.one_step_estimate import DEPENDENT, LARGEST, LEVEL
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.sparse.derivatives import Derivative, derivative_rows, measured_motion, unwrapped
+from identifiers.sparse.narx import last_fit
 from identifiers.sparse.selection import best_subset, ensemble, lasso
 from identifiers.sparse.sparse_model import SparseModel
 
@@ -297,7 +299,7 @@ class Stlsq:
 
     def _estimate(
         self,
-        spec: PlantSpec,
+        records: Sequence[Trajectory],
         library: Library,
         coefficients: FloatArray,
         support: npt.NDArray[np.bool_],
@@ -305,7 +307,11 @@ class Stlsq:
         rank: int,
         condition: float,
     ) -> Estimate | None:
-        """Return the record of the chosen terms, None beyond 200."""
+        """Return the record of the chosen terms, None beyond 200; intervals in discrete time, of white residuals.
+
+        A derivative from samples errs by more than its residuals say: by the input's hold, and by noise in functions.
+        """
+        spec = records[0].spec
         chosen = [(row, column) for column in range(spec.ny) for row in np.flatnonzero(support[:, column])]
         if len(chosen) > LARGEST:
             return None
@@ -313,14 +319,46 @@ class Stlsq:
         rates = [quotient(c.unit, "s") for c in spec.outputs] if order == 2 else []
         arguments = [c.unit for c in spec.outputs] + rates + [c.unit for c in spec.inputs]
         by = library.units(arguments)
+        values = np.array([coefficients[row, column] for row, column in chosen], dtype=float)
+        covariance, half, why = self._scatter(records, library, values, support)
         return Estimate(
             tuple(f"{targets[column]} on {library.names[row]}" for row, column in chosen),
             tuple(quotient(units[column], by[row]) for row, column in chosen),
-            np.array([coefficients[row, column] for row, column in chosen], dtype=float),
-            method="no interval: the terms were chosen from the same data, and their regressors are noisy",
-            rank=RankDecision(rank, len(library), rule=f"singular values above {DEPENDENT:g} of the largest"),
-            condition=condition,
+            values,
+            covariance,
+            None if half is None else np.column_stack([values - half, values + half]),
+            LEVEL,
+            why,
+            RankDecision(rank, len(library), rule=f"singular values above {DEPENDENT:g} of the largest"),
+            condition,
         )
+
+    def _scatter(
+        self, records: Sequence[Trajectory], library: Library, values: FloatArray, support: npt.NDArray[np.bool_]
+    ) -> tuple[FloatArray | None, FloatArray | None, str]:
+        """Return covariance and half widths of the chosen terms' coefficients, None where there are none, and why."""
+        from scipy.stats import t
+
+        none = "no interval: the terms were chosen from the same data, and their regressors are noisy"
+        if self.time != "discrete" or any(c.period is not None for c in records[0].spec.outputs) or not values.size:
+            return None, None, none
+        lists = [np.flatnonzero(column).tolist() for column in support.T]
+        fits = [last_fit(records, library, one, output, 1, 0) for output, one in enumerate(lists) if one]
+        again = np.concatenate([fit.theta for fit in fits])
+        if not np.allclose(again, values, rtol=1e-6, atol=1e-9 * np.abs(values).max()):
+            return None, None, "no interval: the rule shrinks what it keeps"
+        covariance, place = np.zeros((values.size, values.size)), 0
+        for fit in fits:
+            rows = slice(place, place + fit.theta.size)
+            covariance[rows, rows], place = fit.covariance, place + fit.theta.size
+        if not all(fit.white for fit in fits):
+            why = "no interval: the residuals are correlated in time, as noise on the outputs leaves them, or rounding"
+            return covariance, None, why
+        free = max(sum(len(record) - 1 for record in records) - support.sum(axis=0).max(), 1)
+        why = (
+            "least squares of the chosen terms, white residuals; that other terms might be the true ones is not counted"
+        )
+        return covariance, float(t.ppf(0.5 + LEVEL / 2, free)) * np.sqrt(np.clip(np.diag(covariance), 0.0, None)), why
 
     def _choose(self, equations: NormalEquations, threshold: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Return coefficients and support by the rule."""
@@ -390,7 +428,7 @@ class Stlsq:
             **inclusion,
         }
         dependent = int(np.sum(values > DEPENDENT**2 * values[-1]))
-        estimate = self._estimate(spec, library, coefficients, support, order, dependent, notes["condition"])
+        estimate = self._estimate(records, library, coefficients, support, order, dependent, notes["condition"])
         if estimate is not None:
             notes["estimate"] = estimate.to_dict()
         model = SparseModel(

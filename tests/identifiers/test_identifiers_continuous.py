@@ -10,7 +10,6 @@ from scipy import signal
 
 from harness import api
 from harness.command import main
-from harness.conformance import check_identifier
 from harness.errors import FitError, InputError
 from harness.frequency import FrequencyResponse, read_response, write_response
 from harness.models.estimate import estimate_of
@@ -191,12 +190,6 @@ def test_control_takes_it_with_a_pade_approximation():
     other = model.to_control(pade=4)
     point = 2j * np.pi * 0.3
     assert abs(complex(other(point)) - model.frequency_response(np.array([0.3]))[0, 0, 0]) < 1e-3
-
-
-@pytest.mark.slow
-def test_it_keeps_the_contract_of_identifiers():
-    results = check_identifier(lambda: ContinuousTransferFunction(order=2, delay=0.0), kinds=("linear",), examples=1)
-    assert [f"{one.name}: {one.reason}" for one in results if not one.passed] == []
 
 
 def test_options_that_make_no_sense_are_refused():

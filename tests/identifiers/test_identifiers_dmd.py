@@ -35,7 +35,7 @@ def mode_error(model) -> float:
     return max(float(np.abs(model.eigenvalues - mode).min()) for mode in (*MODES, *MODES.conj()))
 
 
-@pytest.mark.parametrize("total", [False, True])
+@pytest.mark.parametrize("total", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_four_hundred_states_of_rank_six_are_exact_without_noise(total):
     model = Dmdc(rank=6, total=total).fit([field(200, 0.0, 0)], rng=RNG)
     assert model.a_matrix.shape == (6, 6)
@@ -265,9 +265,28 @@ def test_intervals_of_coefficients_hold_the_truth_and_are_withheld_under_noise_o
     assert 0.93 <= shares.mean() <= 0.97
     assert ((0.90 <= shares) & (shares <= 0.985)).all(), shares
     assert found.names[:3] == ("p on p", "p on v", "p on u")
-    assert found.units[:3] == ("1", "m/(m/s)", "m/N")
+    assert found.units[:3] == ("1", "s", "m/N")
     seen = Trajectory(np.arange(200) * 0.1, u, x + 0.3 * rng.normal(size=x.shape), spec)
     noisy = estimate_of(Dmdc().fit([seen], rng=rng))
     assert noisy is not None
     assert noisy.intervals is None
     assert "correlated in time" in noisy.method
+
+
+@pytest.mark.parametrize("options", [{"rank": 2}, {"ridge": 1e-6}])
+def test_with_a_rank_or_a_ridge_poles_and_gains_have_intervals(options):
+    rng, a, b = np.random.default_rng(3), np.array([[0.9, 0.2], [-0.2, 0.8]]), np.array([[0.0], [1.0]])
+    u, x = rng.normal(size=(400, 1)), np.zeros((400, 2))
+    for k in range(399):
+        x[k + 1] = a @ x[k] + b @ u[k] + 0.1 * rng.normal(size=2)
+    spec = PlantSpec((Channel("u", "N"),), (Channel("p", "m"), Channel("v", "m/s")), 0.1)
+    found = estimate_of(Dmdc(**options).fit([Trajectory(np.arange(400) * 0.1, u, x, spec)], rng=rng))
+    assert found is not None
+    assert found.names == ("pole 1, modulus", "pole 1, angle", "p per u, static", "v per u, static")
+    pole = np.linalg.eigvals(a)[0]
+    truth = [abs(pole), abs(np.angle(pole)), *np.linalg.solve(np.eye(2) - a, b).ravel()]
+    assert found.intervals is not None
+    low, high = found.intervals.T
+    middle, half = (low + high) / 2, (high - low) / 2
+    assert (np.abs(middle - truth) < 1.5 * half).all()
+    assert (half < 0.1 * np.abs(truth)).all()

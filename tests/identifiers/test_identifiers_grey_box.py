@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError
-from harness.physics import Mechanism, lumped
 from harness.physics.models import cart_pole, pendulum
 from harness.scoring import equation_error, predict, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
@@ -52,57 +51,6 @@ def test_lumped_forms_from_positions_alone(identifier, tolerance):
     found = np.array([model.parameters[k] for k in ("J", "b", "mgl")])
     assert np.abs(found / [0.2, 0.05, 1.0] - 1).max() < tolerance
     assert simulation_error(model, swing(dt=0.01, n=1500, seed=3)).finite
-
-
-def chapter(folder):
-    """Return the four runs of the chapter's cart-pole."""
-    content = np.load(folder / "textbook" / "cartpole_lumped_data_damped.npz")
-    return [(content[f"t{k}"], content[f"u{k}"], content[f"X{k}"]) for k in range(4)]
-
-
-def chapter_model():
-    """Return the chapter's cart-pole: point mass at x + l sin(theta), damping of both joints known."""
-    from sympy import cos, sin
-
-    m = Mechanism("cart-pole", q="x theta", u="u", p="mc mp l")
-    (x, theta), (speed, rate), (u,), (mc, mp, length) = m.q, m.v, m.u, m.p
-    m.body(mc, (x, 0))
-    m.body(mp, (x + length * sin(theta), -length * cos(theta)))
-    m.Q = [u - 0.1 * speed, -0.1 * rate]
-    return lumped(m)
-
-
-def test_the_chapters_own_figures_to_eight_digits(recordings_folder):
-    """Item 10: forward differences, the first len(t0) - 1 rows of every run."""
-    model = chapter_model()
-    runs = chapter(recordings_folder)
-    few = len(runs[0][0]) - 1
-    rows, targets = [], []
-    for t, u, x in runs:
-        q, v = x[:2].T, x[2:].T
-        a = np.diff(v, axis=0) / np.diff(t)[:, None]
-        w, target = model.torque_rows(t[:few], q[:few], v[:few], a[:few], u[:few, None])
-        rows.append(w)
-        targets.append(target)
-    found = model.solve(np.vstack(rows), np.concatenate(targets)).values
-    assert found["mc + mp"] == pytest.approx(10.90542535, abs=5e-8)
-    assert found["l*mp"] == pytest.approx(0.59457971, abs=5e-8)
-    assert found["l**2*mp"] == pytest.approx(0.30291575, abs=5e-8)
-
-
-@pytest.mark.parametrize("form", ["energy", "momentum"])
-def test_the_same_data_with_a_better_method(recordings_folder, form):
-    """Item 10: energy and momentum form within 0.003 %."""
-    model = chapter_model()
-    rows, targets = [], []
-    for t, u, x in chapter(recordings_folder):
-        make = model.energy_rows if form == "energy" else model.momentum_rows
-        w, target = make(t, x[:2].T, x[2:].T, u[:, None], intersample="smooth", samples=1)
-        rows.append(w)
-        targets.append(target)
-    found = model.solve(np.vstack(rows), np.concatenate(targets)).values
-    for name, value in (("mc + mp", 11.0), ("l*mp", 0.5), ("l**2*mp", 0.25)):
-        assert found[name] == pytest.approx(value, rel=3e-5)
 
 
 def cart(noise_q=0.0, noise_v=0.0, seed=0, n=2000, dt=0.01):

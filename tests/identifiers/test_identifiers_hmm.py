@@ -183,15 +183,6 @@ def test_every_fit_gives_probabilities(states, seed):
         assert table.sum(axis=-1) == pytest.approx(np.ones(table.shape[:-1]))
 
 
-def test_no_sum_crosses_a_seam():
-    a, b = record(400, 1), record(400, 2)
-    tables = drawn(3, 2, 4, 1)
-    both = hmm_pass.expected_counts([raw(a), raw(b)], *tables)
-    parts = [hmm_pass.expected_counts([raw(one)], *tables) for one in (a, b)]
-    assert both.log_likelihood == pytest.approx(sum(one.log_likelihood for one in parts))
-    assert both.transition.sum() == pytest.approx(798)
-
-
 def test_refusals():
     data = record(50)
     with pytest.raises(FitError, match="at most 4"):

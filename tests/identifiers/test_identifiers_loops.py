@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -70,22 +71,33 @@ def test_a_loop_that_hardly_moves_from_outside_is_said_to_hide_the_plant(name, o
     assert not warning_of(name, data, least_excitation=0.0, **options)
 
 
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [("piecewise-affine", {"starts": 1}), ("narx", {"lags": 1}), ("stlsq", {"time": "discrete"})],
-)
+@pytest.mark.parametrize(("name", "options"), [("piecewise-affine", {"starts": 1}), ("stlsq", {"time": "discrete"})])
 def test_models_without_a_spread_say_that_the_load_hides_the_plant(name, options):
     assert "hardly shows in the load" in warning_of(name, record(2, dither=0.3, load=1.0), **options)
 
 
-def held_at_rest(seed: int) -> Trajectory:
+@pytest.mark.parametrize(("name", "options"), [("n4sid", {"order": 2}), ("arx", {"order": 2}), ("narx", {"lags": 2})])
+def test_an_output_that_answers_within_the_sample_is_said_to_look_like_a_controller(name, options):
+    rng = np.random.default_rng(5)
+    x, u, y = np.zeros(2), rng.normal(size=(1000, 1)), np.zeros((1000, 1))
+    for k in range(1000):
+        y[k] = x.sum() + 2.0 * u[k] + rng.normal()
+        x = A @ x + 0.2 * B * u[k]
+    undeclared, declared = (replace(SPEC, feedthrough=one) for one in (False, True))
+    data = Trajectory(0.1 * np.arange(1000), u, y, undeclared)
+    assert "feedthrough = true" in warning_of(name, data, **options)
+    if name == "n4sid":
+        assert not warning_of(name, replace(data, spec=declared), direct=True, **options)
+
+
+def held_at_rest(seed: int, load: float = 0.03) -> Trajectory:
     """A nearly integrating plant under a strong controller: what it does slowly does not show."""
     rng, n = np.random.default_rng(seed), 1000
     x, u, y = 0.0, np.zeros((n, 1)), np.zeros((n, 1))
     for k in range(n):
         y[k] = x
         u[k] = 0.3 * rng.normal() - 4.0 * x
-        x = 0.98 * x + 0.1 * u[k, 0] + 0.03 * rng.normal()
+        x = 0.98 * x + 0.1 * u[k, 0] + load * rng.normal()
     return Trajectory(0.1 * np.arange(n), u, y, SPEC)
 
 
@@ -96,6 +108,21 @@ def test_a_plant_whose_first_answers_are_known_needs_no_warning_though_its_gain_
     rest = np.array([1e-3])
     away = [abs(gains(one, rest, 1.0) - gains(model.matrices, rest, 1.0)).item() for one in model.spread.models]
     assert np.sqrt(model.spread.factor * np.sum(np.square(away))) > 0.5 * abs(gains(model.matrices, rest, 1.0)).item()
+
+
+def test_narx_that_needs_few_terms_is_judged_by_these_and_not_by_all_that_it_could_take():
+    data = held_at_rest(2, load=0.15)
+    model: Any = create("identifiers", "narx", lags=3).fit([data], rng=np.random.default_rng(0))
+    assert model.terms == (("y[k]", "u[k]"),)
+    assert model.natural[0, model.names.index("u[k]")] == pytest.approx(0.1, rel=0.1)
+    assert "warning" not in model.notes
+    assert "hardly shows in the load" in warning_of("arx", data, order=3)
+
+
+def test_narx_that_leaves_an_input_out_for_the_load_hides_it_says_so():
+    model: Any = create("identifiers", "narx", lags=3).fit([held_at_rest(1, load=0.2)], rng=np.random.default_rng(0))
+    assert model.terms == (("y[k]",),)
+    assert "hardly shows in the load" in model.notes["warning"]
 
 
 @pytest.mark.parametrize("seed", [0, 6, 7])

@@ -119,6 +119,7 @@ def test_forgetting_follows_a_pendulum_that_changes() -> None:
     assert abs(keeps.lumps[J] / heavy[0] - 1) > 0.1
 
 
+@pytest.mark.slow
 def test_its_regret_is_far_below_that_of_a_linear_recursion() -> None:
     data = [record("cart-pole", seed, samples=600, noise=1e-5) for seed in range(2)]
     own = regret(RecursiveLumped("momentum", "cart-pole", width=5), data, rng=np.random.default_rng(0))

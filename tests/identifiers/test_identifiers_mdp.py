@@ -60,6 +60,20 @@ def test_the_bound_against_its_formula():
     assert np.isfinite(weissman_bound(np.array(50.0), 2000)), "2^S would overflow"
 
 
+def test_counting_error_falls_with_the_root_of_the_samples_below_its_bound():
+    one = process(4, 2)
+    scaled = []
+    for n in (2000, 8000, 32000):
+        errors = []
+        for seed in range(3):
+            model = MdpCounting().fit([simulate_finite(one, n, rng=np.random.default_rng(seed))], rng=RNG)
+            miss = np.abs(model.transition - one.P).sum(axis=2)
+            assert (miss <= model.bound).all()
+            errors.append(np.sqrt(np.mean(miss**2)))
+        scaled.append(np.mean(errors) * np.sqrt(n))
+    assert max(scaled) / min(scaled) < 1.35, scaled
+
+
 @pytest.mark.parametrize(
     ("P", "expected"),
     [
@@ -100,11 +114,19 @@ def test_online_counting_pays_only_for_what_it_had_to_learn():
     assert found.hindsight.sum() == 0.0
 
 
-def test_online_counting_may_not_change_its_old_state():
-    online = OnlineCounting()
-    old = online.start(online.init(finite(3), rng=RNG), np.zeros(1))
-    online.update(old, np.zeros(0), np.array([2.0]))
-    assert online.predict(old, np.zeros(0))[0] == 0.0
+def test_the_average_regret_of_counting_goes_to_zero_and_its_rival_is_the_best_table():
+    one = process(4, 2)
+    data = simulate_finite(one, 4000, rng=np.random.default_rng(0))
+    found = regret(OnlineCounting(), [data], rng=RNG)
+    assert found.exact
+    assert 0.0 <= found.average < 0.05
+    assert found.average < found.cumulative[199] / 200
+    rng = np.random.default_rng(1)
+    s, a, after = (data.y[:-1, 0].astype(int), data.u[:-1, 0].astype(int), data.y[1:, 0].astype(int))
+    best = found.hindsight.sum()
+    for _ in range(50):
+        table = rng.integers(4, size=(4, 2))
+        assert best <= np.sum(table[s, a] != after)
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,7 @@ def test_ratios_are_what_least_squares_explains(seed, count):
     assert helpful(equations, 0, list(path.order[:-1]), 1) == [path.order[-1]]
 
 
+@pytest.mark.slow
 def test_deviations_of_terms_hold_the_truth():
     truth = {"1": 0.5, "y[k]": 0.5, "u[k-1]": 0.8, "y[k-1]^2": -0.05, "u[k]^2": 1.0}
     held, asked = 0, 0

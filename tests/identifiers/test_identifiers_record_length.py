@@ -51,7 +51,7 @@ def test_a_record_of_the_predicted_length_keeps_the_accuracy():
     assert kept["safe"] >= 23
 
 
-@pytest.mark.parametrize("process", [0.0, 0.5])
+@pytest.mark.parametrize("process", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_the_information_is_what_estimates_scatter_by(process):
     """Poles and gains of 40 fits of prediction-error, beside Cramer and Rao."""
     noise = 0.6 if not process else 1e-6

@@ -9,9 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.conformance import check_identifier
 from harness.errors import FitError, InputError
-from harness.registry import create
 from harness.scoring import simulation_error
 from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
@@ -145,6 +143,7 @@ def test_it_learns_a_full_tank_that_nobody_measures_and_knows_how_well():
     assert score.skill[0] > 1.0
 
 
+@pytest.mark.slow
 def test_records_of_different_length_have_initial_states_of_their_own():
     parts = [cascade(500, seed)[low:] for seed, low in ((0, 0), (1, 137))]
     model = NeuralOutputError(order=2, starts=6, members=2, ridge=0.1).fit(parts, rng=np.random.default_rng(0))
@@ -188,12 +187,3 @@ def test_options_that_make_no_sense_and_unstable_plants_are_refused_in_words():
         NeuralOutputError(starts=2, members=3).fit([cascade(200, 0)], rng=np.random.default_rng(0))
     with pytest.raises(FitError, match="records too short"):
         NeuralOutputError().fit([cascade(20, 0)], rng=np.random.default_rng(0))
-
-
-@pytest.mark.slow
-def test_the_contract():
-    options = dict(order=2, hidden=2, outside=1, starts=2, members=2, iterations=30, ridge=0.01)
-    results = check_identifier(
-        lambda: create("identifiers", "neural-output-error", **options), kinds=("linear",), examples=1
-    )
-    assert [f"{one.name}: {one.reason}" for one in results if not one.passed] == []

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError, InputError
+from harness.models.estimate import estimate_of
 from harness.scoring import simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.common.library import Library
@@ -81,12 +82,6 @@ def test_the_classical_rule_with_a_threshold_that_suits_it():
     assert model.support == TERMS
 
 
-def test_records_are_not_joined():
-    whole = lorenz_run(1600)
-    pieces = [whole[:400], whole[1000:1600], whole[500:900]]
-    assert Stlsq(degree=2, order=1).fit(pieces, rng=RNG).support == TERMS
-
-
 def test_a_free_run_that_leaves_the_data_far_behind_is_infinite_and_no_exception():
     spec = PlantSpec((), (Channel("x"),), 0.01)
     t = np.arange(90) * 0.01
@@ -117,15 +112,6 @@ def test_positions_alone_give_second_order_equations():
     assert model.support == (("q", "q'"),)
     found = dict(zip(model.library.names, model.coefficients[0], strict=True))
     assert (found["q"], found["q'"]) == pytest.approx((-4.01, -0.2), rel=1e-3)
-
-
-def test_one_by_one_and_many_at_once_run_alike():
-    model = Stlsq(degree=2, order=1).fit([lorenz_run(800)], rng=RNG)
-    starts = RNG.normal(size=(30, 3)) * 5 + [0, 0, 25]
-    u = np.zeros((30, 40, 0))
-    many = model.free_run(starts, u)
-    few = np.concatenate([model.free_run(starts[i : i + 5], u[i : i + 5]) for i in range(0, 30, 5)])
-    assert np.abs(many - few).max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -281,3 +267,25 @@ def test_an_input_that_falls_out_of_a_discrete_model_is_said(noise: float, said:
     model = Stlsq(time="discrete").fit([data], rng=rng)
     assert ("heat is in no equation" in model.notes.get("warning", "")) == said
     assert any("heat" in term for chosen in model.support for term in chosen) != said
+
+
+def test_intervals_in_discrete_time_hold_and_none_is_claimed_of_noisy_outputs():
+    truth, spec, held = [0.7, 0.5, -0.2], PlantSpec((Channel("u"),), (Channel("y"),), 0.1), []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        u, y = rng.uniform(-2, 2, size=(300, 1)), np.zeros((300, 1))
+        for k in range(299):
+            y[k + 1] = 0.7 * y[k] + 0.5 * u[k] - 0.2 * y[k] ** 3 + 0.02 * rng.normal()
+        model = Stlsq(degree=3, time="discrete").fit([Trajectory(0.1 * np.arange(300), u, y, spec)], rng=rng)
+        found = estimate_of(model)
+        assert found is not None
+        assert model.support == (("y", "u", "y^3"),)
+        if found.intervals is not None:
+            held.append((found.intervals[:, 0] <= truth) & (truth <= found.intervals[:, 1]))
+    assert len(held) == 8
+    assert 0.8 <= np.mean(held) < 1.0
+    noisy = Trajectory(0.1 * np.arange(300), u, y + 0.1 * rng.normal(size=y.shape), spec)
+    found = estimate_of(Stlsq(degree=3, time="discrete").fit([noisy], rng=rng))
+    assert found is not None
+    assert found.intervals is None
+    assert "correlated in time" in found.method

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from harness import registry
-from harness.conformance import check_identifier
 from harness.models.estimate import estimate_of
 from harness.rng import Streams
 from harness.rollout import run
@@ -48,9 +46,3 @@ def test_without_a_disturbance_it_simulates_as_output_error_does() -> None:
         for name in ("maximum-likelihood", "output-error")
     ]
     assert errors[0] < 1.02 * errors[1]
-
-
-@pytest.mark.slow
-def test_it_keeps_the_contract() -> None:
-    results = check_identifier(lambda: registry.create("identifiers", "maximum-likelihood"), examples=1)
-    assert not [f"{one.name}: {one.reason}" for one in results if not one.passed]

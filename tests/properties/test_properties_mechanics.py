@@ -9,8 +9,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from harness.physics import lumped
-from harness.physics.arms.inertia import is_consistent
-from harness.physics.arms.inertial_fit import Bodies, Problem, by_semidefinite_program
 from harness.physics.arms.mechanism import ArmMechanism
 from harness.physics.arms.rigid_tree import Arm
 from harness.physics.lumps.arm_lumps import ArmLumps
@@ -166,21 +164,6 @@ def test_what_a_motion_does_not_show_is_named_under_tiny_noise_too(arm, seed, no
     assert kept.shape == (model.k, decision.rank)
     assert len(decision.null_directions) == model.k - decision.rank
     assert decision.rank == determined(exact, model.names)[0].rank
-
-
-@settings(max_examples=10, deadline=None)
-@given(arms((1, 4)), SEEDS, st.floats(0.0, 1.0), st.floats(0.05, 1.0))
-def test_every_answer_of_the_semidefinite_program_is_a_body(arm, seed, noise, trust):
-    rng = np.random.default_rng(seed)
-    q, v, a = random_motion(arm, 40, rng)
-    W = arm.arm.regressor(q, v, a)
-    tau = torques(arm, q, v, a).ravel()
-    tau = tau + noise * tau.std() * rng.normal(size=tau.size)
-    sigma = max(noise, 1e-3) * max(tau.std(), 1e-6)
-    bodies = Bodies(arm.arm.parameters.reshape(-1, 10))
-    problem = Problem(W.T @ W / sigma**2, W.T @ tau / sigma**2, bodies, trust, np.ones(0, dtype=bool))
-    for body in by_semidefinite_program(problem).reshape(-1, 10):
-        assert is_consistent(body)
 
 
 @settings(max_examples=8, deadline=None)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from harness.errors import FitError, InputError
+from harness.errors import InputError
 from harness.models.distributions import NormalMixture
 from harness.scoring.acceptance import Demands
 from harness.scoring.bound import LinearTruth, least_errors, linear_truth
 from harness.scoring.predictive import _marginal
-from harness.scoring.rounds import interleaved
 from harness.signals import Channel, PlantSpec, Trajectory
 
 SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
@@ -50,24 +47,6 @@ def test_a_share_is_a_number_from_nought_to_one(share: float, fits: bool) -> Non
     else:
         with pytest.raises(InputError, match="from 0 to 1"):
             Demands(max_share=share)
-
-
-def test_coverage_is_the_least_singular_value_of_what_was_seen_scaled_to_one() -> None:
-    class Refusing:
-        def fit(self, records: Any, *, rng: np.random.Generator) -> Any:
-            raise FitError("data", expected="more", got="less", remedy="record longer")
-
-    data = [record(np.random.default_rng(seed), 50) for seed in (1, 2)]
-    found = interleaved(
-        Refusing(), lambda gain, number: data[number], (0.8 * np.eye(1), np.eye(1)), np.zeros((1, 1)),
-        rounds=2, rng=np.random.default_rng(0),
-    )  # fmt: skip
-    for number, one in enumerate(found):
-        rows = np.vstack([np.hstack([own.y, own.u]) for own in data[: number + 1]])
-        scaled = rows / np.sqrt(np.mean(rows**2, axis=0))
-        least = np.sqrt(np.linalg.eigvalsh(scaled.T @ scaled / len(rows))[0])
-        assert one.coverage == pytest.approx(least)
-        assert "record longer" in one.refused
 
 
 def test_the_distribution_that_forgets_the_order_has_each_outputs_own_spread() -> None:

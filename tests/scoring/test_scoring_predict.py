@@ -223,19 +223,31 @@ def test_two_outputs_are_scored_apart():
     assert score.rms == pytest.approx([1.0, 0.0])
 
 
-def test_fast_free_run_equals_stepping():
+def linear(growth: float) -> LinearModel:
     rng = np.random.default_rng(0)
     spec = PlantSpec((Channel("u"),), (Channel("a"), Channel("b")), 0.5)
-    a = 0.5 * rng.normal(size=(3, 3))
-    model = LinearModel(
-        spec, a, rng.normal(size=(3, 1)), rng.normal(size=(2, 3)), rng.normal(size=(2, 1)), np.zeros((3, 2)),
-        rng.normal(size=3), rng.normal(size=2),
+    a = rng.normal(size=(3, 3))
+    a *= growth / np.abs(np.linalg.eigvals(a)).max()
+    return LinearModel(
+        spec, a, rng.normal(size=(3, 1)), rng.normal(size=(2, 3)), rng.normal(size=(2, 1)),
+        0.1 * rng.normal(size=(3, 2)), rng.normal(size=3), rng.normal(size=2),
     )  # fmt: skip
-    u, x = rng.normal(size=(4, 30, 1)), rng.normal(size=(4, 3))
+
+
+@pytest.mark.parametrize(("n", "growth"), [(30, 0.7), (1000, 0.999), (1023, 1.0), (700, 1.05)])
+def test_fast_free_runs_and_filters_equal_stepping(n, growth):
+    model, rng = linear(growth), np.random.default_rng(1)
+    u, x = rng.normal(size=(2, n, 1)), rng.normal(size=(2, 3))
     fast, state = model.free_run(x, u), x
-    for k in range(30):
-        assert fast[:, k] == pytest.approx(model.output(state, u[:, k]), rel=1e-12, abs=1e-12)
+    for k in range(n):
+        assert fast[:, k] == pytest.approx(model.output(state, u[:, k]), rel=1e-12, abs=1e-11)
         state = model.step(state, u[:, k])
+    y, state = rng.normal(size=(n, 2)), x[0]
+    states = model.filtered(x[0], u[0], y)
+    for k in range(n):
+        state = model.correct(state, u[0, k], y[k])
+        assert states[k] == pytest.approx(state, rel=1e-12, abs=1e-11)
+        state = model.step(state, u[0, k])
 
 
 def test_feedthrough_is_predicted_with_the_present_input():

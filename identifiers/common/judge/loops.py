@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import FitError, HarnessError
 from harness.judgement import Feedback
 from harness.models.spread import Matrices, steps
 from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.lag_state import LagModel
 from identifiers.common.neighbours import coefficients_without
 from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import lagged_blocks
 from identifiers.common.regression import solve
-
-__all__ = ["ANSWERED", "COLOURED", "NEW", "doubt_of_loop", "percent"]
 
 ANSWERED = 0.05
 """Share of an input's unpredictable part that past outputs explain, from which on what is left of them biases it."""
@@ -42,6 +42,8 @@ FIRST = 4
 """Answers that are looked at: what later ones hold a controller, or a filter that sees outputs, makes up for."""
 LAGS = 4
 """Samples by which an input may reach an output, and that outputs' past is long, in the tests of errors."""
+USED = 200
+"""Samples in which it is asked what a model uses of the past."""
 
 
 def doubt_of_loop(model: Any, records: Sequence[Trajectory], feedback: Feedback) -> str:
@@ -171,8 +173,8 @@ def _past(record: Trajectory, first: int) -> FloatArray:
 def _scatter(model: Any, records: Sequence[Trajectory]) -> float:
     """Return the standard deviation of the first answers to an input over these, of the output where it is most.
 
-    A model without neighbours gets those of a linear regression on as many lags, no better known than which it can be;
-    one of several modes has fewer samples for each. 0 where nothing tells.
+    A model without neighbours gets those of a linear regression on what it uses of as many lags, no better known than
+    which it can be; one of several modes has fewer samples for each. 0 where nothing tells.
     """
     size = np.concatenate([record.u for record in records]).std(axis=0)
     count = FIRST + LAGS + int(model.burn_in)
@@ -183,17 +185,10 @@ def _scatter(model: Any, records: Sequence[Trajectory]) -> float:
             near = np.array([_answers(one, count) for one in spread.models])
         factor = float(spread.factor)
     else:
-        lags = int(getattr(model, "lags", 1))
-        try:
-            solution = solve(lambda: lagged_blocks(records, lags, offset=True), "loop", least_norm=True)
-        except FitError:
+        if (found := _near(model, records)) is None:
             return 0.0
-        found = coefficients_without(lambda: lagged_blocks(records, lags, offset=True), solution)
-        if found is None:
-            return 0.0
-        middle = _pulses(solution.coefficients, records[0].spec.nu, lags, count)
-        near = np.array([_pulses(one, records[0].spec.nu, lags, count) for one in found[0]])
-        factor = found[1] * float(model.notes.get("modes", 1))
+        middle, near = (np.array([_pulses(one, records[0].spec.nu, count) for one in part]) for part in found[:2])
+        middle, factor = middle[0], found[2] * float(model.notes.get("modes", 1))
     begins = int(np.argmax(np.any(middle != 0, axis=(1, 2))))
     taken = slice(begins, begins + FIRST)
     with np.errstate(all="ignore"):
@@ -203,14 +198,55 @@ def _scatter(model: Any, records: Sequence[Trajectory]) -> float:
     return float(np.where(np.isnan(share), np.inf if wrong.any() else 0.0, share).max())
 
 
+def _near(model: Any, records: Sequence[Trajectory]) -> tuple[FloatArray, FloatArray, float] | None:
+    """Return the linear law (1, p, ny) of what a model uses, its neighbours (G, p, ny) and their factor, or None."""
+    ny, lags = records[0].spec.ny, int(getattr(model, "lags", 1))
+    rows = [phi for phi, _ in lagged_blocks(records, lags, offset=True)]
+    used = _used(model, np.concatenate(rows)[:USED])
+    law, near, factor = np.zeros((1, rows[0].shape[1], ny)), np.zeros((0, rows[0].shape[1], ny)), 1.0
+    for output in range(ny):
+        columns = np.flatnonzero(used[:, output])
+
+        def blocks(columns: Any = columns, output: int = output) -> Iterator[tuple[FloatArray, FloatArray]]:
+            return ((phi[:, columns], y[:, [output]]) for phi, y in lagged_blocks(records, lags, offset=True))
+
+        try:
+            solution = solve(blocks, "loop", least_norm=True)
+        except FitError:
+            return None
+        if (found := coefficients_without(blocks, solution)) is None:
+            return None
+        others, factor = found
+        near = near if len(near) else np.zeros((len(others), *law.shape[1:]))
+        law[0, columns, output], near[:, columns, output] = solution.coefficients[:, 0], others[:, :, 0]
+    return law, near, factor
+
+
+def _used(model: Any, rows: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which regressors, and the constant, an output follows (p, ny): all where a model does not say.
+
+    The inputs of the sample before always count: where a model leaves one out, the load may hide what it does.
+    """
+    ny, used = model.spec.ny, np.ones((rows.shape[1], model.spec.ny), dtype=bool)
+    if not isinstance(model, LagModel):
+        return used
+    middle, first = model.ahead(rows[:, :-1])[0], model.lags * ny
+    for column in (*range(first), *range(first + model.spec.nu, rows.shape[1] - 1)):
+        moved = rows[:, :-1].copy()
+        moved[:, column] = np.roll(moved[:, column], len(rows) // 2)
+        used[column] = np.any(model.ahead(moved)[0] != middle, axis=0)
+    return used
+
+
 def _answers(matrices: Matrices, count: int) -> FloatArray:
     """Return the first answers (count, ny, nu) to a pulse."""
     return steps(matrices, count + 1, "impulse")
 
 
-def _pulses(theta: FloatArray, nu: int, lags: int, count: int) -> FloatArray:
+def _pulses(theta: FloatArray, nu: int, count: int) -> FloatArray:
     """Return the answers (count + 1, ny, nu) to a pulse of ``y[k+1] = theta' [y[k], ..., u[k], ..., 1]``."""
     ny = theta.shape[1]
+    lags = (len(theta) - 1) // (ny + nu)
     own = theta[: lags * ny].reshape(lags, ny, ny)
     given = theta[lags * ny : lags * (ny + nu)].reshape(lags, nu, ny)
     found = np.zeros((count + 1, ny, nu))

@@ -14,8 +14,6 @@ from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.loops import ANSWERED, COLOURED, percent
 
-__all__ = ["Readings", "doubt_of_own_record"]
-
 Readings = npt.NDArray[np.bool_]
 """Of a record, (N, ny)."""
 

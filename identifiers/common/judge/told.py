@@ -15,10 +15,8 @@ from harness.models.determined import KEY
 from harness.scoring import predict
 from harness.signals import Dataset, Run, Trajectory
 from identifiers.common.excitation import excited_lags, unexcited
-from identifiers.common.judge.loops import NEW, doubt_of_loop
+from identifiers.common.judge.loops import ANSWERED, NEW, doubt_of_loop
 from identifiers.common.judge.own_record import Readings, doubt_of_own_record
-
-__all__ = ["told"]
 
 ASKED = 4
 """Lags of the inputs that a linear model of two states asks for: fewer tell no model that does not say its
@@ -28,6 +26,10 @@ MOVED = 10
 has the answer to these alone. Four steps of a size are 12 moves, five lines 10 lags."""
 GUESSED, GUESSES = 0.25, 100
 """What a model bends by over what two levels of an input do, from which on it is said, and samples asked for that."""
+ALONE, UNTOLD = 0.01, 0.97
+"""Probability of what outputs before tell of an input, above which it is chance, and what the input's own past leaves
+of it, from which on it is white (0.98 of 1000 samples): a controller's command is neither, in any of 252 loops that are
+moved by a tenth of the input and more (benchmarks/feedback_judge.py, base 300000)."""
 CHECKED = 5_000
 """Samples that are looked at."""
 
@@ -65,7 +67,8 @@ def told(fit: Fit) -> Fit:
             return model
         records, readings, said = _looked(records)
         feedback = feedback_of(records)
-        doubt: str | None = _controlled(records, feedback) or _unmoved(model, records, feedback)
+        doubt: str | None = _controlled(records, feedback) or _at_once(records, feedback)
+        doubt = doubt or _unmoved(model, records, feedback)
         if not (doubt or said):
             doubt = doubt_of_loop(model, records, feedback)
         if not doubt:
@@ -116,6 +119,21 @@ def _controlled(records: Sequence[Trajectory], feedback: Feedback) -> str:
     return (
         f"{law.text} up to {law.departure:.1e} of full size: what the inputs do beside the controller is not in the "
         "records; add an excitation to what it commands"
+    )
+
+
+def _at_once(records: Sequence[Trajectory], feedback: Feedback) -> str:
+    """Return what is wrong where outputs of the same sample, and nothing before, tell an input."""
+    spec = records[0].spec
+    if spec.feedthrough or not feedback.found or feedback.share <= ANSWERED or feedback.unforeseen < UNTOLD:
+        return ""
+    before = feedback_of([replace(record, spec=replace(spec, feedthrough=True)) for record in records])
+    if before.probability < ALONE:
+        return ""
+    return (
+        "an input goes with the outputs of the same sample, and nothing before foretells it: either an output "
+        "answers within the sample (declare feedthrough = true, without which the model is wrong), or a controller "
+        "acts at once; the records cannot tell which"
     )
 
 

@@ -29,8 +29,6 @@ from identifiers.linear.bounds.responses import (
 from identifiers.linear.markov import sums_without
 from identifiers.linear.response_control import estimated_response
 
-__all__ = ["FiniteSample"]
-
 _SHOWN = 12
 """Coefficients that are listed."""
 _LAGS, _LONGEST = 10, 100

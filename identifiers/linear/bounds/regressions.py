@@ -8,8 +8,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Ellipsoids", "SmallBall", "ellipsoids", "small_ball"]
-
 _FIRST = 0.1
 """Share of the rows that come first: their Gram matrix is what the others are weighed against."""
 _BALL = 3.0 / 20.0

@@ -12,8 +12,6 @@ from harness.models.spread import Matrices, Spread, gains
 from harness.signals import FloatArray, Trajectory
 from identifiers.linear.markov import normal_equations, sums_without
 
-__all__ = ["Responses", "norm_of_spread", "realisation_bound", "realisation_spread", "responses"]
-
 _FREQUENCIES = 64
 """Points of the half circle on which gains are taken."""
 _DRAWS = 1000

@@ -26,8 +26,6 @@ from identifiers.linear.continuous.record_fit import RecordFit, Shown, fit_to_re
 from identifiers.linear.continuous.response_fit import ResponseFit, fit_response
 from identifiers.linear.polynomials.model import Part
 
-__all__ = ["ContinuousTransferFunction"]
-
 ORDERS = (1, 2, 3, 4, 5)
 """Orders that are tried where none is given."""
 

@@ -14,15 +14,14 @@ from harness.models.estimate import Estimate
 from harness.models.spread import gain_and_phase_deviation
 from harness.signals import Channel, FloatArray, PlantSpec
 from harness.specs import spec_from_dict, spec_to_dict
+from harness.units import quotient
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import along_covariance, spread_of
-from identifiers.common.one_step_estimate import LEVEL, quotient
+from identifiers.common.one_step_estimate import LEVEL
 from identifiers.linear.continuous.rational import Hold, Rational, sampled
 
 if TYPE_CHECKING:
     import control
-
-__all__ = ["TransferFunction", "estimate_of_rows", "sampled_model"]
 
 MANY = 1e6
 """Degrees of freedom of a covariance that is known: Student's quantile is the normal one."""

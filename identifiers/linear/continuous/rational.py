@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["Hold", "Rational", "held", "sampled"]
-
 Hold = Literal["zoh", "foh"]
 ComplexArray = npt.NDArray[np.complex128]
 

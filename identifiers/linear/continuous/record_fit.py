@@ -16,8 +16,6 @@ from identifiers.linear.continuous.rational import Hold, Rational, held
 from identifiers.linear.continuous.response_fit import fit_to_response
 from identifiers.linear.polynomials.model import Part
 
-__all__ = ["RecordFit", "Shown", "fit_to_records"]
-
 POINTS = 60
 """Frequencies of the discrete model's response that a start is fitted to."""
 LOW, HIGH = 0.5, 0.8

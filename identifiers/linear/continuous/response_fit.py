@@ -11,8 +11,6 @@ from harness.errors import FitError
 from harness.signals import FloatArray
 from identifiers.linear.continuous.rational import Rational
 
-__all__ = ["ResponseFit", "fit_response", "fit_to_response"]
-
 ITERATIONS = 25
 """Of Sanathanan and Koerner; it has settled long before, or swings."""
 DELAYS = 9

@@ -13,10 +13,11 @@ from harness.judgement import feedback_of, refuse_undetermined
 from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.signals import FloatArray, Trajectory
+from harness.units import quotient
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
-from identifiers.common.one_step_estimate import LARGEST, quotient, whiteness
+from identifiers.common.one_step_estimate import LARGEST, whiteness
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable
 from identifiers.common.scaling import sizes
 from identifiers.linear.impulse.kernels import (
@@ -31,8 +32,6 @@ from identifiers.linear.impulse.kernels import (
     misfit,
 )
 from identifiers.linear.markov import normal_equations
-
-__all__ = ["ImpulseResponse"]
 
 _UNKNOWNS = 600
 """Lags times inputs at most: each trial of a kernel's numbers factors a matrix of that size."""

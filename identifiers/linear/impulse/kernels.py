@@ -10,19 +10,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = [
-    "KERNELS",
-    "Evidence",
-    "Kernel",
-    "Loose",
-    "evidence",
-    "joined",
-    "kernel_matrix",
-    "kernel_root",
-    "loose",
-    "misfit",
-]
-
 Kernel = Literal["tc", "dc", "ss"]
 KERNELS: tuple[Kernel, ...] = ("tc", "dc", "ss")
 # Of a kernel's largest eigenvalue: below it a direction is rounding, and expected to be none.

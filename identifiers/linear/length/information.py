@@ -11,8 +11,6 @@ from harness.models.spread import Matrices
 from harness.signals import FloatArray
 from identifiers.linear.length.quantities import Item
 
-__all__ = ["Information", "information_of_linear", "variance_of"]
-
 _SAMPLES = 4000
 """Samples of simulated noise from which its information is taken."""
 _LOST = 1e-9

@@ -14,8 +14,6 @@ from identifiers.linear.length.information import covariance_of_slopes
 if TYPE_CHECKING:
     from harness.physics import System
 
-__all__ = ["Mechanism", "mechanism_of"]
-
 _STARTS = 1e-6
 """Singular value, of effects of initial states at unit length, below which they are one: rounding tells them apart."""
 

@@ -18,8 +18,6 @@ from identifiers.linear.length.information import information_of_linear, varianc
 from identifiers.linear.length.physical import Mechanism, mechanism_of
 from identifiers.linear.length.quantities import Asked, Item, items_of_estimate, items_of_matrices
 
-__all__ = ["Entry", "Pilot", "fitted_pilot", "linear_plan", "mechanism_plan", "scenario_inputs"]
-
 _UNEVEN = 4.0
 """Information of the halves of a record that differs by more than this factor is no steady excitation; of a lightly
 damped plant under white inputs it differs by 2 in 500 samples by chance."""

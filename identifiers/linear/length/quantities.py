@@ -13,9 +13,7 @@ from harness.models.estimate import estimate_of
 from harness.models.lqr import spectral_radius
 from harness.models.spread import Matrices, gains, steps
 from harness.signals import FloatArray, PlantSpec
-from identifiers.common.one_step_estimate import quotient
-
-__all__ = ["Asked", "Item", "items_of_estimate", "items_of_matrices", "quantile_of_norm"]
+from harness.units import quotient
 
 Asked = Literal["gain", "pole", "response", "parameter"]
 

@@ -24,8 +24,6 @@ from identifiers.linear.length.pilot import (
 )
 from identifiers.linear.length.quantities import Asked, quantile_of_norm
 
-__all__ = ["Needed", "RecordLength", "needed_length"]
-
 _DRAWS = 2000
 """Draws of what the pilot may have been mistaken by."""
 _TOLD = 1.0

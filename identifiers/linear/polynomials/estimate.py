@@ -9,11 +9,10 @@ import numpy as np
 
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec
-from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL, quotient
+from harness.units import quotient
+from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL
 from identifiers.common.scaling import Scaling
 from identifiers.linear.polynomials.model import Polynomials
-
-__all__ = ["Fitted", "in_units", "prediction_error_estimate"]
 
 DEPENDENT = 1e-7
 """Singular values of the gradients below this share of the largest: a direction that the data do not determine."""

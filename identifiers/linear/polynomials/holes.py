@@ -10,8 +10,6 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.linear.polynomials.model import Part, Polynomials, errors_and_gradients, shifted
 
-__all__ = ["Misses", "in_pieces", "misses_of"]
-
 MOST = 200
 """Missing readings of a piece: beyond so many a record is cut, for a system of equations of that size is solved."""
 LONG = 50

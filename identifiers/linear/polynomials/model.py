@@ -9,8 +9,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Orders", "Part", "Polynomials", "block_form", "errors_and_gradients", "shifted"]
-
 
 @dataclass(frozen=True)
 class Orders:

@@ -11,8 +11,6 @@ from harness.errors import FitError
 from harness.signals import PlantSpec
 from identifiers.linear.polynomials.model import Orders
 
-__all__ = ["LETTERS", "Counts", "by_output", "by_pair", "orders_by_output"]
-
 Counts = int | list[int] | list[list[int]]
 """A number for all; one for each input (nb, nf, nk) or output (na, nc, nd); or rows of outputs, columns of inputs."""
 

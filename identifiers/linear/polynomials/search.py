@@ -11,8 +11,6 @@ from harness.signals import FloatArray
 from identifiers.linear.polynomials.holes import Misses, misses_of
 from identifiers.linear.polynomials.model import Part, Polynomials
 
-__all__ = ["End", "best", "needed", "search", "settled_inside"]
-
 # Relative gain of the loss below which the search has arrived, and rounds after which it gives up.
 _ARRIVED, _ROUNDS = 1e-9, 60
 # Time constants of C and D that a record holds at least.

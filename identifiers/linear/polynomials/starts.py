@@ -14,8 +14,6 @@ from identifiers.linear.ho_kalman import realize
 from identifiers.linear.polynomials.model import Orders, Part, Polynomials, errors_and_gradients
 from identifiers.linear.polynomials.search import best, search, settled_inside
 
-__all__ = ["settled", "starting_models"]
-
 # Memory of the long regression that a start is realized from, at least.
 _MEMORY = 12
 # Starts whose denominators are nearer than this are one.

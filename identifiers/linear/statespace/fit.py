@@ -22,8 +22,6 @@ from identifiers.linear.statespace.model import Piece, StateSpace
 from identifiers.linear.statespace.noise import MOST
 from identifiers.linear.statespace.search import Freedom, steps_of
 
-__all__ = ["Found", "state_space_of"]
-
 LONGEST = 8192
 """Samples of a piece of a record, at most: transforms of that length stay in a processor's cache."""
 NUMBERS = 4_000_000

@@ -13,8 +13,6 @@ from identifiers.linear.statespace.noise import MOST, noise_of
 from identifiers.linear.statespace.search import End, Freedom, loss_of, search, settled_starts
 from identifiers.linear.statespace.starts import filtered_model, long_models, reduced
 
-__all__ = ["Rung", "finished", "ladder"]
-
 ORDERS = 10
 """Largest order that is tried."""
 ASKED = 6

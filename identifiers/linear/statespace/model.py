@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["Errors", "Piece", "StateSpace", "coordinates", "errors_of", "gradients_of"]
-
 Spectrum = npt.NDArray[np.complex128]
 
 

@@ -9,8 +9,6 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.linear.statespace.model import Errors, Piece
 
-__all__ = ["MOST", "noise_of"]
-
 MOST = 6
 """Length of an autoregression, at most."""
 INSIDE = 0.97

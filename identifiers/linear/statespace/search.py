@@ -11,8 +11,6 @@ from harness.signals import FloatArray
 from identifiers.common.neighbours import steps_without
 from identifiers.linear.statespace.model import Errors, Piece, StateSpace, coordinates, errors_of, gradients_of
 
-__all__ = ["End", "Freedom", "loss_of", "search", "settled_starts", "steps_of"]
-
 EXACT = 1e-24
 """Mean square of innovations, of outputs of size 1, that counts as rounding."""
 MEMORIES = 5.0

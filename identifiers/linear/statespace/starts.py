@@ -11,8 +11,6 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.linear.statespace.model import Piece, StateSpace
 
-__all__ = ["filtered_model", "long_models", "reduced"]
-
 LAGS = (4, 6, 9, 13, 20, 30, 50)
 """Lengths of the regressions that are tried."""
 EQUATIONS = 6
