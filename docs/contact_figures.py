@@ -93,7 +93,7 @@ def contact(record: Trajectory) -> dict[str, tuple[float, float]]:
 
 
 def masses(path: Path) -> None:
-    """Draw the intervals of the masses of the record of docs/mechanical.md."""
+    """Draw the intervals of the masses of the record of docs/arms.md."""
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "run.csv"
         api.simulate(

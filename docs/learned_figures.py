@@ -1,4 +1,4 @@
-"""Draw docs/learned.svg: six experiments with finite, hidden, switching and learned models.
+"""Draw docs/finite.svg and docs/learned.svg: three experiments with finite processes, three with learned functions.
 
 Run ``python docs/learned_figures.py``; about half a minute of CPU.
 """
@@ -158,17 +158,18 @@ def ensemble(axes: Any) -> None:
 
 
 def main() -> None:
-    """Draw the figure."""
+    """Draw the figures."""
     import matplotlib
 
     matplotlib.use("svg")
     matplotlib.rcParams.update({"svg.hashsalt": "learned", "font.size": 8})
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(2, 3, figsize=(11, 6), layout="constrained")
-    for draw, place in zip((counting, hidden, lumping, switching, bands, ensemble), axes.ravel(), strict=True):
-        draw(place)
-    figure.savefig(Path(__file__).with_name("learned.svg"), metadata={"Date": None})
+    for name, drawn in (("finite", (counting, hidden, lumping)), ("learned", (switching, bands, ensemble))):
+        figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
+        for draw, place in zip(drawn, axes, strict=True):
+            draw(place)
+        figure.savefig(Path(__file__).with_name(f"{name}.svg"), metadata={"Date": None})
 
 
 if __name__ == "__main__":

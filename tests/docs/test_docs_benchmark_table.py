@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 from harness.benchmark import bench
 from harness.benchmark.suite import load_suite
@@ -11,12 +12,8 @@ from harness.benchmark.suite import load_suite
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_a_row_of_the_page_is_made_again(tmp_path: Path) -> None:
-    spec = importlib.util.spec_from_file_location("make_table", ROOT / "docs" / "make_benchmark_table.py")
-    assert spec is not None
-    assert spec.loader is not None
-    maker = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(maker)
+def test_a_row_of_the_page_is_made_again(tmp_path: Path, script: Callable[[str], ModuleType]) -> None:
+    maker = script("docs/make_benchmark_table.py")
     pages = [page.read_text(encoding="utf-8").split(maker.BEGIN)[1].split(maker.END)[0] for page in maker.PAGES]
     printed = pages[0]
     assert pages == [printed] * 2

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
 
-
-def checker() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("check_chapter", ROOT / "docs" / "check_chapter.py")
-    assert spec is not None
-    assert spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
+@pytest.fixture
+def check(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("docs/check_chapter.py")
 
 
 def test_a_figure_that_no_command_printed_is_noticed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    check: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    check = checker()
     assert check.figures("With 5 % it errs by 0.198, `-O x=0.3`, of 1500 ([a](b.md#c-0.5)).") == ["0.198", "1500"]
     page = tmp_path / "page.md"
     page.write_text("```sh\necho 0.01234 2000\n```\n\nIt errs by 12.3 mm, 1.23 % of 2.00 m.\n\n```sh\nexit 3\n```\n")
@@ -38,5 +31,5 @@ def test_a_figure_that_no_command_printed_is_noticed(
 
 
 @pytest.mark.slow
-def test_every_figure_of_the_page_is_what_was_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert checker().main() == 0, capsys.readouterr().out
+def test_every_figure_of_the_page_is_what_was_printed(check: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check.main() == 0, capsys.readouterr().out

@@ -63,3 +63,15 @@ def test_every_registered_plant_stands_in_the_table() -> None:
     text = (ROOT / "docs" / "plants.md").read_text(encoding="utf-8")
     own = [entry.id for entry in registry.entries("plants") if entry.distribution == "sysid-harness"]
     assert [name for name in own if f"| `{name}` |" not in text] == []
+
+
+def test_the_page_on_plug_ins_shows_what_is_written(tmp_path: Path) -> None:
+    from harness.scaffold import new
+
+    text = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
+    for kind, name in (("effect", "soft-friction"), ("model", "cart")):
+        (source,) = (path for path in new(kind, name, folder=tmp_path) if path.name == "__init__.py")
+        code = source.read_text(encoding="utf-8")
+        begins = re.search(r"^(?:@effect|def )", code, re.MULTILINE)
+        assert begins is not None
+        assert code[begins.start() :].strip() in text, kind

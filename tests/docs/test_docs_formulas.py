@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import html
-import importlib.util
 import re
-from pathlib import Path
+from collections.abc import Callable
 from types import ModuleType
 from xml.etree import ElementTree
 
@@ -13,17 +12,10 @@ import pytest
 
 from harness.effects import builtin
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.fixture(scope="module")
-def formulas() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("formulas", ROOT / "docs" / "formulas.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def formulas(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("docs/formulas.py")
 
 
 def letters(text: str, formulas: ModuleType) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -16,17 +16,13 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 REMEDY = "run python docs/make_reference.py"
 
 
-def maker() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture
+def maker(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("docs/make_reference.py")
 
 
-def test_the_pages_are_those_of_the_sources(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = maker().pages()
+def test_the_pages_are_those_of_the_sources(maker: ModuleType) -> None:
+    made = maker.pages()
     assert sorted(made) == sorted(page.name for page in (DOCS / "reference").iterdir())
     other = [name for name, text in made.items() if (DOCS / "reference" / name).read_text(encoding="utf-8") != text]
     assert other == [], REMEDY
@@ -47,10 +43,9 @@ def test_every_identifier_stands_in_the_page_that_helps_to_choose() -> None:
 
 
 @pytest.mark.parametrize("page", ["DATASET", "SUITE"])
-def test_every_key_is_explained(page: str) -> None:
-    module = maker()
-    for struct in getattr(module, page).values():
-        told = module.SUITE_KEYS if page == "SUITE" else module.meanings(struct)
+def test_every_key_is_explained(page: str, maker: ModuleType) -> None:
+    for struct in getattr(maker, page).values():
+        told = maker.SUITE_KEYS if page == "SUITE" else maker.meanings(struct)
         assert [field.name for field in msgspec.structs.fields(struct) if not told.get(field.name)] == []
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -45,14 +46,10 @@ def test_the_site_builds_and_every_link_and_anchor_leads_somewhere(tmp_path: Pat
         ("<pre><code>a | b &lt; c</code></pre><p>fine</p>", []),
     ],
 )
-def test_what_markdown_did_not_understand_is_seen(page: str, faults: list[str]) -> None:
-    place = ROOT / "docs" / "site_hooks.py"
-    spec = importlib.util.spec_from_file_location("site_hooks", place)
-    assert spec is not None
-    assert spec.loader is not None
-    hooks = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(hooks)
-    assert hooks.broken(page) == faults
+def test_what_markdown_did_not_understand_is_seen(
+    page: str, faults: list[str], script: Callable[[str], ModuleType]
+) -> None:
+    assert script("docs/site_hooks.py").broken(page) == faults
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "examples/third_party_identifier/README.md"])
