@@ -7,22 +7,16 @@ Both fill the same block of memory, 2000 samples at a time, in alternating round
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
+from timing import least_times
 
 from harness.physics.arms.arm import load_arm
 from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program
 from harness.physics.arms.regressor import ArmRegressor
 
 SAMPLES, BLOCK, ROUNDS = 100_000, 2000, 3
-
-
-def seconds(work: Callable[[], None]) -> float:
-    start = time.process_time()
-    work()
-    return time.process_time() - start
 
 
 def main() -> None:
@@ -47,20 +41,18 @@ def main() -> None:
             part = slice(first, first + BLOCK)
             block[:] = regressor(q[part], v[part], a[part]).reshape(block.shape)
 
-    rounds = [(seconds(theirs), seconds(ours)) for _ in range(ROUNDS)]
-    loop, own = (min(column) for column in zip(*rounds, strict=True))
+    (loop, own), _ = least_times(theirs, ours, rounds=ROUNDS)
     print(f"regressor of {SAMPLES} samples: Pinocchio loop {loop:.3f} s, ours {own:.3f} s, ratio {loop / own:.1f}")
 
-    gram, truth = np.zeros((70, 70)), arm.arm.parameters
+    truth = arm.arm.parameters
     noise = np.random.default_rng(1).normal(size=(2000, arm.n))
     rows = regressor(q[:2000], v[:2000], a[:2000])
     gram = rows.T @ rows
     side = rows.T @ (rows @ truth + noise.ravel())
     problem = Problem(gram, side, Bodies(truth), 0.3, np.zeros(0, dtype=bool))
-    answers = []
     for solve in (by_semidefinite_program, by_log_cholesky):
-        spent = seconds(lambda solve=solve: answers.append(solve(problem)))  # type: ignore[misc]
-        print(f"{solve.__name__}: {spent:.2f} s of CPU, cost {problem.cost(answers[-1]):.6f}")
+        (spent,), (answer,) = least_times(lambda solve=solve: solve(problem), rounds=1)
+        print(f"{solve.__name__}: {spent:.2f} s of CPU, cost {problem.cost(answer):.6f}")
 
 
 if __name__ == "__main__":

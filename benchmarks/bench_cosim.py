@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from timing import least_times
 
 from harness.cosim import Connection, Coupled
 from harness.protocols import Plant
@@ -20,19 +21,6 @@ from plants.mockups import mockup
 N = 1000
 DT = 0.01
 NOTHING = np.zeros(0)
-
-
-def best(first: Callable[[], object], second: Callable[[], object], repeats: int = 40) -> tuple[float, float]:
-    """Return the shortest processor times [s] of two jobs that take turns, so that other work counts little."""
-    times: list[tuple[float, float]] = []
-    for _ in range(repeats):
-        pair = []
-        for job in (first, second):
-            started = time.thread_time()
-            job()
-            pair.append(time.thread_time() - started)
-        times.append((pair[0], pair[1]))
-    return min(a for a, _ in times), min(b for _, b in times)
 
 
 def fmu(name: str, **parameters: float) -> FmuPlant:
@@ -164,7 +152,7 @@ def main() -> int:
             for _ in range(N):
                 plant.step(u)
 
-        plain, whole = best(by_hand, run)
+        (plain, whole), _ = least_times(by_hand, run, rounds=40, clock=time.thread_time)
         added = (whole - plain) / N * 1e6
         worst = max(worst, added / connections)
         print(

@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from timing import least_times
 
 from plants.bullet.engine import bullet, data_file, explicit_urdf
 from plants.bullet.robots import ArmPlant, iiwa, one_joint_arm
@@ -27,15 +28,9 @@ STEPS = 2000
 ROUNDS = 15
 
 
-def best(*jobs: Callable[[], object]) -> list[float]:
-    """Return the shortest time of each job in microseconds a step, taken in turns."""
-    times = np.empty((ROUNDS, len(jobs)))
-    for number in range(ROUNDS):
-        for column, job in enumerate(jobs):
-            start = time.perf_counter()
-            job()
-            times[number, column] = time.perf_counter() - start
-    return [float(t) for t in times.min(axis=0) / STEPS * 1e6]
+def per_step(*jobs: Callable[[], object]) -> list[float]:
+    """Return the least time of each job in microseconds a step."""
+    return [1e6 * one / STEPS for one in least_times(*jobs, rounds=ROUNDS, clock=time.perf_counter)[0]]
 
 
 def by_hand(world: World, torques: list[list[float]]) -> list[float]:
@@ -68,7 +63,7 @@ def arm(plant: ArmPlant, inputs: np.ndarray) -> None:
         world.set_joints(plant._home.tolist(), [0.0] * 7)
         ends[id(world)] = by_hand(world, torques)
 
-    mine, stock, light = best(ours, lambda: raw(full), lambda: raw(plant._world))
+    mine, stock, light = per_step(ours, lambda: raw(full), lambda: raw(plant._world))
     full.close()
     assert len(set(map(tuple, ends.values()))) == 1, "all three must move alike, bit for bit"
     name = f"iiwa-bullet, {plant.declared['substeps']} substeps, damping {damping[0]:g}"
@@ -94,7 +89,7 @@ def cart_pole(plant: PymunkCartPole, inputs: np.ndarray) -> None:
                 space.step(dt)
             _ = cart.position.x, pole.angle
 
-    report(f"cart-pole-pymunk, {substeps} substeps", *best(ours, raw), 1.5)
+    report(f"cart-pole-pymunk, {substeps} substeps", *per_step(ours, raw), 1.5)
 
 
 def robot(name: str, plant: MujocoPlant, inputs: np.ndarray) -> None:
@@ -119,7 +114,7 @@ def robot(name: str, plant: MujocoPlant, inputs: np.ndarray) -> None:
             q, v = data.qpos.copy(), data.qvel.copy()
         ends["raw"] = [*q, *v]
 
-    mine, stock = best(ours, raw)
+    mine, stock = per_step(ours, raw)
     assert ends["ours"] == ends["raw"], "both must move alike, bit for bit"
     report(f"{name}, {substeps} substeps", mine, stock, 1.10)
 

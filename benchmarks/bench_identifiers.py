@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from timing import least_times
 
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.common.library import Library
@@ -47,15 +47,9 @@ def race(work: str, aim: float, ours: Job, who: str, peer: Job | None, *, rounds
     if peer is None or (package != "numpy" and importlib.util.find_spec(package) is None):
         print(f"{work:44s} {who}: not installed")
         return
-    times: dict[str, list[float]] = {"ours": [], "peer": []}
-    answers: dict[str, Any] = {}
-    for _ in range(rounds):
-        for name, job in (("ours", ours), ("peer", peer)):
-            start = time.process_time()
-            answers[name] = job()
-            times[name].append(time.process_time() - start)
-    own, other = (max(min(times[name]), 1e-9) for name in ("ours", "peer"))
-    gap = float(np.abs(np.asarray(answers["ours"]) - np.asarray(answers["peer"])).max())
+    (own, other), answers = least_times(ours, peer, rounds=rounds)
+    own, other = max(own, 1e-9), max(other, 1e-9)
+    gap = float(np.abs(np.asarray(answers[0]) - np.asarray(answers[1])).max())
     verdict = "met" if other / own >= aim else "MISSED"
     times_text = f"{1e3 * own:10.3f} ms   {who} {1e3 * other:.3f} ms"
     print(

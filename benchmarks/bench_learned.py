@@ -1,41 +1,25 @@
 """Finite and learned models against peers: the same work in one process, in turn, with the ratio of CPU times.
 
 Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/bench_learned.py``; a peer that is not installed
-(numba, hmmlearn, scikit-learn) has a row that says so. Claims, on one thread: counting as fast as a numba loop within a
-factor of two, Baum-Welch faster than hmmlearn's scaling implementation, exact bisimulation of 1e4 states in seconds, a
-Gaussian process with 1e4 samples through inducing points in less than a minute.
+(hmmlearn, scikit-learn) has a row that says so. Claims, on one thread: Baum-Welch faster than hmmlearn's scaling
+implementation, exact bisimulation of 1e4 states in seconds, a Gaussian process with 1e4 samples through inducing points
+in less than a minute.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import time
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
+from timing import least_times
 
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.finite.bisimulation import bisimulation
 from identifiers.finite.hmm_pass import expected_counts
-from identifiers.finite.mdp import count_transitions
 from identifiers.learned.gaussian_process import GaussianProcess
 
 RNG = np.random.default_rng(0)
-ROUNDS = 3
-
-
-def race(ours: Callable[[], Any], theirs: Callable[[], Any] | None) -> tuple[float, float | None, Any, Any]:
-    """Return the least CPU time [s] of both sides, run in turn, and their last results."""
-    times: list[list[float]] = [[], []]
-    results: list[Any] = [None, None]
-    for _ in range(ROUNDS):
-        for side, job in enumerate((ours, theirs)):
-            if job is not None:
-                start = time.process_time()
-                results[side] = job()
-                times[side].append(time.process_time() - start)
-    return min(times[0]), min(times[1]) if theirs else None, results[0], results[1]
 
 
 def row(work: str, ours: float, peer: float | None, who: str, difference: float | None = None) -> None:
@@ -48,42 +32,6 @@ def row(work: str, ours: float, peer: float | None, who: str, difference: float 
 def have(package: str) -> bool:
     """Return True if a peer is installed."""
     return importlib.util.find_spec(package) is not None
-
-
-def categories(name: str, count: int) -> Channel:
-    """Return a category channel."""
-    return Channel(name, kind="category", minimum=0, maximum=count - 1)
-
-
-def counting(samples: int = 10_000_000, states: int = 1000, actions: int = 10) -> None:
-    """Transition counts, against a compiled loop."""
-    spec = PlantSpec((categories("a", actions),), (categories("s", states),), 1.0)
-    a, s = RNG.integers(actions, size=samples), RNG.integers(states, size=samples)
-    data = Trajectory(np.arange(samples) * 1.0, a[:, None], s[:, None], spec)
-    loop = None
-    if have("numba"):
-        import numba
-
-        @numba.njit
-        def counted(y: np.ndarray, u: np.ndarray, table: np.ndarray) -> None:
-            for k in range(len(y) - 1):
-                table[int(y[k]), int(u[k]), int(y[k + 1])] += 1.0
-
-        counted(data.y[:10, 0], data.u[:10, 0], np.zeros((states, actions, states)))
-
-        def loop() -> np.ndarray:
-            table = np.zeros((states, actions, states))
-            counted(data.y[:, 0], data.u[:, 0], table)
-            return table
-
-    own, other, found, theirs = race(lambda: count_transitions([data]), loop)
-    row(
-        f"counting, {samples:.0e} transitions",
-        own,
-        other,
-        "numba",
-        None if theirs is None else abs(found - theirs).max(),
-    )
 
 
 def baum_welch(states: int = 10, samples: int = 100_000, iterations: int = 10) -> None:
@@ -112,8 +60,10 @@ def baum_welch(states: int = 10, samples: int = 100_000, iterations: int = 10) -
             peer.startprob_, peer.transmat_, peer.emissionprob_ = np.full(states, 1.0 / states), transition, emission
             return np.asarray(peer.fit(seen[:, None]).transmat_)
 
-    own, other, found, matched = race(ours, theirs)
-    gap = None if matched is None else float(np.abs(found - matched).max())
+    jobs = (ours,) if theirs is None else (ours, theirs)
+    times, answers = least_times(*jobs, rounds=3)
+    own, other = times[0], None if theirs is None else times[1]
+    gap = None if theirs is None else float(np.abs(answers[0] - answers[1]).max())
     row(f"Baum-Welch, {states} states, N = {samples:.0e}, {iterations} iterations", own, other, "hmmlearn scaling", gap)
 
 
@@ -166,7 +116,6 @@ def process(samples: int = 11_000) -> None:
 
 
 if __name__ == "__main__":
-    counting()
     baum_welch()
     lumping()
     process()

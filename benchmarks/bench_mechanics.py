@@ -1,4 +1,4 @@
-"""Mechanical fits and designs against the usual way: a cart-pole by simulation error, recursive updates, the iiwa.
+"""Mechanical fits and designs against the usual way: a cart-pole by simulation error, updates of lumps, the iiwa.
 
 Run: python benchmarks/bench_mechanics.py     (peer and ours in one process, alternating; prints ratios and aims)
 """
@@ -9,18 +9,17 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import padasip
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from timing import least_times
 
 from harness import registry
 from harness.physics import fit_output_error
 from harness.physics.arms.arm import load_arm
 from harness.physics.models import cart_pole
-from harness.signals import Channel, PlantSpec, Trajectory
+from harness.signals import PlantSpec, Trajectory
 from identifiers.mechanics.arms.inertial import Inertial
 from identifiers.online.lumped_recursive import RecursiveLumped
-from identifiers.online.rls import RecursiveLeastSquares
 from identifiers.online.rls_pass import rotated
 from scenarios.design import FourierReference
 
@@ -94,42 +93,6 @@ def cart() -> None:
           f"ratio {ratio:.0f}, aim 200 {'met' if ratio >= 200 else 'missed'}")  # fmt: skip
 
 
-def recursive(count: int = 100_000) -> None:
-    spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
-    u, y = RNG.normal(size=count), np.zeros(count)
-    for k in range(1, count):
-        y[k] = 0.7 * y[k - 1] - 0.2 * y[k - 2] + u[k - 1] + 0.01 * RNG.normal()
-    rows = np.column_stack([y[1:-1], y[:-2], u[1:-1], u[:-2]])
-
-    def ours() -> object:
-        online = RecursiveLeastSquares(order=2, offset=False)
-        state = online.start(online.init(spec, rng=RNG), y[:1])
-        for k in range(len(rows)):
-            state = online.update(state, u[k : k + 1], y[k + 1 : k + 2])
-        return state
-
-    def peer() -> object:
-        filtered = padasip.filters.FilterRLS(n=4, mu=0.9999999)
-        for row, target in zip(rows, y[2:], strict=True):
-            filtered.adapt(target, row)
-        return filtered
-
-    def plain() -> object:
-        theta, P = np.zeros(4), 1e6 * np.eye(4)
-        for row, target in zip(rows, y[2:], strict=True):
-            gain = P @ row / (1.0 + row @ P @ row)
-            theta = theta + gain * (target - row @ theta)
-            P = P - np.outer(gain, row @ P)
-        return theta
-
-    spent = {name: min(timed(work)[0] for _ in range(2)) for name, work in
-             (("ours", ours), ("padasip", peer), ("plain numpy", plain))}  # fmt: skip
-    for name in ("padasip", "plain numpy"):
-        ratio = spent[name] / spent["ours"]
-        print(f"{count} recursive updates: ours {spent['ours']:.2f} s, {name} {spent[name]:.2f} s: ratio {ratio:.2f}, "
-              f"aim 1 {'met' if ratio >= 1 else 'missed'}")  # fmt: skip
-
-
 def recursive_lumps(count: int = 100_000) -> None:
     """Print updates of five lumped parameters, equations of a cart-pole rotated in one by one, beside plain numpy."""
     x = RNG.normal(size=(count, 5))
@@ -151,10 +114,7 @@ def recursive_lumps(count: int = 100_000) -> None:
         return triangle
 
     works = {"ours": ours, "ours, a record at once": at_once, "plain numpy": plain}
-    spent = dict.fromkeys(works, float("inf"))
-    for _ in range(3):
-        for name, work in works.items():
-            spent[name] = min(spent[name], timed(work)[0])
+    spent = dict(zip(works, least_times(*works.values(), rounds=3)[0], strict=True))
     for name in ("ours", "ours, a record at once"):
         ratio = spent["plain numpy"] / spent[name]
         verdict = "met" if ratio >= 1 else "missed"
@@ -199,7 +159,6 @@ def designed(seeds: int = 8) -> None:
 
 if __name__ == "__main__":
     cart()
-    recursive()
     recursive_lumps()
     semidefinite()
     designed()

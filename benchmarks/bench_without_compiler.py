@@ -15,10 +15,10 @@ import resource
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
+from timing import least_times, verdict
 
 from harness.api import simulate
 from harness.effects import builtin
@@ -64,12 +64,8 @@ def passes(model: str, port: str, samples: int = 1500, dt: float = 0.01) -> None
     nl, ny, columns = ways[0].nl, ways[0].ny, np.arange(system.np + system.nx)
     noise = Noise(s=np.full(nl, 0.01), tau=np.full(nl, 0.1), w=np.zeros(nl), r=np.full(ny, 1e-3))
     for what, given in (("value", {}), ("all derivatives", {"columns": columns, "by_noise": True})):
-        best = [np.inf, np.inf]
-        for _ in range(6):
-            for place, one in enumerate(ways):
-                began = time.process_time()
-                one(record, p, x0, noise, **given)  # type: ignore[arg-type]
-                best[place] = min(best[place], time.process_time() - began)
+        jobs = [lambda one=one, given=given: one(record, p, x0, noise, **given) for one in ways]
+        best, _ = least_times(*jobs, rounds=6)
         print(
             f"  pass, {what:15s} {1e3 * best[0]:7.2f} ms   without {1e3 * best[1]:7.2f} ms   {best[1] / best[0]:5.1f}"
         )
@@ -92,8 +88,7 @@ def main() -> int:
         holds = holds and small <= ASKED * cpu and names == same == others
         print(f"  close-loop {cpu:6.1f} s   with the small compiler {small:6.1f} s, {small / cpu:.1f} times", end="")
         print(f"   without any {slow:6.1f} s, {slow / cpu:.1f} times   {names} {same} {others}")
-    print(f"  {'holds ' if holds else 'MISSED'} at most {ASKED:g} times as long, and the same answer")
-    return 0 if holds else 1
+    return 0 if verdict(holds, f"at most {ASKED:g} times as long, and the same answer") else 1
 
 
 if __name__ == "__main__":

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 
 from harness.supervision.interrupts import INTERRUPTED, Interrupts
 
-__all__ = ["main"]
-
 COLLECTED = 50_000
 """New objects between two runs of the garbage collector; 700, as usual, costs 4 % of a short diagnosis."""
 

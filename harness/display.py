@@ -9,8 +9,6 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["STYLE", "drawing", "page", "table"]
-
 STYLE = (
     "body{font:15px/1.45 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em}"
     "td,th{padding:.2em .7em;text-align:left}img{max-width:100%;background:#fff}div,p{overflow-x:auto}"

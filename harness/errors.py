@@ -11,23 +11,9 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from unicodedata import category
-
-__all__ = [
-    "FitError",
-    "HarnessError",
-    "InputError",
-    "PlantError",
-    "PluginError",
-    "as_described",
-    "as_written",
-    "no_file",
-    "printable",
-    "refuse_no_file",
-    "unknown_name",
-    "unread",
-]
 
 ENDING = re.compile(r"\.[A-Za-z]\w{0,15}")
 """Ending of a file's name; ids of parts have none."""
@@ -101,7 +87,8 @@ class InputError(HarnessError):
         return " ".join(text.split())
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild_input_error, (*self.args, type(self))
+        given = {name: getattr(self, name) for name in ("expected", "got", "remedy", "file", "place")}
+        return partial(type(self), self.what, **given), ()
 
     def located(self, *, file: str | Path | None = None, place: str | None = None) -> InputError:
         """Return the same error with the file or place filled in where it was not known."""
@@ -211,6 +198,18 @@ def no_file(path: str | Path) -> str:
     return f"no file (near it: {', '.join(near)})" if near else "no file"
 
 
+def did_you_mean(name: str, known: Iterable[str], otherwise: str, most: int = 3) -> str:
+    """Return a remedy: the known names that a wrong one is near to, or what to do where it is near to none.
+
+    Examples
+    --------
+    >>> did_you_mean("pendulm", ["pendulum", "drive"], "run 'sysid list'")
+    'did you mean pendulum?'
+    """
+    near = difflib.get_close_matches(name, list(known), n=most)
+    return f"did you mean {' or '.join(near)}?" if near else otherwise
+
+
 def unread(path: str | Path, error: Exception) -> str:
     """Return in words why a file was not read.
 
@@ -255,19 +254,6 @@ def refuse_no_file(name: str, expected: str) -> None:
         raise InputError("no such file", expected=expected, got=no_file(path), remedy="check the path", file=path)
 
 
-def _rebuild_input_error(
-    what: str,
-    expected: str,
-    got: str,
-    remedy: str,
-    file: str | Path | None,
-    place: str | None,
-    kind: type[InputError],
-) -> InputError:
-    """Rebuild a pickled error (an exception with keyword arguments does not travel by itself)."""
-    return kind(what, expected=expected, got=got, remedy=remedy, file=file, place=place)
-
-
 class FitError(InputError):
     """Data from which this identifier cannot learn a model (too short, not exciting, rank deficient)."""
 
@@ -296,9 +282,4 @@ class PlantError(HarnessError):
         self.status = status
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild_plant_error, (str(self), self.status)
-
-
-def _rebuild_plant_error(reason: str, status: str) -> PlantError:
-    """Rebuild a pickled error, its status included."""
-    return PlantError(reason, status=status)
+        return partial(type(self), str(self), status=self.status), ()

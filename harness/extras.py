@@ -9,8 +9,6 @@ from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["on_demand", "optional"]
-
 
 def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") -> Any:
     """Return an optional package.

@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 from harness.errors import printable
 
-__all__ = ["embedded", "inlined", "plain_texts", "plot_record", "sheet"]
-
 _PATH = re.compile(r'(?<= d=")[^"]*')
 _LONG = re.compile(r"-?\d+\.\d{3,}(?![\de])")
 Table = tuple[npt.NDArray[np.float64], Sequence[str]]
@@ -83,10 +81,6 @@ def plot_record(t: npt.NDArray[np.float64], inputs: Table, outputs: Table, axes:
         Values and labels.
     axes : sequence of matplotlib axes, optional
         One for each channel; made if not given.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     count = len(inputs[1]) + len(outputs[1])
     if axes is None:

@@ -7,7 +7,6 @@ imported before it is asked for. ``SYSID_HARNESS_NO_PLUGINS=1`` leaves only the 
 from __future__ import annotations
 
 import ast
-import difflib
 import functools
 import importlib.metadata
 import importlib.util
@@ -18,24 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.errors import HarnessError, InputError, PluginError, refuse_no_file
+from harness.errors import HarnessError, InputError, PluginError, did_you_mean, refuse_no_file
 from harness.fingerprint import files_named, fingerprint, sources
 from harness.options import instead, meant_options
-
-__all__ = [
-    "KINDS",
-    "Entry",
-    "code_of",
-    "create",
-    "dataset_path",
-    "entries",
-    "entry",
-    "load",
-    "named_options",
-    "returned_class",
-    "singular",
-    "takes_option",
-]
 
 DISTRIBUTION = "sysid-harness"
 KINDS = (
@@ -174,13 +158,11 @@ def entry(kind: str, id: str) -> Entry:
         return known[id]
     if kind == "plants":  # the only parts that may be files
         refuse_no_file(id, "the id of a plant (sysid list plants), an FMU, or a system of them")
-    near = difflib.get_close_matches(id, known, n=3)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"run 'sysid list {kind}'"
     raise InputError(
         f"unknown {singular(kind)}",
         expected=f"one of {', '.join(sorted(known))}",
         got=repr(id),
-        remedy=hint,
+        remedy=did_you_mean(id, known, f"run 'sysid list {kind}'"),
     )
 
 
@@ -228,12 +210,11 @@ def dataset_path(dataset: Any) -> Any:
     if name not in known:
         if path.is_dir():
             return path
-        near = difflib.get_close_matches(name, known, n=3)
         raise InputError(
             "no such file or recording",
             expected=f"a file of data, or one of the recordings {', '.join(sorted(known))}",
             got=repr(name),
-            remedy=f"did you mean {' or '.join(near)}?" if near else "check the path, or run 'sysid list recordings'",
+            remedy=did_you_mean(name, known, "check the path, or run 'sysid list recordings'"),
         )
     return Path(load("recordings", name))
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["QuantisationTest", "quantisation_test", "resolution"]
-
 SMALLEST = 0.05
 """Share of the gaps between distinct readings that are one step, at least: of gaps of chance, one in hundreds is."""
 

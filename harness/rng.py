@@ -9,8 +9,6 @@ import numpy as np
 
 from harness.errors import InputError
 
-__all__ = ["Streams", "stream"]
-
 
 def stream(*keys: str | int) -> np.random.Generator:
     """Return the generator that belongs to these keys.

@@ -12,8 +12,6 @@ from harness.protocols import Batch, BatchTruth, Experiment, Feedthrough, Plant,
 from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-__all__ = ["perform", "run"]
-
 
 def run(
     plant: Plant,

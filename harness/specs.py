@@ -10,8 +10,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import Channel, PlantSpec
 
-__all__ = ["spec_from_dict", "spec_to_dict"]
-
 
 def spec_to_dict(spec: PlantSpec) -> dict[str, Any]:
     """Return a JSON-ready description; infinite limits become null.

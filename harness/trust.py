@@ -19,8 +19,6 @@ from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["UNZIPPING", "names_fmu", "registered_only", "trusted", "trusting"]
-
 _TRUSTED: ContextVar[frozenset[Path]] = ContextVar("trusted", default=frozenset())
 NATIVE = (".fmu", ".ssp", ".so", ".dll", ".dylib", ".pyd")
 """Endings of files that hold machine code."""

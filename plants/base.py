@@ -8,8 +8,6 @@ from harness.errors import PlantError
 from harness.protocols import Ability
 from harness.signals import PlantSpec
 
-__all__ = ["BasePlant"]
-
 
 class BasePlant:
     """A plant that is open until it is closed; a subclass sets ``_spec``, and overrides what is otherwise with it."""

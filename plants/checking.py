@@ -14,17 +14,6 @@ from harness.errors import InputError
 from harness.options import instead, meant_options
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = [
-    "checked_inputs",
-    "checked_options",
-    "finite",
-    "initial_values",
-    "per_item",
-    "positive",
-    "refuse_input",
-    "with_fields",
-]
-
 
 def refuse_input(u: Any, spec: PlantSpec) -> NoReturn:
     """Raise the error that fits an input ``step`` could not take; called only after the fast check failed."""

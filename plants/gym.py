@@ -13,8 +13,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import initial_values, positive, refuse_input
 
-__all__ = ["GymPlant", "environment"]
-
 
 class GymPlant(BasePlant):
     """A Gymnasium environment behind the stepping interface: actions in, observations out, rewards left out.
@@ -88,8 +86,6 @@ class GymPlant(BasePlant):
 
         Raises
         ------
-        InputError
-            If ``u`` has the wrong shape or is not finite.
         PlantError
             With status ``"terminated"`` in the step after the episode's end.
         """

@@ -15,8 +15,6 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values
 
-__all__ = ["ReplayPlant"]
-
 
 class ReplayPlant(BasePlant):
     """Plays a recording sample by sample.

@@ -14,8 +14,6 @@ import threading
 from pathlib import Path
 from types import FrameType
 
-__all__ = ["release", "temporary_folder"]
-
 _folders: dict[Path, int] = {}  # folder: the process that owns it (a fork inherits the table, not the folders)
 
 

@@ -14,8 +14,6 @@ from harness.benchmark.row import Row, sound
 from harness.data.whole_files import whole_file
 from harness.jobs.stored import read_columns, reading
 
-__all__ = ["FORMAT", "arrow_table", "columns_of_files", "rows_of", "write_rows"]
-
 FORMAT = "sysid-harness/bench/1"
 UNITS = {
     **{

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from harness.benchmark.row import Row
     from harness.scoring.control import LinearPlantModel
 
-__all__ = ["score_control"]
-
 AT_REST = 0.02
 """The plant is linearised at the mean of the records if one sample from there moves no state by more than this share of
 its spread: a record that swings about an equilibrium has its mean there, another has none."""

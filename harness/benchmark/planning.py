@@ -19,8 +19,6 @@ from harness.jobs.stored import read_columns, reading
 
 Shared = TypeVar("Shared")
 
-__all__ = ["Plan", "plan_of", "read_shard", "share"]
-
 
 @dataclass(frozen=True)
 class Plan:

@@ -18,8 +18,6 @@ from harness.errors import HarnessError
 from harness.jobs.stored import reading
 from harness.supervision.workers import worker_pool
 
-__all__ = ["probe_plants"]
-
 LIMIT = 120.0  # s for one plant
 
 

@@ -10,8 +10,6 @@ from harness.benchmark.store import Store
 from harness.extras import optional
 from harness.jobs.query import Answer, ask
 
-__all__ = ["query"]
-
 
 def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
     """Ask the stored rows of a benchmark.

@@ -14,8 +14,6 @@ from harness.parts.files import make_plant
 from harness.rng import Streams
 from harness.signals import FloatArray, Trajectory, residual
 
-__all__ = ["Records", "make_records", "noise_floor"]
-
 
 @dataclass(frozen=True, eq=False)
 class Records:

@@ -15,8 +15,6 @@ from harness.benchmark.store import Store
 from harness.benchmark.summary import Summary, summarise
 from harness.errors import InputError
 
-__all__ = ["BenchResult"]
-
 
 @dataclass(frozen=True, eq=False)
 class BenchResult:

@@ -12,8 +12,6 @@ from harness.benchmark.parts import Cell, Task
 from harness.errors import printable
 from harness.jobs.stored import reading
 
-__all__ = ["STATUSES", "Row", "blank", "encoded", "one_line", "read_row", "sound"]
-
 STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "terminated", "failed")
 """``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
 

@@ -27,8 +27,6 @@ from harness.jobs import make_engine, run_jobs, shard_file
 from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
 
-__all__ = ["TRACES", "bench", "plan", "table"]
-
 TRACES = ("first", "all", "none")
 """Seeds whose cells keep what their overlays are drawn from."""
 
@@ -73,10 +71,6 @@ def bench(
         each plant and scenario, all, or none.
     progress : callable, optional
         Called as ``progress(rows_done, rows, what)``; the text has counts by status, rate and time left.
-
-    Returns
-    -------
-    BenchResult
 
     Raises
     ------

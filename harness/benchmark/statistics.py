@@ -17,8 +17,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["MARGIN", "Ranking", "Standing", "enough_pairs", "ranking", "replicates", "standings"]
-
 LEVEL = 0.05
 """Two-sided level of all comparisons."""
 MINIMUM_SEEDS = 5

@@ -27,8 +27,6 @@ from harness.errors import InputError
 from harness.jobs.manifest import read_manifest
 from harness.jobs.stored import read_columns, reading
 
-__all__ = ["Store"]
-
 BATCH = 2000
 """Rows in one Parquet file of the shards: few files, and little lost in memory while one is written."""
 
@@ -197,7 +195,7 @@ class Store:
         """Return all rows of the folder by job: of the Parquet files, then of the shards."""
         found: dict[str, Row] = {}
         if self.results.exists():
-            found.update(self._from_parquet())
+            found.update(rows_of([path for path in self._tables() if path.exists()]))
         for path in sorted(self.shards.glob("*.parquet")) if self.shards.is_dir() else []:
             found.update(rows_of([path]))
         for path in sorted(self.shards.glob("*.json")) if self.shards.is_dir() else []:
@@ -254,10 +252,6 @@ class Store:
     def _tables(self) -> tuple[Path, Path, Path, Path]:
         """Return the Parquet files, in the order of their columns."""
         return self.results, self.timings, self.curves, self.traces
-
-    def _from_parquet(self) -> dict[str, Row]:
-        """Return the rows of the Parquet files by job."""
-        return rows_of([path for path in self._tables() if path.exists()])
 
 
 def _with(rows: Sequence[Row], names: Sequence[str]) -> Sequence[Row]:

@@ -12,15 +12,23 @@ from pathlib import Path
 import msgspec
 
 from harness import registry
-from harness.benchmark.axes import expanded, problem
-from harness.benchmark.parts import RECORDED, RECORDING, Cell, Group, Part, Score, Suite, Task
+from harness.benchmark.parts import (
+    RECORDED,
+    RECORDING,
+    Cell,
+    Group,
+    Part,
+    Score,
+    Suite,
+    Task,
+    axes_problem,
+    expanded,
+)
 from harness.errors import InputError
 from harness.fingerprint import files_named, fingerprint, own_code
 from harness.parts.files import fingerprint as plant_fingerprint
 from harness.parts.files import is_plant_file, stream_key
 from harness.trust import registered_only
-
-__all__ = ["cells_of", "load_suite", "tasks_of"]
 
 
 def find_suite(suite: str | Path) -> Path:
@@ -201,7 +209,7 @@ def _check_group(group: Group, place: str, path: Path) -> None:
             "scenarios",
             f"the scenario {RECORDED!r} for recordings, and for nothing else",
         ),
-        (bool(problem(group.axes)), "axes", problem(group.axes)),
+        (bool(axes_problem(group.axes)), "axes", axes_problem(group.axes)),
     ]
     for kind in ("plants", "scenarios", "identifiers"):
         for number, part in enumerate(getattr(group, kind)):

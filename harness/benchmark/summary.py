@@ -11,20 +11,6 @@ import numpy as np
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import MARGIN, Ranking, Standing, enough_pairs, ranking, replicates, standings
 
-__all__ = [
-    "CONTROL",
-    "OPTIONAL",
-    "Quartiles",
-    "Summary",
-    "best_possible",
-    "figure",
-    "optional_scores",
-    "pairs_in_words",
-    "places_of",
-    "rankings",
-    "summarise",
-]
-
 SCORES = (
     "equation_error",
     "simulation_error",

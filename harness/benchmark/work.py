@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from harness.protocols import Model
     from harness.scoring import Score
 
-__all__ = ["CellBatch"]
-
 _SETS = 0.9
 """Probability of the sets whose coverage is shown: a few held-out samples in a hundred are enough to judge it."""
 

@@ -14,8 +14,6 @@ from harness.blackbox.system import FmuSystem
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["ROWS", "Coarsest", "Settings", "coarsest", "settled"]
-
 SHARE = 0.3
 """Part of the noise that halving the step may move a reading by (rms): its square adds less than a tenth."""
 FINER = 0.01

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-__all__ = ["Around"]
-
 
 @dataclass(frozen=True, eq=False)
 class Around:

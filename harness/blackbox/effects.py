@@ -18,8 +18,6 @@ from harness.signals import Channel
 if TYPE_CHECKING:
     from harness.physics.definition.ports import Port
 
-__all__ = ["fits_fmu", "surround"]
-
 DRY = "dry friction"
 """The whole of the laws whose force jumps as the motion turns."""
 

@@ -15,8 +15,6 @@ from harness.errors import HarnessError, InputError
 from harness.physics.definition.parameters import Parameter
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["fmu_system"]
-
 FORCES: dict[str, tuple[set[str], ...]] = {"rad": ({"N", "m"}, {"Nm"}), "m": ({"N"},)}
 """Units (as sets of their symbols) of the force on a coordinate of a unit."""
 POSITIONS, ALIKE = 40, 0.05

@@ -11,8 +11,6 @@ from harness.blackbox.system import FmuSystem
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
-__all__ = ["Runner"]
-
 
 class Runner:
     """The FMU of a system, at a sample time [s]; shared by the simulators of all effects."""

@@ -24,8 +24,6 @@ from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.compiled.sampled import BySample, SampledBlocks
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["STEP", "FmuSimulator"]
-
 STEP = 1e-3
 """Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration."""
 KEPT = 64

@@ -10,8 +10,6 @@ import numpy.typing as npt
 from harness.physics.compiled.rollout_call import Asked, Sums
 from harness.signals import FloatArray
 
-__all__ = ["summed"]
-
 
 def summed(
     run: Callable[[int], tuple[FloatArray, FloatArray]],

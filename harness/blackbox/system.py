@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from harness.blackbox.around import Around
     from harness.effects.effect import Placed
 
-__all__ = ["FmuCoordinate", "FmuSystem"]
-
 
 @dataclass(frozen=True)
 class FmuCoordinate:

@@ -13,8 +13,6 @@ from harness.errors import printable
 from harness.models.estimate import Estimate
 from harness.signals import PlantSpec
 
-__all__ = ["Calibration", "Errors"]
-
 Errors = Mapping[str, tuple[float, float]]
 """By output: rms of a free run, and the same over the deviation of the record (NRMSE); NaN where it breaks."""
 

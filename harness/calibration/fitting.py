@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,7 +14,6 @@ from harness.calibration.calibration import Calibration, Errors
 from harness.calibration.runs import FreeModel, FreeRuns
 from harness.calibration.search import beginnings, best_fit, drawn, estimated_starts
 from harness.calibration.slopes import OwnSlopes
-from harness.calibration.starts import Told, told_states
 from harness.calibration.variables import Contents, contents_of, free_parameters, start_values
 from harness.errors import InputError, PlantError
 from harness.models.estimate import null_words
@@ -27,8 +26,6 @@ from harness.protocols import Plant
 from harness.rng import stream
 from harness.signals import Channel, Dataset, FloatArray, Trajectory
 
-__all__ = ["calibrate", "ports_of_system"]
-
 NOTHING = 1e-8
 """Relative eigenvalue of the information below which differences of runs tell no direction: four digits of a
 sensitivity are sure, and the information is their square."""
@@ -36,6 +33,12 @@ HARDLY = 0.5
 """Relative standard deviation of a direction from which on the data hardly tell it: its interval holds nearly 0."""
 MOST_STATES = 20
 """States beyond which starts are not estimated: each costs a run for every derivative."""
+LOOK = 200
+"""Samples within which the start of a state must have moved an output."""
+NUDGE = 1e-2
+"""By how much a start is moved, relative to its value, or [SI unit]."""
+SEEN = 1e-7
+"""Share of the nudge, in the unit of the output, below which an output counts as not moved."""
 DOMINATES = 0.2
 """Share of the residual's rms that the solver inside may move the outputs by before it is said."""
 
@@ -223,7 +226,7 @@ def _runs(
     fixed: Mapping[str, float],
     initial: str,
     records: Sequence[Trajectory],
-) -> tuple[FreeRuns, list[Told], list[str]]:
+) -> tuple[FreeRuns, list[_Told], list[str]]:
     """Return what simulates, the states whose starts are estimated, and what is to be said."""
     if fixed:
         plant.preset(fixed)  # type: ignore[attr-defined]
@@ -245,7 +248,7 @@ def _runs(
     runs = FreeRuns(model, plant, held)
     p = np.array([one.value for one in parameters])
     own = np.array([by_key[c.name].start or 0.0 if c.name in by_key else 0.0 for c in candidates])
-    told = told_states(runs, p, own.tolist(), records, fixed)
+    told = _told_states(runs, p, own.tolist(), records, fixed)
     kept = replace(model, states=tuple(candidates[one.row] for one in told))
     made = FreeRuns(kept, plant, held)
     first = made.run(p, np.array([one.start for one in told]), records[0].u)
@@ -264,7 +267,7 @@ def _trust_own_slopes(
     plant: Plant,
     derivatives: Mapping[str, str],
     p: FloatArray,
-    told: Sequence[Told],
+    told: Sequence[_Told],
     record: Trajectory,
 ) -> list[str]:
     """Let the FMU's own directional derivatives stand for differences of runs; return where the two agree."""
@@ -277,7 +280,7 @@ def _trust_own_slopes(
     return [[*model.parameter_names, *(state.name for state in model.states)][k] for k in sorted(own.trusted)]
 
 
-def _first_starts(told: Sequence[Told], records: Sequence[Trajectory]) -> FloatArray:
+def _first_starts(told: Sequence[_Told], records: Sequence[Trajectory]) -> FloatArray:
     """Return a first guess of the starts (records, nx): what is measured, else what the file says."""
     rows = [[one.start if one.shown is None else record.y[0, one.shown] for one in told] for record in records]
     return np.array(rows, dtype=float).reshape(len(records), len(told))
@@ -368,3 +371,38 @@ def _solver_noise(
         f"half the communication step{finer_words} moves {name} by {change[worst]:.2g}, {share:.0f} % of the residual: "
         "the solver inside is part of what is fitted (--option step=..., --option tolerance=...)"
     ]
+
+
+@dataclass(frozen=True)
+class _Told:
+    """A state whose start moves an output; ``shown`` is the output that shows it as it is, None where none does."""
+
+    row: int
+    start: float
+    shown: int | None
+
+
+def _told_states(
+    runs: FreeRuns, p: FloatArray, starts: Sequence[float], records: Sequence[Trajectory], fixed: Mapping[str, float]
+) -> list[_Told]:
+    """Return the states of a model with all that come into question whose starts the first record tells."""
+    u = records[0].u[:LOOK]
+    found = []
+    for row, (channel, start) in enumerate(zip(runs.system.states, starts, strict=True)):
+        if channel.name in fixed:
+            continue
+        nudge = NUDGE * max(1.0, abs(start))
+        try:
+            still = runs.simulate(p, {channel.name: start}, u)
+            change = runs.simulate(p, {channel.name: start + nudge}, u) - still
+        except InputError:  # its start is the model's own affair
+            continue
+        if not np.isfinite(change).all() or np.abs(change).max(initial=0.0) <= SEEN * nudge:
+            continue
+        shows = [
+            k
+            for k, output in enumerate(runs.system.outputs)
+            if abs(change[0, k] - nudge) < 1e-6 * nudge and output.unit == channel.unit
+        ]
+        found.append(_Told(row, float(start), shows[0] if shows else None))
+    return found

@@ -24,8 +24,6 @@ from harness.protocols import Feedthrough, Plant
 from harness.signals import Channel, FloatArray, PlantSpec
 from harness.supervision.guarded import alive
 
-__all__ = ["FreeModel", "FreeRuns", "Preset"]
-
 STEP = 1e-3
 """Relative step of one-sided differences: a smaller one would see the steps of the solver inside."""
 CENTRAL = 3e-3

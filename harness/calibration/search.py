@@ -17,8 +17,6 @@ from harness.physics.fitting.fit_result import OutputErrorFit, Result, finish, o
 from harness.physics.fitting.levenberg import minimise, minimise_states
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["beginnings", "best_fit", "drawn", "estimated_starts"]
-
 PARTS = (8, 3)
 """A record's beginnings that are fitted first are so many times shorter."""
 SHORTEST = 50

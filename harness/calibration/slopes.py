@@ -15,8 +15,6 @@ import numpy as np
 from harness.errors import HarnessError
 from harness.signals import FloatArray
 
-__all__ = ["OwnSlopes", "sensitivities"]
-
 LOOK = 60
 """Samples over which an FMU's own derivatives are held against differences of runs."""
 AGREES = 0.03

@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, did_you_mean
 from harness.parts.files import describe_fmu, is_system
 from harness.physics.definition.parameters import Parameter
-
-__all__ = ["Contents", "Variable", "contents_of", "free_parameters", "start_values"]
 
 REALS = ("Real", "Float64", "Float32")
 PARAMETERS = ("parameter", "structuralParameter")
@@ -68,13 +66,10 @@ class Contents:
 
     def variable(self, name: str, what: str) -> Variable:
         """Return one of the real scalars that can be set, or refuse the name with the nearest ones."""
-        import difflib
-
         found = self.variables.get(name)
         if found is not None and found.settable and found.start is not None:
             return found
         able = [one.name for one in self.variables.values() if one.settable and one.start is not None]
-        near = difflib.get_close_matches(name, able, n=3)
         listed = ", ".join([one for one in able if self.variables[one].parameter][:12])
         raise InputError(
             what,
@@ -82,7 +77,7 @@ class Contents:
             got=repr(name)
             if found is None
             else f"{name!r}, which cannot be set, has no start value or is no real scalar",
-            remedy=f"did you mean {' or '.join(near)}?" if near and found is None else f"sysid list {self.path}",
+            remedy=did_you_mean(name, able if found is None else (), f"sysid list {self.path}"),
             file=self.path,
         )
 

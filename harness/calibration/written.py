@@ -22,8 +22,6 @@ from harness.export.system_structure import OPEN_ENDS
 from harness.fmi.archive import STARTS
 from harness.parts.files import describe_fmu
 
-__all__ = ["write_model", "write_ssv"]
-
 Values = Mapping[str, float]
 
 DESCRIPTION, STRUCTURE = "modelDescription.xml", "SystemStructure.ssd"

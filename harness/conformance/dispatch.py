@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +16,9 @@ from harness.conformance.plants import check_plant
 from harness.conformance.results import CheckResult
 from harness.conformance.scenarios import check_scenario
 from harness.conformance.workloads import KINDS, PLANT
-from harness.errors import HarnessError, InputError, refuse_no_file
+from harness.errors import HarnessError, InputError, did_you_mean, refuse_no_file
 from harness.protocols import Identifier, OnlineIdentifier, Plant, Scenario
 from harness.trust import names_fmu
-
-__all__ = ["check"]
 
 _TOLD = "pendulum-ode"
 CHECKED = ("plants", "identifiers", "scenarios", "effects", "models")
@@ -65,12 +62,11 @@ def check(name: str) -> list[CheckResult]:
         expected = "the id of a plant, identifier, scenario, effect or model, FILE.py:NAME, or FILE.fmu"
         refuse_no_file(name, expected)
         everything = sorted({id for candidate in CHECKED for id in _ids(candidate)})
-        near = difflib.get_close_matches(name, everything, n=3)
         raise InputError(
             "no part has this name",
             expected=expected,
             got=repr(name),
-            remedy=f"did you mean {' or '.join(near)}?" if near else "see sysid list",
+            remedy=did_you_mean(name, everything, "see sysid list"),
         )
     if len(found) == 1:
         return _check_registered(found[0], name)

@@ -6,8 +6,6 @@ import numpy as np
 
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["STEPS", "inputs_for"]
-
 STEPS = 60
 """Samples of a run in a check."""
 

@@ -13,8 +13,6 @@ from harness.conformance.subject import Subject
 from harness.errors import HarnessError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = ["feedback_told", "stillness_told"]
-
 SAMPLES = 500
 """Of each of two records: enough for a judge to see a law, little enough for a slow fit."""
 NOISES = (0.0, 1e-4, 0.05)

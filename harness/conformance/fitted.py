@@ -13,16 +13,6 @@ from harness.conformance.running import alike, one_step
 from harness.errors import HarnessError
 from harness.signals import Channel, PlantSpec, Trajectory
 
-__all__ = [
-    "batch_axes",
-    "burn_in",
-    "free_run_equals_steps",
-    "no_look_ahead",
-    "other_data_refused",
-    "pure_steps",
-    "stored_and_read",
-]
-
 
 def burn_in(model: Any, data: Trajectory) -> None:
     """Demand a whole number of samples that leaves at least half of a record to be scored."""

@@ -13,8 +13,6 @@ from harness.errors import HarnessError
 from harness.signals import FloatArray
 from harness.units import fits
 
-__all__ = ["check_effect", "check_model", "effect_checks", "model_checks"]
-
 Factory = Callable[[], Any]
 HOSTS = ("pendulum", "cart-pole", "drive", "oscillator", "two-tanks")
 N, DT = 200, 0.01

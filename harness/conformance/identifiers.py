@@ -19,8 +19,6 @@ from harness.errors import HarnessError
 from harness.protocols import Identifier
 from harness.signals import PlantSpec, Trajectory
 
-__all__ = ["check_identifier", "identifier_checks"]
-
 
 def check_identifier(
     factory: Factory,
@@ -41,10 +39,6 @@ def check_identifier(
         Name of a check to the reason why it is known to fail; strict.
     examples : int
         Systems drawn for each check; 2 for an identifier that takes seconds to fit.
-
-    Returns
-    -------
-    list of CheckResult
     """
     return run_checks(identifier_checks(kinds=kinds, examples=examples), factory, expected_failures=expected_failures)
 

@@ -16,8 +16,6 @@ from harness.errors import HarnessError
 from harness.protocols import OnlineIdentifier, Tracking
 from harness.signals import FloatArray, Trajectory, residual
 
-__all__ = ["check_online_identifier", "online_checks"]
-
 Factory = Callable[[], Any]
 
 

@@ -19,8 +19,6 @@ from harness.units import fits
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["check_plant", "plant_checks"]
-
 Factory = Callable[[], Any]
 
 
@@ -33,10 +31,6 @@ def check_plant(factory: Factory, *, expected_failures: Mapping[str, str] | None
         Returns a fresh plant each time; a class will do. Every plant is closed after its check.
     expected_failures : mapping, optional
         Name of a check to the reason why it is known to fail; strict.
-
-    Returns
-    -------
-    list of CheckResult
     """
     return run_checks(plant_checks(), factory, expected_failures=expected_failures)
 

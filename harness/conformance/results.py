@@ -9,8 +9,6 @@ from typing import Any
 from harness.errors import HarnessError
 from harness.supervision.guarded import alive
 
-__all__ = ["Broken", "Check", "CheckResult", "NotApplicable", "demand", "run_checks"]
-
 
 class Broken(AssertionError):
     """The contract is broken; the text says how."""

@@ -21,8 +21,6 @@ from harness.signals import FloatArray, Trajectory
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["EXAMPLES", "alike", "fit", "for_all", "globals_untouched", "one_step", "seeded", "untouched"]
-
 EXAMPLES = 6
 """Systems that hypothesis draws for each check."""
 

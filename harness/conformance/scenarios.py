@@ -14,8 +14,6 @@ from harness.protocols import Experiment, Scenario
 from harness.rng import Streams
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["check_scenario", "scenario_checks"]
-
 Factory = Callable[[], Any]
 
 

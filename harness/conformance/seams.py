@@ -13,8 +13,6 @@ from harness.conformance.workloads import Workload, draw_workload
 from harness.errors import HarnessError, InputError
 from harness.signals import Trajectory
 
-__all__ = ["all_records_used", "no_seam_crossed"]
-
 PIECES = (24, 48, 80, 240)
 """Lengths of the pieces [samples], the shortest that the identifier accepts; records are long enough."""
 WORSE = 3.0

@@ -13,8 +13,6 @@ from harness.conformance.workloads import Workload, draw_workload, kinds_for
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Factory", "Subject", "Subjects", "shown"]
-
 Factory = Callable[[], Any]
 SLOW = 1.0
 """Seconds for a fit to two records, beyond which an identifier is checked on two systems only."""

@@ -17,8 +17,6 @@ from harness.conformance.workloads import Workload
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory, residual
 
-__all__ = ["beats_trivial", "data_matter", "initial_state_matters", "inputs_matter", "stands_alone"]
-
 MARGIN = 0.9
 """Share of the trivial error below which a model counts as better: 10 % is beyond the luck of 240 samples."""
 GOOD = 0.05

@@ -13,8 +13,6 @@ from harness.errors import HarnessError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.testing import FiniteProcess, LinearSystem, simulate_finite, simulate_linear
 
-__all__ = ["KINDS", "PLANT", "Workload", "draw_workload", "kinds_for", "workloads"]
-
 KINDS = (
     "linear",
     "linear, state measured",
@@ -177,17 +175,18 @@ class _Mechanics:
 
 
 def _pendulum_acceleration(p: FloatArray, q: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
-    """Return the acceleration of a pendulum with parameters J, b, mgl."""
-    return np.array([(u[0] - p[1] * v[0] - p[2] * np.sin(q[0])) / p[0]])
+    """Return the acceleration of a pendulum with parameters J, b, mgl; records lie along the last axis."""
+    return np.asarray((u - p[1] * v - p[2] * np.sin(q)) / p[0])
 
 
 def _cart_pole_acceleration(p: FloatArray, q: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
     """Return the accelerations of a cart with a hanging pole; parameters mc, mp, l, bx, btheta."""
     mc, mp, length, bx, bt = p
     s, c = np.sin(q[1]), np.cos(q[1])
-    mass = np.array([[mc + mp, mp * length * c], [mp * length * c, mp * length**2]])
-    force = np.array([u[0] - bx * v[0] + mp * length * v[1] ** 2 * s, -bt * v[1] - mp * 9.81 * length * s])
-    return np.linalg.solve(mass, force)
+    cart, pole, both = mc + mp, mp * length**2, mp * length * c
+    force, torque = u[0] - bx * v[0] + mp * length * v[1] ** 2 * s, -bt * v[1] - mp * 9.81 * length * s
+    scaled = np.array([pole * force - both * torque, cart * torque - both * force])
+    return np.asarray(scaled / (cart * pole - both**2))
 
 
 _PENDULUM = _Mechanics(
@@ -214,26 +213,31 @@ def _mechanical(rng: np.random.Generator, n: int, system: _Mechanics, *, rates: 
     units = [Channel(f"{c.name}_rate", f"{c.unit}/s") for c in system.coordinates]
     states = (*system.coordinates, *units)
     spec = PlantSpec(system.inputs, states if rates else system.coordinates, dt, states)
-    m = len(system.coordinates)
+    m, angles = len(system.coordinates), (0.2, -1.4, 0.8)
+    held, sensed = [], []
+    for _ in angles:
+        held.append(system.force * np.repeat(rng.uniform(-1, 1, size=(n // 4 + 1, 1)), 4, axis=0)[:n])
+        sensed.append(rng.normal(size=(n, 2 * m if rates else m)))
+    x = np.zeros((n, 2 * m, len(angles)))  # all records at once
+    x[0, m - 1] = angles
+    forces = np.stack(held, axis=2)
+
+    def derivative(state: FloatArray, force: FloatArray) -> FloatArray:
+        return np.concatenate([state[m:], system.acceleration(p, state[:m], state[m:], force)])
+
+    for k in range(n - 1):
+        state, h = x[k], dt / substeps
+        for _ in range(substeps):
+            a = derivative(state, forces[k])
+            b = derivative(state + 0.5 * h * a, forces[k])
+            c = derivative(state + 0.5 * h * b, forces[k])
+            d = derivative(state + h * c, forces[k])
+            state = state + h / 6 * (a + 2 * b + 2 * c + d)
+        x[k + 1] = state
     records = []
-    for angle in (0.2, -1.4, 0.8):
-        u = system.force * np.repeat(rng.uniform(-1, 1, size=(n // 4 + 1, 1)), 4, axis=0)[:n]
-        x = np.zeros((n, 2 * m))
-        x[0, m - 1] = angle
-
-        def derivative(state: FloatArray, force: FloatArray) -> FloatArray:
-            return np.concatenate([state[m:], system.acceleration(p, state[:m], state[m:], force)])
-
-        for k in range(n - 1):
-            state, h = x[k], dt / substeps
-            for _ in range(substeps):
-                a = derivative(state, u[k])
-                b = derivative(state + 0.5 * h * a, u[k])
-                c = derivative(state + 0.5 * h * b, u[k])
-                d = derivative(state + h * c, u[k])
-                state = state + h / 6 * (a + 2 * b + 2 * c + d)
-            x[k + 1] = state
-        y = x if rates else x[:, :m]
-        y = y + noise * y.std(axis=0) * rng.normal(size=y.shape)
-        records.append(Trajectory(np.arange(n, dtype=np.float64) * dt, u, y, spec, x))
+    for number, (u, normal) in enumerate(zip(held, sensed, strict=True)):
+        record = np.ascontiguousarray(x[:, :, number])
+        y = record if rates else record[:, :m]
+        y = y + noise * y.std(axis=0) * normal
+        records.append(Trajectory(np.arange(n, dtype=np.float64) * dt, u, y, spec, record))
     return records

@@ -10,8 +10,6 @@ import numpy as np
 from harness.cosim.wiring import Part
 from harness.errors import InputError, PlantError
 
-__all__ = ["Controlled", "Hold", "Lines"]
-
 Hold = Literal["constant", "linear"]
 
 MOST = 1024

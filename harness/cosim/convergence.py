@@ -11,8 +11,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Convergence", "halved"]
-
 EXACT = 1e-12
 """Share of an output's range below which a change is rounding, and says nothing of an order."""
 
@@ -58,12 +56,7 @@ class Convergence:
         return np.where(known, np.log2(ratio), np.nan)
 
     def figure(self) -> Any:
-        """Return a picture of the changes over the step, in shares of the ranges, with lines of first and second order.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-        """
+        """Return a picture of the changes over the step, in shares of the ranges, with lines of order one and two."""
         from harness.plots import sheet
 
         figure = sheet(figsize=(6.4, 4.4), layout="constrained")

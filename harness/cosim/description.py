@@ -18,8 +18,6 @@ from harness.errors import HarnessError, InputError
 from harness.protocols import Plant
 from harness.trust import registered_only
 
-__all__ = ["CouplingDescription", "Make", "PartDescription", "Wiring", "couple", "own_steps", "read_coupling"]
-
 Make = Callable[[str, dict[str, Any]], Plant]
 """Makes a part from a plant's id and its options; ``"fmu"`` takes a path, ``"mockup"`` a name."""
 
@@ -129,15 +127,6 @@ def own_steps(path: str | Path, *, within: str | Path | None = None) -> list[str
         A coupling in TOML, or a system of another tool.
     within : path, optional
         Folder that the files of an unpacked system may lie in.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "pair.toml"
-    ...     _ = file.write_text('outputs = ["arm.theta"]\n[parts.arm]\nplant = "pendulum-ode"\n')
-    ...     own_steps(file)
-    ['arm']
     """
     path = Path(path)
     if path.suffix.lower() == ".toml":

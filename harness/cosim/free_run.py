@@ -13,8 +13,6 @@ from harness.errors import InputError, PlantError
 from harness.protocols import Batch, Feedthrough, Plant
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["FreeRun", "Window", "free_run", "hold", "window"]
-
 SAMPLES = 500
 """Samples of a run whose file suggests no step."""
 LENGTH = 1.0

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 
 from harness.cosim.wiring import Part, Wire
 
-__all__ = ["followers", "reached_at_once", "strong_components"]
-
 
 def followers(part: Part, parts: Sequence[Part], wires: Sequence[Wire]) -> list[Part]:
     """Return the parts with direct feedthrough that an undelayed wire leads to from this part."""

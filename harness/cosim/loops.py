@@ -8,8 +8,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["newton"]
-
 PASSES = 50
 NUDGE = 1e-7  # of a signal, relative; about the root of the rounding error
 

@@ -20,8 +20,6 @@ from harness.errors import InputError, PlantError
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["Coupled", "Order"]
-
 Order = Literal["jacobi", "gauss-seidel"]
 
 

@@ -19,8 +19,6 @@ from harness.errors import InputError
 from harness.protocols import Plant
 from harness.signals import Channel
 
-__all__ = ["couple_ssp"]
-
 SYSTEM_OPTIONS = (*CHANGEABLE, "parameters", "start_time", "solver_tolerance", "within")
 """What may be said about a system from outside."""
 SAMPLES = 500

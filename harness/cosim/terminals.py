@@ -10,8 +10,6 @@ from harness.errors import InputError
 from harness.fmi.terminals import Terminal, joined, read_terminals
 from harness.protocols import Plant
 
-__all__ = ["expanded"]
-
 
 def expanded(
     connections: Sequence[Connection], parts: Mapping[str, Plant], files: Mapping[str, Path]

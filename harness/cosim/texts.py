@@ -10,8 +10,6 @@ from harness.cosim.wiring import Connection
 from harness.errors import InputError
 from harness.protocols import Plant
 
-__all__ = ["Texts", "split"]
-
 
 class Speaks(Protocol):
     """A plant with variables that are no numbers: their types by name, and how they are read and set."""

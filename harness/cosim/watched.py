@@ -9,8 +9,6 @@ from harness.errors import PlantError
 from harness.protocols import Plant
 from harness.supervision.whereabouts import at_work_on, marker
 
-__all__ = ["by_name", "made", "watched"]
-
 
 class Watched:
     """A plant as it is, but that it names itself: before each call to who may outlive it, and in its PlantErrors."""

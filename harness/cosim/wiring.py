@@ -15,8 +15,6 @@ from harness.protocols import Plant
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
 
-__all__ = ["Connection", "Part", "Shown", "Wire", "channel_of", "check_wires", "locate", "place", "shower"]
-
 
 @dataclass(frozen=True)
 class Connection:
@@ -179,7 +177,9 @@ def check_wires(parts: Sequence[Part], connections: Sequence[Connection], extern
                 )
         first, last = part.inputs.start, part.inputs.stop
         own = sorted((wire for wire in wires if first <= wire.target < last), key=lambda wire: wire.target)
-        part.read = _reader([_tap(wire, first) for wire in own], last - first)
+        part.read = _reader(
+            [(one.target - first, one.slot, one.factor, one.shift, one.transform) for one in own], last - first
+        )
     return wires
 
 
@@ -208,10 +208,6 @@ def _same(x: float) -> float:
 
 Tap = tuple[int, int, float, float, Callable[[float], float] | None]
 """Input, slot, factor, shift and transformation of a wire."""
-
-
-def _tap(wire: Wire, first: int) -> Tap:
-    return wire.target - first, wire.slot, wire.factor, wire.shift, wire.transform
 
 
 def _reader(taps: Sequence[Tap], count: int) -> Callable[[list[float]], FloatArray]:

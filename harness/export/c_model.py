@@ -14,8 +14,6 @@ from harness.export.describe import Variable, describe, xml_text
 if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Simulator
 
-__all__ = ["DELAY", "description", "model_source"]
-
 
 def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
     """Return model.c: the simulator's own step, with its delays and quantisers.

@@ -8,8 +8,6 @@ from typing import Any
 from harness.errors import InputError
 from harness.export.system_structure import Component, Outer, Structure, Wire, ports_of, write_structure
 
-__all__ = ["write_coupling"]
-
 KINDS = {"real": "Real", "boolean": "Boolean"}
 """Types of SSP by kind of channel; all others are integers."""
 

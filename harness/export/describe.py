@@ -11,8 +11,6 @@ from xml.etree import ElementTree
 
 from harness.errors import InputError, printable
 
-__all__ = ["RIGHTS", "Variable", "describe", "identifier", "xml_text"]
-
 RIGHTS = (
     "The equations and values of this model (sources/model.c, modelDescription.xml) belong to whoever made it.\n"
     "The interface around them (sources/fmi.c, sources/fmi2.h or fmi3.h) is part of sysid-harness, under this licence:"

@@ -21,8 +21,6 @@ from harness.units.grammar import factors
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["Form", "WrittenModel", "written_model"]
-
 Form = Literal["text", "latex", "python", "c"]
 FORMS = ("text", "latex", "python", "c")
 LONG = 5000

@@ -18,8 +18,6 @@ from harness.trust import names_fmu, registered_only
 if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Simulator
 
-__all__ = ["export", "write_fmu", "write_linear_fmu"]
-
 
 def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"] = "both") -> list[Path]:
     """Write a model as co-simulation FMUs; an identified arm as its URDF or MJCF.
@@ -36,11 +34,6 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
         For an arm ``arm.urdf`` or ``arm.xml``, as the file that it was read from.
     fmi : {"2", "3", "both"}
         Version.
-
-    Returns
-    -------
-    list of Path
-        The files written.
 
     Raises
     ------
@@ -123,11 +116,6 @@ def write_fmu(
         FMI version.
     x0 : mapping, optional
         Start values of the states; they are the start values of the local variables ``state.NAME``.
-
-    Returns
-    -------
-    Path
-        The file.
 
     Raises
     ------

@@ -19,8 +19,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 if TYPE_CHECKING:
     import control
 
-__all__ = ["Linear", "from_state_space", "linear_description", "linear_source", "to_control"]
-
 
 class Linear(Protocol):
     """``x+ = A x + B u + a``, ``y = C x + D u + c``: what identifiers of linear models return."""

@@ -26,8 +26,6 @@ from harness.parts.files import describe_fmu
 if TYPE_CHECKING:
     from harness.blackbox.system import FmuSystem
 
-__all__ = ["write_package"]
-
 NOMINAL, EFFECTS = "nominal", "effects"
 
 
@@ -44,11 +42,6 @@ def write_package(content: Mapping[str, Any], folder: Path, target: Path, *, ver
         The ``.ssp``.
     version : {2, 3}
         FMI version of the effects' FMU.
-
-    Returns
-    -------
-    Path
-        The file.
 
     Raises
     ------

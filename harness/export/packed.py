@@ -9,8 +9,6 @@ from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.export.describe import RIGHTS
 
-__all__ = ["packed"]
-
 
 def packed(source: str, text: str, target: Path, version: int) -> Path:
     """Build an FMU and return its path.

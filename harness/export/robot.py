@@ -14,8 +14,6 @@ from harness.physics.arms.mjcf_write import mjcf_with
 from harness.physics.arms.urdf_write import urdf_with
 from harness.signals import FloatArray
 
-__all__ = ["repaired_mjcf", "write_robot"]
-
 AT_JOINTS = {"viscous_friction": ("damping", "b"), "coulomb_friction": ("friction", "Fc"),
              "rotor_inertia": ("motor_inertia", "J")}  # fmt: skip
 """Effects that an MJCF holds at a joint: what they are there, and the parameter that says how much."""

@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 from harness.errors import InputError
 from harness.units import base_units
 
-__all__ = ["SPACES", "base_unit", "child", "unit_definitions"]
-
 SSP = "http://ssp-standard.org/SSP1/"
 SPACES = {
     "ssd": f"{SSP}SystemStructureDescription",

@@ -20,8 +20,6 @@ from harness.export.describe import xml_text
 from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitions
 from harness.units import fits
 
-__all__ = ["OPEN_ENDS", "Component", "Outer", "Port", "Structure", "Wire", "ports_of", "write_structure"]
-
 OPEN_ENDS = "OpenEnds.ssd"
 """Name of the structure without connectors of its own."""
 OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from harness.errors import InputError
 
-__all__ = ["STARTS", "check_entries", "has_document_type", "plain_name"]
-
 STARTS = "extra/sysid-harness/starts.json"
 """Entry of an FMU that names the start values which its description has and its binary may not (calibrated ones)."""
 LARGE = 32 << 20  # bytes; smaller entries may be packed as tightly as they like

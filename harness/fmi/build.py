@@ -22,19 +22,6 @@ import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
-__all__ = [
-    "CROSS",
-    "FLAGS",
-    "BuildError",
-    "binary_folder",
-    "build_fmu",
-    "compile_library",
-    "compiler",
-    "library_suffix",
-    "small_compiler",
-    "tell_without_compiler",
-]
-
 log = logging.getLogger("harness.fmi")
 FOLDER = Path(__file__).resolve().parent
 FLAGS = ("-O2", "-std=c11", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-Wall", "-Wextra")

@@ -12,8 +12,6 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["build_once", "cache_folder", "library_of"]
-
 
 def cache_folder() -> Path:
     """Return the folder for compiled files: ``$SYSID_HARNESS_CACHE``, else the user's cache folder.

@@ -29,6 +29,17 @@ static inline void runge_kutta(Rates *rates, const double *v, double *x, int n, 
     for (int i = 0; i < n; i++) x[i] += h / 6 * (k1[i] + 2 * (k2[i] + k3[i]) + k4[i]);
 }
 
+/* Parts of model.c that most models have alike. */
+#define NOTHING_PREPARED static void prepare(double *v) { (void)v; }
+#define OWN_SUBSTEP static double internal_step(const double *v) { return v[V_substep]; }
+#define NO_MOTION                                                                                      \
+    static double internal_step(const double *v)                                                       \
+    {                                                                                                  \
+        (void)v;                                                                                       \
+        return HUGE_VAL;                                                                               \
+    }                                                                                                  \
+    static void advance(double *v, double h) { (void)v, (void)h; }
+
 /* model.c defines: MEMORY (slots of v beyond the declared variables); check(v), a complaint or NULL; prepare(v),
    after initialisation; internal_step(v) in s; advance(v, h), one internal step; evaluate(v), all that is calculated. */
 #include "model.c"
@@ -175,6 +186,22 @@ static int drop_state(void **slot)
         free(*slot);
         *slot = NULL;
     }
+    return OK;
+}
+
+static int write_state(const void *state, unsigned char *bytes, size_t size)
+{
+    if (size < sizeof(State)) return ERROR;
+    memcpy(bytes, state, sizeof(State));
+    return OK;
+}
+
+static int read_state(const unsigned char *bytes, size_t size, void **slot)
+{
+    if (size < sizeof(State)) return ERROR;
+    if (!*slot) *slot = malloc(sizeof(State));
+    if (!*slot) return ERROR;
+    memcpy(*slot, bytes, sizeof(State));
     return OK;
 }
 

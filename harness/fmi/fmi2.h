@@ -113,38 +113,23 @@ EXPORT fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state
 EXPORT fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
     (void)c;
-    if (size < sizeof(State)) return fmi2Error;
-    memcpy(bytes, state, sizeof(State));
-    return fmi2OK;
+    return (fmi2Status)write_state(state, (unsigned char *)bytes, size);
 }
 EXPORT fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
     (void)c;
-    if (size < sizeof(State)) return fmi2Error;
-    if (!*state) *state = malloc(sizeof(State));
-    if (!*state) return fmi2Error;
-    memcpy(*state, bytes, sizeof(State));
-    return fmi2OK;
+    return (fmi2Status)read_state((const unsigned char *)bytes, size, state);
 }
 
-EXPORT fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const VR unknown[], size_t n, const VR known[],
-                                               size_t m, const fmi2Real seed[], fmi2Real result[])
-{
-    (void)unknown, (void)n, (void)known, (void)m, (void)seed, (void)result;
-    return (fmi2Status)fail(c, "directional derivatives are not offered");
-}
-EXPORT fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const VR vr[], size_t n, const fmi2Integer order[],
-                                              const fmi2Real value[])
-{
-    (void)vr, (void)n, (void)order, (void)value;
-    return (fmi2Status)fail(c, "inputs are not interpolated");
-}
-EXPORT fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const VR vr[], size_t n, const fmi2Integer order[],
-                                               fmi2Real value[])
-{
-    (void)vr, (void)n, (void)order, (void)value;
-    return (fmi2Status)fail(c, "output derivatives are not offered");
-}
+#define REFUSE(Name, Words, ...)                                                                       \
+    EXPORT fmi2Status Name(fmi2Component c, const VR vr[], size_t n, __VA_ARGS__) { return (fmi2Status)fail(c, Words); }
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+REFUSE(fmi2GetDirectionalDerivative, "directional derivatives are not offered", const VR known[], size_t m,
+       const fmi2Real seed[], fmi2Real result[])
+REFUSE(fmi2SetRealInputDerivatives, "inputs are not interpolated", const fmi2Integer order[], const fmi2Real value[])
+REFUSE(fmi2GetRealOutputDerivatives, "output derivatives are not offered", const fmi2Integer order[], fmi2Real value[])
+#pragma GCC diagnostic pop
 
 EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_rollback)
 {
@@ -153,30 +138,24 @@ EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolea
 }
 EXPORT fmi2Status fmi2CancelStep(fmi2Component c) { return (fmi2Status)fail(c, "no step is pending"); }
 
-EXPORT fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
-{
-    (void)c, (void)kind, (void)value;
-    return fmi2Discard;
-}
+#define DISCARD(Name, Type)                                                                            \
+    EXPORT fmi2Status Name(fmi2Component c, const fmi2StatusKind kind, Type *value)                    \
+    {                                                                                                  \
+        (void)c, (void)kind, (void)value;                                                              \
+        return fmi2Discard;                                                                            \
+    }
+DISCARD(fmi2GetStatus, fmi2Status)
+DISCARD(fmi2GetIntegerStatus, fmi2Integer)
+DISCARD(fmi2GetStringStatus, fmi2String)
 EXPORT fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value)
 {
     if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
     *value = ((Instance *)c)->state.v[V_time];
     return fmi2OK;
 }
-EXPORT fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
-{
-    (void)c, (void)kind, (void)value;
-    return fmi2Discard;
-}
 EXPORT fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
 {
     if (kind != fmi2Terminated) return fmi2Discard;
     *value = ((Instance *)c)->state.phase == TERMINATED;
     return fmi2OK;
-}
-EXPORT fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
-{
-    (void)c, (void)kind, (void)value;
-    return fmi2Discard;
 }

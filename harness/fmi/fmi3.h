@@ -220,18 +220,12 @@ EXPORT fmi3Status fmi3SerializedFMUStateSize(In c, fmi3FMUState state, size_t *s
 EXPORT fmi3Status fmi3SerializeFMUState(In c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
     (void)c;
-    if (size < sizeof(State)) return fmi3Error;
-    memcpy(bytes, state, sizeof(State));
-    return fmi3OK;
+    return (fmi3Status)write_state(state, (unsigned char *)bytes, size);
 }
 EXPORT fmi3Status fmi3DeserializeFMUState(In c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
 {
     (void)c;
-    if (size < sizeof(State)) return fmi3Error;
-    if (!*state) *state = malloc(sizeof(State));
-    if (!*state) return fmi3Error;
-    memcpy(*state, bytes, sizeof(State));
-    return fmi3OK;
+    return (fmi3Status)read_state((const unsigned char *)bytes, size, state);
 }
 
 EXPORT fmi3Status fmi3DoStep(In c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean no_rollback, fmi3Boolean *event,

@@ -12,8 +12,6 @@ from harness.errors import InputError
 from harness.fmi.archive import has_document_type
 from harness.trust import UNZIPPING
 
-__all__ = ["Joined", "Terminal", "joined", "read_terminals"]
-
 ENTRY = "terminalsAndIcons/terminalsAndIcons.xml"
 LARGEST, DEEPEST = 16 << 20, 32
 """Bytes of the entry, and levels of terminals within terminals, that are read."""

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Ported
 
-__all__ = ["FrequencyResponse"]
-
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse(Ported):

@@ -14,8 +14,6 @@ from harness.errors import InputError, unread
 from harness.frequency.data import FrequencyResponse
 from harness.signals import Channel, FloatArray
 
-__all__ = ["is_response", "read_response", "write_response"]
-
 _NAMES = {
     "real": ("real", "re"),
     "imaginary": ("imaginary", "imag", "im"),

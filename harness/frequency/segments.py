@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["SegmentSpectra", "segment_spectra"]
-
 
 class SegmentSpectra(NamedTuple):
     """Sums over so many segments of ``u u*`` (F, nu, nu), ``y u*`` (F, ny, nu) and ``|y|^2`` (F, ny)."""

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from harness.errors import InputError
 
-__all__ = ["alone_in"]
-
 
 @contextmanager
 def alone_in(folder: Path | None) -> Iterator[None]:

@@ -20,21 +20,6 @@ from harness.jobs.room import raise_if_full, require_room
 from harness.supervision.processes import Surroundings, end_children, ended
 from harness.trust import trusting
 
-__all__ = [
-    "SHARED",
-    "Batch",
-    "Desk",
-    "described",
-    "do_batch",
-    "end_worker",
-    "last_place",
-    "put_away",
-    "shard_file",
-    "was_ended",
-    "worker_gone",
-    "write_shard",
-]
-
 SHARED = "shared"
 """Where a worker stands while it makes what all jobs of its batch share."""
 HARMED = 70

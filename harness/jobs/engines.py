@@ -32,8 +32,6 @@ from harness.jobs.room import full_disk, raise_if_full, stop_if_full
 from harness.supervision.workers import cores, death, worker_pool
 from harness.trust import trusted, trusting
 
-__all__ = ["AHEAD", "DaskEngine", "Engine", "LocalEngine", "Moved", "make_engine", "run_jobs"]
-
 POLL = 0.5  # s between signs of life while nothing finishes
 AHEAD = 4  # batches for each worker that the pool holds: enough that no worker waits, few enough that looking is cheap
 BREAKS = 3  # times that a pool may break in a row with nothing done: whatever breaks it then is no job

@@ -10,8 +10,6 @@ import msgspec
 from harness.errors import InputError
 from harness.jobs.stored import reading
 
-__all__ = ["read_manifest"]
-
 
 def read_manifest(path: Path, form: str, kind: type[msgspec.Struct], *, what: str, command: str) -> dict[str, Any]:
     """Return the content of a manifest of one format; fields that an earlier version did not write are not there.

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-__all__ = ["Progress", "duration"]
-
 Report = Callable[[int, int, str], None]
 
 

@@ -11,8 +11,6 @@ from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.extras import optional
 
-__all__ = ["Answer", "ask", "filtered"]
-
 
 @dataclass(frozen=True, eq=False)
 class Answer:

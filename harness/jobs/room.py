@@ -14,8 +14,6 @@ from pathlib import Path
 
 from harness.errors import InputError
 
-__all__ = ["full_disk", "raise_if_full", "require_room", "stop_if_full"]
-
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 """What a system answers to a write that it has no room for."""
 LEAST = 1 << 20

@@ -9,8 +9,6 @@ from typing import Any
 
 from harness.errors import HarnessError, InputError
 
-__all__ = ["WHOLE", "damaged", "read_columns", "reading"]
-
 WHOLE = "take a copy that is whole, or run it anew into a new folder"
 
 

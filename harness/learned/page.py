@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from harness.physics.compiled.system import System
     from harness.physics.fitting.residual_learning import LearnedForce
 
-__all__ = ["page"]
-
 _BEYOND = 0.25
 """How far beyond the data a force is drawn, in their range: there it fades, and that must be seen."""
 

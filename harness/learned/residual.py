@@ -21,8 +21,6 @@ from harness.signals import Dataset
 if TYPE_CHECKING:
     from harness.data import LoadedDataset
 
-__all__ = ["FORMAT", "LearnedResidual", "learn_residual"]
-
 FORMAT = "sysid-harness/learned-residual/1"
 JSON, HTML, MODEL, REPORT = "learned.json", "learned.html", "model.json", "report.json"
 NOTHING_LEFT = {

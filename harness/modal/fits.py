@@ -16,8 +16,6 @@ from harness.protocols import Identifier
 from harness.rng import stream
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["LEFT_OUT", "fitted", "jackknifed"]
-
 LEFT_OUT = 20
 """Stretches that are left out in turn: each costs a fit."""
 NEAR = 0.1

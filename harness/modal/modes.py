@@ -18,8 +18,6 @@ from harness.modal.stabilisation import Criteria, Track, tracks_of
 from harness.modal.subspace import Ladder, ladder_of
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-__all__ = ["identify_modes"]
-
 System = tuple[FloatArray, FloatArray]
 """A and C of a linear model."""
 SSI = "ssi"

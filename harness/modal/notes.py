@@ -11,8 +11,6 @@ from harness.modal.poles import Mode
 from harness.modal.subspace import FEWEST, Ladder
 from harness.signals import Trajectory
 
-__all__ = ["notes_of"]
-
 FAINT = 1e-3
 """Power of an input at a frequency, over its largest, below which the input does not count as exciting there."""
 TONE = 5e-4

@@ -13,8 +13,6 @@ from harness.modal.stabilisation import Criteria, Track
 from harness.plots import plain_texts
 from harness.signals import FloatArray
 
-__all__ = ["shapes_and_coordinates", "shapes_over_places", "space_and_time", "stabilisation_diagram"]
-
 PERIODS = 12.0
 """Periods of a mode that its space-time picture shows: enough to see it swing, few enough to see its shape."""
 DRAWN = 1000
@@ -37,10 +35,6 @@ def stabilisation_diagram(
         Of stabilisation, for the title.
     sample_time : float
         [s]; the axis ends at half of the sampling rate.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     from harness.plots import sheet
 
@@ -99,10 +93,6 @@ def shapes_and_coordinates(
         [s].
     coordinates : array (K, M)
         Complex coordinate of each mode.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     from harness.plots import sheet
 
@@ -133,10 +123,6 @@ def shapes_over_places(modes: Sequence[Mode], places: FloatArray) -> Any:
     modes : sequence of Mode
     places : array (ny, 2)
         Of the outputs [m].
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------
@@ -187,10 +173,6 @@ def space_and_time(modes: Sequence[Mode], names: Sequence[str], time: FloatArray
     """Draw what each mode does at every output over some of its periods, where its coordinate is largest.
 
     Parameters are those of :func:`shapes_and_coordinates`; times are evenly spaced.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     from harness.plots import sheet
 

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["ComplexArray", "Mode", "Pole", "Spread", "mac", "poles_of"]
-
 _STANDING = 0.3
 # Share of a shape's length that its sum of squares must have to say how it is turned: a wave that travels has none.
 

@@ -16,8 +16,6 @@ from harness.modal.stabilisation import Criteria, Track
 from harness.plots import inlined
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["LEVEL", "STRONG", "VAGUE", "Modes", "Undetermined"]
-
 LEVEL = 0.95
 """Probability of every interval."""
 VAGUE = 0.05

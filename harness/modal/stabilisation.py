@@ -10,8 +10,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.modal.poles import Pole, mac
 
-__all__ = ["Criteria", "Track", "tracks_of"]
-
 GAP = 3
 """Orders that a mode may be missing from before what follows counts as another."""
 

@@ -20,8 +20,6 @@ from harness.errors import FitError
 from harness.modal.poles import Pole, Spread, poles_of
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["STRETCHES", "Ladder", "ladder_of"]
-
 STRETCHES = 40
 """Stretches whose spread is the covariance: so many widen a 95 % interval by 3 %."""
 FEWEST = 10

@@ -81,11 +81,6 @@ def new(kind: str, name: str, *, folder: str | Path = ".") -> list[Path]:
     folder : path
         Where ``sysid-NAME/`` is made.
 
-    Returns
-    -------
-    list of Path
-        The files written.
-
     Raises
     ------
     InputError

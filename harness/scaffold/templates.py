@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["SOURCES"]
-
 IDENTIFIER = '''"""CLASS: an identifier for sysid-harness."""
 
 from __future__ import annotations

@@ -20,8 +20,6 @@ from harness.errors import HarnessError, PlantError, PluginError
 from harness.supervision.processes import adopt_orphans, end_children
 from harness.supervision.workers import fresh_process
 
-__all__ = ["SILENCE", "alive", "guarded"]
-
 SILENCE = 300.0
 """Seconds without a simulation ended or a step of progress after which work counts as hanging: thirty times what the
 longest simulation of the project's records takes (1e5 samples of an FMU, 10 s)."""

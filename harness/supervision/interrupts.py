@@ -8,8 +8,6 @@ import threading
 from types import FrameType
 from typing import Any
 
-__all__ = ["INTERRUPTED", "Interrupts", "stop_if_asked"]
-
 INTERRUPTED = 130
 """Exit status after Ctrl-C (128 and the number of the signal)."""
 

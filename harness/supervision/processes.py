@@ -11,8 +11,6 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["Surroundings", "adopt_orphans", "end_children", "ended"]
-
 _SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux' prctl
 PROC = Path("/proc")
 

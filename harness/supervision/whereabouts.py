@@ -10,8 +10,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["at_work_on", "marker", "share", "was_at_work_on"]
-
 FILE = "at-work-on"
 WIDTH = 256  # bytes of a name
 

@@ -20,8 +20,6 @@ from typing import Any
 from harness.errors import HarnessError
 from harness.supervision.processes import adopt_orphans
 
-__all__ = ["cores", "death", "fresh_process", "one_thread", "worker_pool"]
-
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 

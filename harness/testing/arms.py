@@ -12,8 +12,6 @@ from harness.signals import Channel, FloatArray
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
 
-__all__ = ["arms", "random_motion", "random_rotation"]
-
 
 @st.composite
 def arms(draw: Any, joints: tuple[int, int] = (1, 4), *, square: bool | None = None, chain: bool = False) -> ArmModel:

@@ -15,19 +15,6 @@ if TYPE_CHECKING:
     from harness.effects import Placed
     from harness.physics import System
 
-__all__ = [
-    "DEFECTS",
-    "EXCITATIONS",
-    "NOISES",
-    "Defective",
-    "Noise",
-    "defective_recordings",
-    "excitations",
-    "mechanisms",
-    "noises",
-    "placed_effects",
-]
-
 EXCITATIONS = ("white", "binary", "steps", "multisine", "chirp")
 """Kinds of :func:`excitations`: all are persistent enough for a model of a few states."""
 NOISES = ("white", "coloured", "quantised", "outliers")

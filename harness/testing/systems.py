@@ -11,20 +11,6 @@ from hypothesis.extra.numpy import arrays
 
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = [
-    "TEMPERS",
-    "FiniteProcess",
-    "LinearSystem",
-    "channels",
-    "finite_processes",
-    "linear_systems",
-    "plant_specs",
-    "simulate_finite",
-    "simulate_linear",
-    "tempered_systems",
-    "trajectories",
-]
-
 UNITS = ("1", "N m", "N", "rad", "rad/s", "m", "m/s", "V", "K")
 
 

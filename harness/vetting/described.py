@@ -12,8 +12,6 @@ import numpy as np
 
 from harness.vetting.findings import Finding
 
-__all__ = ["described"]
-
 LISTED = 5
 """Names that a line lists."""
 NUMBERS = ("Real", "Float64", "Float32")

@@ -11,8 +11,6 @@ from harness.errors import printable
 from harness.scoring.acceptance import Check
 from harness.signals import Trajectory
 
-__all__ = ["Finding", "Vetting"]
-
 WORDS = {True: "ok", False: "FAIL", None: "-"}
 
 

@@ -22,8 +22,6 @@ from harness.parts.files import describe_fmu
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
-__all__ = ["apart", "binary", "direct", "instances", "probed", "serialised", "slopes", "speed", "state_slopes"]
-
 REPEATS = 3
 """Runs whose time is taken; the shortest counts."""
 WARM = 10

@@ -23,8 +23,6 @@ from harness.signals import FloatArray
 from harness.trust import names_fmu
 from harness.vetting.tubes import EVERY, Tube, read_tubes, tube_of
 
-__all__ = ["Agreement", "Channel", "agreement"]
-
 DEFAULT = "0.2%"
 """Width of a tube that nobody stated: what csv-compare takes."""
 OPTIONS = {"StartTime": "start", "StopTime": "stop", "StepSize": "step", "RelTol": "tolerance"}
@@ -251,7 +249,8 @@ def agreement(
         beside = reference.with_name(reference.name.replace("_ref.csv", "_in.csv"))
         if inputs is None and beside != reference and beside.is_file():
             inputs = beside
-        driving = _inputs_of(Path(run))
+        # inputs drive and are not compared
+        driving = frozenset(row["name"] for row in describe_fmu(Path(run))["variables"] if row["causality"] == "input")
         own, times, values, lacking, notes = _simulated(
             Path(run), (names, t, rows), window, inputs, dict(options or {}), limit
         )
@@ -271,11 +270,6 @@ def agreement(
             continue
         found.append(_channel(name, tube, (t, rows[:, column]), times, values[:, own.index(name)]))
     return Agreement(Path(run).name, reference, tuple(found), lacking, tuple(notes))
-
-
-def _inputs_of(path: Path) -> frozenset[str]:
-    """Return the names of an FMU's inputs: they drive and are not compared."""
-    return frozenset(row["name"] for row in describe_fmu(path)["variables"] if row["causality"] == "input")
 
 
 def _miss(one: Channel) -> float:

@@ -19,8 +19,6 @@ from harness.vetting import inside
 from harness.vetting.findings import Finding
 from harness.vetting.tubes import Tube
 
-__all__ = ["CHECKS", "Subject", "excited", "ran"]
-
 SAMPLES, FEWEST = 200, 10
 """Samples of a run: the most, and the fewest of an FMU whose own experiment is shorter or that ends a simulation."""
 HALVINGS = 3

@@ -11,8 +11,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Tube", "read_tubes", "tube_of"]
-
 _PART = re.compile(r"^([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(%?)$")
 EVERY = "*"
 

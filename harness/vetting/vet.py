@@ -16,8 +16,6 @@ from harness.vetting.described import NUMBERS, described
 from harness.vetting.findings import Finding, Vetting
 from harness.vetting.runs import FEWEST, SAMPLES, Subject, excited, ran
 
-__all__ = ["vet"]
-
 STEPS = 500
 """Samples of a default experiment that suggests no step."""
 STEP = 0.01

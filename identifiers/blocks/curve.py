@@ -9,8 +9,6 @@ from scipy.interpolate import BSpline
 
 from harness.signals import FloatArray
 
-__all__ = ["Knots"]
-
 _DEGREE = 3
 
 

@@ -15,8 +15,6 @@ from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray
 from identifiers.blocks.hysteresis_pass import Layout, played
 
-__all__ = ["Point", "descended", "started", "stopped"]
-
 Pair = tuple[FloatArray, FloatArray]
 """Inputs (N, nu) and outputs (N, ny) of a record, scaled."""
 

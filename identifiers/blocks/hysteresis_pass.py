@@ -14,8 +14,6 @@ from harness.signals import FloatArray
 from identifiers.common import native
 from identifiers.common.native import pointers
 
-__all__ = ["Layout", "Run", "played"]
-
 FAR = 1e3
 """A state beyond it has diverged: states are scaled to about 1."""
 

@@ -22,8 +22,6 @@ from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import centred
 
-__all__ = ["PrandtlIshlinskii", "PrandtlIshlinskiiModel"]
-
 _SEEN = 400
 """Samples from which an initial state is estimated at most."""
 _LEAST, _MOST = 0.1, 4.0

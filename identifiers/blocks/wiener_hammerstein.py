@@ -25,8 +25,6 @@ from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.linear.prediction_error import PredictionError
 
-__all__ = ["WienerHammerstein", "WienerHammersteinModel"]
-
 _SEEN = 1000
 """Samples from which an initial state is estimated at most; the blocks have long forgotten what was before."""
 _EARLY = 20000

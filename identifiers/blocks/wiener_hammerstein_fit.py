@@ -14,8 +14,6 @@ from harness.models.damped import Damping, damped_descent
 from harness.signals import FloatArray
 from identifiers.blocks.curve import Knots
 
-__all__ = ["Blocks", "descended", "shared_out"]
-
 RADIUS = 0.9995
 """No pole may lie further out."""
 _PROBE, _DEGREE, _MOST = 8000, 5, 4096

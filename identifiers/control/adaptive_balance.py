@@ -15,8 +15,6 @@ from harness.models.lqr import lqr_gain
 from harness.signals import FloatArray, PlantSpec
 from identifiers.online.filters_online import FilterState, OnlineGreyBox, Stepper, ekf
 
-__all__ = ["AdaptiveBalance"]
-
 ADAPTIVE, FIXED, INFORMED = "adaptive", "fixed", "informed"
 
 _SHORTEST = 50

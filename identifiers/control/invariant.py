@@ -12,8 +12,6 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.control.taylor_models import bounded
 
-__all__ = ["Certificate", "Ellipsoid", "Loop", "certified", "widened"]
-
 _POINTS = 1000
 """Points of the boundary that a step looks at, beside those that were worst so far."""
 

@@ -21,8 +21,6 @@ from identifiers.linear.arx import one_step
 from identifiers.linear.iterative import TimeVarying
 from identifiers.linear.time_varying import AlongTrajectory, AlongTrajectoryModel
 
-__all__ = ["LearnedMotion"]
-
 LQR, AHEAD = "LQR alone", "LTI feed-forward"
 STILL, ALONG, ITERATIVE, SPLIT = "LTI ILC", "LTV ILC", "iLQR", "ADMM-ILC"
 

@@ -14,8 +14,6 @@ from harness.models.analysis import Findings, Takes
 from harness.signals import FloatArray
 from identifiers.control.invariant import Certificate, Ellipsoid, Loop, certified, widened
 
-__all__ = ["OffsetBound"]
-
 _SMALL, _FIRST = 1e-4, 0.05
 """Offset and level of the LQR's own cost with which the search for an ellipsoid begins, relative to a state of 1."""
 

@@ -9,8 +9,6 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.linear.iterative import TimeVarying
 
-__all__ = ["Limits", "Moves", "Quadratic", "Recursion", "limited_change", "riccati", "within"]
-
 _ITERATIONS = 4000
 """Iterations of ADMM at most; some hundreds are usual."""
 

@@ -12,8 +12,6 @@ from harness.errors import PlantError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.control.planning import Limits, Moves
 
-__all__ = ["Observer", "Plan", "Repeated", "Repetition"]
-
 _GONE = 1e3
 """A repetition has left the motion where an output is so many times the largest reference away."""
 

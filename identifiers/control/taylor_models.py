@@ -10,8 +10,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["TaylorModel", "bounded"]
-
 _ROUNDING = 64 * float(np.finfo(float).eps)
 """Relative error of an operation on all coefficients, with room to spare: of some tens of products and sums each."""
 

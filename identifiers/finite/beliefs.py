@@ -9,8 +9,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["BeliefCompression", "compress_beliefs"]
-
 _SETTLED = 1e-7
 """Relative gain of the divergence in an iteration below which it ends."""
 

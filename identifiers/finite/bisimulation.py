@@ -16,8 +16,6 @@ from harness.errors import InputError
 from harness.signals import FloatArray
 from identifiers.finite.decision import Labels, groups_of_rows, optimal_values
 
-__all__ = ["InformationGap", "bisimulation", "bisimulation_metric", "information_gap", "quotient"]
-
 _PROBES = 2
 """Random weights that tell distributions over classes apart in each round; a result is verified afterwards."""
 

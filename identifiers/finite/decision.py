@@ -11,14 +11,6 @@ import numpy.typing as npt
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = [
-    "action_sufficient",
-    "groups_of_rows",
-    "optimal_values",
-    "policy_values",
-    "value_error_bound",
-]
-
 Labels = npt.NDArray[np.intp]
 
 _SWEEPS = 1000
@@ -60,7 +52,7 @@ def optimal_values(transition: FloatArray, reward: FloatArray, discount: float) 
     Raises
     ------
     InputError
-        If a shape or the discount does not fit.
+        As of :func:`policy_values`.
 
     Examples
     --------

@@ -17,8 +17,6 @@ from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
 from identifiers.common.records import usable
 
-__all__ = ["Factor", "FactoredCounting", "FactoredModel"]
-
 
 @dataclass(frozen=True, eq=False)
 class Factor:

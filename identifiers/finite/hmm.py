@@ -19,8 +19,6 @@ from identifiers.common.records import usable
 from identifiers.finite.hmm_pass import Record, expected_counts, filtered_beliefs
 from identifiers.finite.mdp import finite_sizes, moved_beliefs
 
-__all__ = ["HiddenMarkov", "HmmModel", "spectral_estimate"]
-
 _MOST_STATES = 12
 """Where the number of states is asked of the data, more are not tried."""
 

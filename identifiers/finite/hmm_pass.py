@@ -14,8 +14,6 @@ import numpy.typing as npt
 from harness.signals import FloatArray
 from identifiers.common.native import declared, pointers
 
-__all__ = ["Counts", "Record", "expected_counts", "filtered_beliefs", "native_library"]
-
 Record = tuple[npt.NDArray[np.intc], npt.NDArray[np.intc]]
 """Observations (N,) and actions (N,) of a record; the last action leads nowhere."""
 
@@ -42,8 +40,12 @@ class Counts:
 @functools.cache
 def native_library() -> Any:
     """Return the compiled recursions, or None where there is no C compiler."""
-    arguments = [ctypes.c_long] * 2 + [ctypes.c_void_p] * 7 + [ctypes.c_int] + [ctypes.c_void_p] * 5
-    return declared("hmm_loop", sysid_hmm_pass=(ctypes.c_double, arguments))
+    whole, address = ctypes.c_long, ctypes.c_void_p
+    return declared(
+        "hmm_loop",
+        sysid_hmm_pass=(ctypes.c_double, [whole, whole, *[address] * 7, ctypes.c_int, *[address] * 4]),
+        sysid_hmm_counts=(ctypes.c_double, [whole, address, whole, *[address] * 11]),
+    )
 
 
 def expected_counts(
@@ -63,10 +65,11 @@ def expected_counts(
     spread = np.ascontiguousarray(emission.T)
     start = np.ascontiguousarray(initial)
     pairs, emitted, first = np.zeros((actions, states, states)), np.zeros(emission.T.shape), np.zeros(states)
-    total = 0.0
-    run = _native if native and native_library() is not None else _plain
-    for seen, action in records:
-        total += run(seen, action, start, turned, spread, pairs, emitted, first)
+    given, sums = (start, turned, spread), (pairs, emitted, first)
+    if native and native_library() is not None:
+        total = _native(records, *given, *sums)
+    else:
+        total = sum(_plain(*record, *given, *sums) for record in records)
     return Counts(total, (pairs * turned).transpose(1, 0, 2), emitted.T, first)
 
 
@@ -80,22 +83,22 @@ def filtered_beliefs(
     if (compiled := native_library()) is not None:
         start = np.ascontiguousarray(initial)
         total = compiled.sysid_hmm_pass(
-            len(seen), len(initial), *pointers(seen, action, start, turned, spread, beliefs, scale), 0, *[None] * 5
+            len(seen), len(initial), *pointers(seen, action, start, turned, spread, beliefs, scale), 0, *[None] * 4
         )
     else:
         total = _forward(seen, action, initial, turned, spread, beliefs, scale)
     return beliefs, float(total)
 
 
-def _native(
-    seen: Any, action: Any, start: FloatArray, turned: FloatArray, spread: FloatArray, *sums: FloatArray
-) -> float:
-    """Add the sums of one record, in C."""
-    n, states = len(seen), len(start)
-    scratch = np.empty(n * states + n + 2 * states)
-    beliefs, scale, work = scratch[: n * states], scratch[n * states : n * states + n], scratch[n * states + n :]
-    given = pointers(seen, action, start, turned, spread, beliefs, scale)
-    return float(native_library().sysid_hmm_pass(n, states, *given, 1, *pointers(*sums), None, *pointers(work)))
+def _native(records: Sequence[Record], start: FloatArray, *tables: FloatArray) -> float:
+    """Add the sums of all records, in C."""
+    lengths = np.array([len(seen) for seen, _ in records], dtype=ctypes.c_long)
+    seen, action = (np.concatenate(column) for column in zip(*records, strict=True))
+    longest, states = int(lengths.max()), len(start)
+    turned, spread, *sums = tables
+    beliefs, scale, work = np.empty((longest, states)), np.empty(longest), np.empty(2 * states)
+    given = pointers(seen, action, start, turned, spread, beliefs, scale, *sums, work)
+    return float(native_library().sysid_hmm_counts(len(records), *pointers(lengths), states, *given))
 
 
 def _forward(

@@ -15,8 +15,6 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.finite.bisimulation import bisimulation_metric, information_gap, quotient
 from identifiers.finite.decision import optimal_values
 
-__all__ = ["InformationStates", "Windows", "windows_of"]
-
 Labels = npt.NDArray[np.intp]
 
 _ENOUGH = 0.05

@@ -17,16 +17,6 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
 from identifiers.common.records import usable
 
-__all__ = [
-    "MdpCounting",
-    "MdpModel",
-    "OnlineCounting",
-    "count_transitions",
-    "finite_sizes",
-    "moved_beliefs",
-    "weissman_bound",
-]
-
 SHOWN = 6
 """Pairs that were never tried that are named; the model has all."""
 

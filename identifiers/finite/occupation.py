@@ -12,8 +12,6 @@ from harness.errors import FitError, InputError
 from harness.models.analysis import Findings, Takes
 from harness.signals import FloatArray
 
-__all__ = ["Occupation", "discounted_occupation", "stationary", "ulam"]
-
 
 def stationary(transition: FloatArray, tolerance: float = 1e-9) -> FloatArray:
     """Return the stationary distribution (S,) of a chain (S, S).

@@ -15,8 +15,6 @@ from identifiers.finite.beliefs import compress_beliefs
 from identifiers.finite.bisimulation import bisimulation, bisimulation_metric, information_gap, quotient
 from identifiers.finite.hmm import HiddenMarkov
 
-__all__ = ["BeliefLadder", "Bisimulation"]
-
 _SHOWN = 12
 """States of a class that are named in the table."""
 

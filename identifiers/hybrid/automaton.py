@@ -17,8 +17,6 @@ from identifiers.common.records import real_signals, usable
 from identifiers.hybrid.jumps import Jump, find_jumps
 from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel, affine
 
-__all__ = ["HybridAutomaton", "HybridModel"]
-
 _BISECTIONS = 30
 """Halvings of the sample in which the guard is met."""
 

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Jump", "find_jumps"]
-
 _DEGREE = 2
 """Of the polynomials that continue a record to the instant of a jump from either side."""
 

@@ -19,8 +19,6 @@ from identifiers.common.neighbours import edges
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.trees import Tree, grow_tree
 
-__all__ = ["PiecewiseAffine", "PiecewiseAffineModel"]
-
 Labels = npt.NDArray[np.intp]
 
 _LOCAL = 2

@@ -12,11 +12,8 @@ from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.told import told
 from identifiers.learned.ensemble import Ensemble
-from identifiers.learned.lag_network import LagNetwork
-from identifiers.learned.lag_training import lag_task
+from identifiers.learned.lag_training import LagNetwork, lag_task
 from identifiers.learned.training import Excited, Trained
-
-__all__ = ["AttentionEnsemble", "AttentionModel", "AttentionNetwork"]
 
 _TABLES = ("embed", "place", "query", "key", "value", "mix", "inner", "bias", "outer", "read")
 """Of every member, in the order in which they are trained."""
@@ -121,11 +118,9 @@ class AttentionNetwork(Excited, Trained):
         found, history = task.train(
             tables,
             lambda torch, tensors, rows: _attend(torch, tensors, rows, self.heads),
-            self.schedule,
+            self,
             rng=rng,
             what=what,
-            checkpoint=self.checkpoint,
-            progress=self.progress,
         )
         members = []
         for number in range(self.members):

@@ -17,8 +17,6 @@ from identifiers.common.scaling import centred
 from identifiers.learned.state_network import StateNetwork
 from identifiers.learned.training import Excited, Trained, need_torch, train_tables
 
-__all__ = ["EmbedToControl", "LatentModel"]
-
 _TABLES = (
     "encoder",
     "encode_in",
@@ -213,17 +211,8 @@ class EmbedToControl(Excited, Trained):
                 far = far + _CONSISTENCY * ((z - seen[:, k + 1]) ** 2).mean()
             return total + far / (u.shape[1] - 1)
 
-        tables, losses = train_tables(
-            what,
-            {name: start[name] for name in _TABLES},
-            miss,
-            parts,
-            held_parts,
-            self.schedule,
-            rng=rng,
-            checkpoint=self.checkpoint,
-            progress=self.progress,
-        )
+        first = {name: start[name] for name in _TABLES}
+        tables, losses = train_tables(what, first, miss, parts, held_parts, self, rng=rng)
         rest = np.mean([_encoded(np, tables, _pasts(y, u, self.lags)).mean(axis=0) for y, u in scaled], axis=0)
         notes = {"held-out loss": losses, "windows": len(parts[0])}
         gain = np.zeros((self.latent, spec.ny))

@@ -15,8 +15,6 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import drawn_together
 from identifiers.common.described import Described
 
-__all__ = ["Ensemble", "own_spread"]
-
 _NINETY = 1.6449
 """Half width of the central 90 % of a normal distribution, in standard deviations."""
 

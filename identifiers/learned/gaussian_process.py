@@ -16,8 +16,6 @@ from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.learned.training import Excited
 
-__all__ = ["GaussianProcess", "GaussianProcessModel", "Kernel", "Posterior"]
-
 _JITTER = 1e-10
 """Relative to the prior variance; keeps Cholesky factors of noise-free data real, and sets the least noise with it."""
 

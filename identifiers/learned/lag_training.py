@@ -1,7 +1,8 @@
-"""Training of one-step networks on lagged outputs and inputs: what an affine fit leaves, members side by side."""
+"""One-step networks on lagged outputs and inputs, and their training: what an affine fit leaves, many at once."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -11,13 +12,44 @@ import numpy as np
 from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import Bands, held_out_runs
-from identifiers.common.lag_state import Scaling, regression_data
+from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.reach import Reach
 from identifiers.learned.ensemble import Ensemble, own_spread
-from identifiers.learned.lag_network import LagNetwork
-from identifiers.learned.training import Excited, Schedule, need_torch, one_thread, train
+from identifiers.learned.training import Excited, Trained, need_torch, one_thread, train
 
-__all__ = ["LagTask", "lag_task"]
+
+@dataclass(frozen=True, eq=False)
+class LagNetwork(LagModel):
+    """The change of the output is an affine function of lagged outputs and inputs plus a network of them; abstract.
+
+    A subclass says :meth:`change`, ``kind`` and how its tables are stored.
+
+    Parameters
+    ----------
+    affine : array (p + 1, ny)
+        In scaled numbers.
+    variance : array (ny,)
+        Of the one-step error on held-out samples.
+    reach : Reach or None
+        Where the data lie, in scaled rows: beyond them the variance grows.
+    """
+
+    affine: FloatArray
+    variance: FloatArray
+    reach: Reach | None
+
+    @abstractmethod
+    def change(self, x: FloatArray) -> FloatArray:
+        """Return the scaled addition (..., ny) of the network at scaled rows (..., p)."""
+
+    def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and variance (..., ny) of the next output."""
+        x = self.scaling.rows(rows)
+        change = self.change(x) + x @ self.affine[:-1] + self.affine[-1]
+        mean = rows[..., : self.spec.ny] + self.scaling.y_mean + change * self.scaling.y_std
+        variance = np.broadcast_to(self.variance, mean.shape)
+        return mean, variance if self.reach is None else variance + self.reach.std(x) ** 2
+
 
 M = TypeVar("M", bound=LagNetwork)
 E = TypeVar("E", bound=Ensemble)
@@ -72,12 +104,10 @@ class LagTask:
         self,
         tables: Sequence[FloatArray],
         network: Callable[[Any, Sequence[Any], Any], Any],
-        schedule: Schedule,
+        how: Trained,
         *,
         rng: np.random.Generator,
         what: str,
-        checkpoint: str | None,
-        progress: bool,
     ) -> tuple[list[FloatArray], list[list[float]]]:
         """Return the trained tables (members, ...) and the held-out losses.
 
@@ -86,12 +116,10 @@ class LagTask:
         tables : sequence of array (members, ...)
         network : callable
             ``network(torch, tables, rows (members, n, p))`` returns (members, n, ny).
-        schedule : Schedule
+        how : Trained
         rng : numpy.random.Generator
         what : str
             Name of the identifier.
-        checkpoint, progress
-            See :func:`identifiers.learned.training.train`.
         """
         torch = need_torch(what)
         members = len(tables[0])
@@ -107,19 +135,7 @@ class LagTask:
             def held_out() -> Any:
                 return ((network(torch, tensors, held_inside) - held_wanted) ** 2).mean(dim=(1, 2))
 
-            history = train(
-                torch,
-                tensors,
-                loss,
-                held_out,
-                len(self.x),
-                schedule,
-                rng=rng,
-                members=members,
-                checkpoint=checkpoint,
-                progress=progress,
-                title=what,
-            )
+            history = train(torch, tensors, loss, held_out, len(self.x), how, rng=rng, members=members, title=what)
             return [tensor.detach().numpy() for tensor in tensors], history
 
     def banded(self, drafts: Sequence[M]) -> tuple[M, ...]:

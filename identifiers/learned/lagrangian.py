@@ -19,8 +19,6 @@ from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.state_network import BandedNetwork
 from identifiers.learned.training import Trained, need_torch, train_tables
 
-__all__ = ["LagrangianModel", "LagrangianNetwork"]
-
 _RATE_SUFFIXES = ("_rate", "_dot")
 """How the rate of a coordinate is called, as everywhere in this project."""
 
@@ -281,17 +279,7 @@ class LagrangianNetwork(Trained):
                 total = total + (((found - y[:, k + 1]) / sizes) ** 2).mean()
             return total / (u.shape[1] - 1)
 
-        tables, losses = train_tables(
-            what,
-            start,
-            miss,
-            learn,
-            held,
-            self.schedule,
-            rng=rng,
-            checkpoint=self.checkpoint,
-            progress=self.progress,
-        )
+        tables, losses = train_tables(what, start, miss, learn, held, self, rng=rng)
         notes = {"held-out loss": losses, "windows": len(learn[0])}
         ny = spec.ny
         draft = LagrangianModel(spec, form, units(tables), columns, scale, np.zeros((2 * n, ny)), notes=notes)

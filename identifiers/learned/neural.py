@@ -11,11 +11,8 @@ import numpy as np
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.told import told
 from identifiers.learned.ensemble import Ensemble
-from identifiers.learned.lag_network import LagNetwork
-from identifiers.learned.lag_training import lag_task
+from identifiers.learned.lag_training import LagNetwork, lag_task
 from identifiers.learned.training import Excited, Trained, draw_layers
-
-__all__ = ["EnsembleModel", "NetworkModel", "NeuralNetwork"]
 
 Layers = tuple[tuple[FloatArray, FloatArray], ...]
 
@@ -84,15 +81,7 @@ class NeuralNetwork(Excited, Trained):
         spec, scaling, size = task.spec, task.scaling, task.size
         layers = draw_layers((task.x.shape[1], *self.hidden, spec.ny), rng, self.members)
         layers[-1] = (0.1 * layers[-1][0], layers[-1][1])
-        found, history = task.train(
-            [part for layer in layers for part in layer],
-            _network,
-            self.schedule,
-            rng=rng,
-            what=what,
-            checkpoint=self.checkpoint,
-            progress=self.progress,
-        )
+        found, history = task.train([part for layer in layers for part in layer], _network, self, rng=rng, what=what)
         members = []
         for i in range(self.members):
             parts = [(found[j][i], found[j + 1][i, 0]) for j in range(0, len(found), 2)]

@@ -18,8 +18,6 @@ from identifiers.learned.state_network import BandedNetwork
 from identifiers.learned.training import Excited, Trained, draw_layers, need_torch, train_tables
 from identifiers.linear.least_squares import Arx
 
-__all__ = ["NeuralStateModel", "NeuralStateSpace"]
-
 _TABLES = ("A", "B", "drift", "C", "D", "offset", "W1", "b1", "W2", "encoder")
 """Trained; the tables of a model in the order of its description."""
 
@@ -162,18 +160,8 @@ class NeuralStateSpace(Excited, Trained):
                 x = x @ turn + push[:, k] + library.tanh(x @ from_x + inside[:, k]) @ t["W2"]
             return total / u.shape[1]
 
-        tables, losses = train_tables(
-            what,
-            {name: start[name] for name in _TABLES},
-            miss,
-            parts,
-            long,
-            self.schedule,
-            rng=rng,
-            checkpoint=self.checkpoint,
-            progress=self.progress,
-            fixed=() if direct else ("D",),
-        )
+        first, fixed = {name: start[name] for name in _TABLES}, () if direct else ("D",)
+        tables, losses = train_tables(what, first, miss, parts, long, self, rng=rng, fixed=fixed)
         nx = len(tables["A"])
         notes = {"held-out rms": [float(np.sqrt(loss)) for loss in losses], "states": nx, "windows": len(parts[0])}
         signals = (u_mean, u_std, y_mean, y_std)

@@ -15,8 +15,6 @@ from harness.signals import FloatArray
 from identifiers.common import native
 from identifiers.common.native import pointers
 
-__all__ = ["Polynomials", "exponents"]
-
 FAR = 1e3
 """A scaled state beyond it has diverged, as in :mod:`identifiers.learned.recurrent_pass`."""
 

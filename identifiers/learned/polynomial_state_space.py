@@ -15,8 +15,6 @@ from identifiers.learned.recurrent_fit import Fitted, Problem, cascade, descend_
 from identifiers.learned.recurrent_model import RecurrentEnsemble, own_member, vouched
 from identifiers.learned.training import Excited
 
-__all__ = ["PolynomialStateSpace"]
-
 _MOST_ORDER, _MOST_DEGREE = 4, 3
 """Tried where none is given: beyond, the coefficients of all monomials outnumber what records of some thousand tell."""
 

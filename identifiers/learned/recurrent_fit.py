@@ -16,8 +16,6 @@ from identifiers.common.scaling import centred
 from identifiers.learned.recurrent_pass import Integrating, Layout
 from identifiers.linear.n4sid import Subspace
 
-__all__ = ["Fitted", "Problem", "Recurrence", "cascade", "descend", "descend_from", "fit_start", "subspace_start"]
-
 Mask = npt.NDArray[np.bool_]
 Linear = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Point = tuple[FloatArray, FloatArray]

@@ -22,8 +22,6 @@ from identifiers.learned.recurrent_fit import Fitted, Problem, Recurrence, fit_s
 from identifiers.learned.recurrent_pass import Integrating, Layout
 from identifiers.learned.state_network import StateNetwork
 
-__all__ = ["RecurrentEnsemble", "RecurrentModel", "own_member", "vouched"]
-
 _HORIZONS = (1, 2, 4, 8, 16, 32, 64, 128)
 """Steps ahead at which the spread of held-out errors is measured; between them it is interpolated."""
 

@@ -13,8 +13,6 @@ from harness.signals import FloatArray
 from identifiers.common import native
 from identifiers.common.native import pointers
 
-__all__ = ["FAR", "Integrating", "Layout", "library"]
-
 FAR = 1e3
 """A scaled state beyond it has diverged, as in :mod:`identifiers.learned.neural_state`."""
 

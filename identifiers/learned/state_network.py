@@ -13,8 +13,6 @@ from identifiers.common.bands import Bands, told
 from identifiers.common.described import Described
 from identifiers.common.observers import run_in_steps
 
-__all__ = ["BandedNetwork", "StateNetwork"]
-
 
 class StateNetwork(Described, ABC):
     """A model whose state begins with the network's own (nx), which the error of an output that was seen moves.

@@ -18,13 +18,8 @@ from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.records import moving, real_signals, usable
 
-__all__ = ["Excited", "Schedule", "Trained", "bar", "draw_layers", "need_torch", "one_thread", "train", "train_tables"]
-
 _LOOK = 50
 """Steps between two looks at the held-out loss."""
-
-Schedule = tuple[int, float, int]
-"""Steps, learning rate at the start, and rows or windows of a batch."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +83,6 @@ class Trained:
 
     Examples
     --------
-    >>> Trained(steps=10).schedule
-    (10, 0.005, 128)
     >>> try:
     ...     Trained(rate=0.0).refuse_small("a network", 3)
     ... except InputError as error:
@@ -102,11 +95,6 @@ class Trained:
     batch: int = 128
     checkpoint: str | None = None
     progress: bool = False
-
-    @property
-    def schedule(self) -> Schedule:
-        """Steps, rate at the start and batch."""
-        return self.steps, self.rate, self.batch
 
     def refuse_small(self, what: str, *numbers: int) -> None:
         """Refuse numbers below 1 (those given, and those of the training), and a rate that is not above 0.
@@ -172,13 +160,11 @@ def train(
     loss: Callable[[Any], Any],
     held_out: Callable[[], Any],
     count: int,
-    schedule: Schedule,
+    how: Trained,
     *,
     rng: np.random.Generator,
+    title: str,
     members: int = 1,
-    checkpoint: str | Path | None = None,
-    progress: bool = False,
-    title: str = "training",
 ) -> list[list[float]]:
     """Minimise a loss by Adam (Kingma and Ba 2015) with a rate that falls as a cosine; ends at the best held-out state.
 
@@ -193,31 +179,29 @@ def train(
         Returns the held-out loss of each member (members,).
     count : int
         Rows or windows that batches are drawn from.
-    schedule : Schedule
+    how : Trained
+        Its ``checkpoint`` is written now and then, and continued from if it belongs to the same training.
     rng : numpy.random.Generator
-    members : int
-    checkpoint : path, optional
-        File that is written now and then, and continued from if it belongs to the same training.
-    progress : bool
-        Show a bar on the error stream.
     title : str
+        Of the bar.
+    members : int
 
     Returns
     -------
     list of list of float
         The held-out loss of each member at every look.
     """
-    steps, rate, batch = schedule
-    size = min(batch, count)
+    steps, rate = how.steps, how.rate
+    size = min(how.batch, count)
     seed = int(rng.integers(2**62))
     adam = torch.optim.Adam(parameters, lr=rate)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, T_max=max(steps, 1), eta_min=0.01 * rate)
     best = [parameter.detach().clone() for parameter in parameters]
     least = np.full(members, np.inf)
     history: list[list[float]] = []
-    key = _key(parameters, schedule, count, seed)
+    key = _key(parameters, how, count, seed)
     first = 0
-    path = None if checkpoint is None else Path(checkpoint)
+    path = None if how.checkpoint is None else Path(how.checkpoint)
     if path is not None and path.is_file():
         saved = torch.load(path, weights_only=True)
         if saved["key"] == key:
@@ -240,7 +224,7 @@ def train(
                 for member in np.flatnonzero(better):
                     kept[member] = parameter[member]
 
-    with bar(title, steps, progress) as move:
+    with bar(title, steps, how.progress) as move:
         for step in range(first, steps):
             # One stream for each step, so that a training that is continued draws the same batches.
             draw = np.random.default_rng([seed, step])
@@ -273,9 +257,9 @@ def train(
     return history
 
 
-def _key(parameters: Sequence[Any], schedule: Schedule, count: int, seed: int) -> str:
+def _key(parameters: Sequence[Any], how: Trained, count: int, seed: int) -> str:
     """Return a hash of where a training begins: another one is not continued."""
-    text = hashlib.sha256(repr((schedule, count, seed)).encode())
+    text = hashlib.sha256(repr(((how.steps, how.rate, how.batch), count, seed)).encode())
     for parameter in parameters:
         text.update(parameter.detach().numpy().tobytes())
     return text.hexdigest()
@@ -301,11 +285,9 @@ def train_tables(
     miss: Callable[..., Any],
     learn: Sequence[FloatArray],
     held: Sequence[FloatArray],
-    schedule: Schedule,
+    how: Trained,
     *,
     rng: np.random.Generator,
-    checkpoint: str | None,
-    progress: bool,
     fixed: Sequence[str] = (),
 ) -> tuple[dict[str, FloatArray], list[float]]:
     """Return the trained tables of one network, and its last three held-out losses.
@@ -320,10 +302,8 @@ def train_tables(
         ``miss(torch, tables, *parts)`` returns the loss of windows.
     learn, held : sequence of array (w, ...)
         Windows to learn from, and held-out ones.
-    schedule : Schedule
+    how : Trained
     rng : numpy.random.Generator
-    checkpoint, progress
-        See :func:`train`.
     fixed : sequence of str
         Tables that stay what they are.
 
@@ -346,10 +326,8 @@ def train_tables(
             lambda index: loss([part[index[0]] for part in inside]),
             lambda: loss(outside)[None],
             len(learn[0]),
-            schedule,
+            how,
             rng=rng,
-            checkpoint=checkpoint,
-            progress=progress,
             title=what,
         )
         tables = {name: np.array(tensor[0].detach().numpy()) for name, tensor in tensors.items()}

@@ -18,8 +18,6 @@ from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.training import Excited
 
-__all__ = ["ForestModel", "RandomForest", "Tree", "grow_tree"]
-
 FEW = 64
 """Rows up to which all trees are walked at once: below it the calls cost, beyond it the memory."""
 

@@ -19,8 +19,6 @@ from identifiers.common.judge.told import told
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.learned.training import Excited
 
-__all__ = ["Volterra", "VolterraModel"]
-
 _BLOCK = 4096
 """Rows of a block of regressors: a few hundred columns of them stay in the cache."""
 

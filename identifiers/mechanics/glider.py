@@ -13,8 +13,6 @@ from harness.models.analysis import Findings, Takes
 from harness.physics.fitting.smoothing import smooth
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["GliderFunctions", "along_the_wing", "glider_functions"]
-
 TAIL = 0.27 + 0.022
 """From the centre of mass to the elevator [m]."""
 

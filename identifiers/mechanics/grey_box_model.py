@@ -20,8 +20,6 @@ from identifiers.mechanics.starting import StartBelief
 if TYPE_CHECKING:
     from harness.physics import Simulator, System
 
-__all__ = ["GreyBoxModel", "default_gain", "tuned_gain"]
-
 
 @dataclass(frozen=True, eq=False)
 class GreyBoxModel:

@@ -8,8 +8,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["rts"]
-
 _TUNED_ON = 800
 
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from harness.models.estimate import RankDecision
     from harness.physics import LumpedModel, System
 
-__all__ = ["Form", "Intersample", "Lumped", "Regressed", "lumped_energy", "lumped_momentum", "lumped_torque"]
-
 Form = Literal["torque", "energy", "momentum"]
 Intersample = Literal["zoh", "smooth"]
 # Rounds of instruments: each simulates with the parameters of the one before.

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from harness.physics import LumpedModel, System
     from identifiers.mechanics.simulated_records import Spread
 
-__all__ = ["lumped_estimate", "physical_estimate"]
-
 LEVEL = 0.95
 STEP = 1e-6
 """Relative step of the derivatives of lumped by physical parameters."""

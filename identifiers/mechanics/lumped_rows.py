@@ -15,8 +15,6 @@ from identifiers.mechanics.motion import Motion
 if TYPE_CHECKING:
     from harness.physics import System
 
-__all__ = ["instants", "simulated_motion", "weighted"]
-
 # Simulated motions of this length [s] give instruments: short enough for unstable plants.
 _INSTRUMENT_WINDOW = 2.0
 

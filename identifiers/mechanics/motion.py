@@ -10,8 +10,6 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Motion", "Smoothing", "between", "motion", "noise_level", "noisier"]
-
 Smoothing = Literal["auto", "local", "spline", "kalman", "forward", "causal", "none"]
 # Leave-one-out errors below this fraction of the signal's travel are the cubics' own, not noise.
 _CLEAN = 1e-6

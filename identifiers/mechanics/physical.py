@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from harness.physics import System
     from harness.physics.fitting.residual_force import ResidualForce
 
-__all__ = ["PhysicalFit", "Recipe", "recipe_for"]
-
 
 @dataclass(frozen=True)
 class Recipe:

@@ -8,12 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from harness.errors import FitError, InputError
-from harness.models.analysis import Findings, Takes
+from harness.models.analysis import Findings, Takes, as_dataset
 from harness.models.estimate import estimate_of
-from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Trajectory
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.mechanics.grey_box import OutputError
-
-__all__ = ["PushedObject", "column_of"]
 
 _FRICTION = "coulomb_friction@q.Fc"
 """Level of the dry friction in the model of the object."""
@@ -93,14 +91,10 @@ class PushedObject:
 
         Raises
         ------
-        InputError
-            If the subject is no data set, or lacks a column.
         FitError
             If the object hardly moves.
         """
-        if not isinstance(subject, Dataset):
-            raise InputError("pushed object", expected="a data set", got=type(subject).__name__, remedy="give records")
-        records = [record.measured() for record in subject.estimation]
+        records = [record.measured() for record in as_dataset(subject, "pushed object").estimation]
         felt = [_after(column_of(record, self.force)) for record in records]
         cases = {
             "contact force measured": felt,

@@ -9,12 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import FitError, InputError
-from harness.models.analysis import Findings, Takes
-from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory
+from harness.errors import FitError
+from harness.models.analysis import Findings, Takes, as_dataset
+from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.mechanics.pushed import column_of
-
-__all__ = ["Contact", "PushedInPlane", "calm", "cone", "contacts", "fitted_in_plane", "object_in_plane"]
 
 _STILL = 5e-3
 """Speed [m/s] below which friction falls to nothing, so that a run can be computed: far below that of a push."""
@@ -395,16 +393,13 @@ class PushedInPlane:
 
         Raises
         ------
-        InputError
-            If the subject is no data set, or lacks a column.
         FitError
             If there is hardly any contact, the object hardly turns, or the fit does not converge.
         """
-        if not isinstance(subject, Dataset):
-            raise InputError("pushed object", expected="a data set", got=type(subject).__name__, remedy="give records")
         poses, wrenches, met, forces = [], [], [], []
-        dt = subject.estimation[0].spec.sample_time
-        for record in (run.measured() for run in subject.estimation):
+        runs = as_dataset(subject, "pushed object").estimation
+        dt = runs[0].spec.sample_time
+        for record in (run.measured() for run in runs):
             table = np.stack([column_of(record, name) for name in self.channels()[0]], axis=1)
             table[:, 2] = np.unwrap(table[:, 2])
             contact = contacts(table[:, :2], table[:, 2], table[:, 3:5], self.half, self.radius, dt)

@@ -26,8 +26,6 @@ from identifiers.sparse.selection import best_subset, lasso
 if TYPE_CHECKING:
     from harness.physics import LumpedModel, System
 
-__all__ = ["ResidualModel", "ResidualPhysics", "ResidualRecipe"]
-
 Choice = Literal["ridge", "lasso", "best-subset"]
 FOLDS = 5
 """Stretches of the records that are left out in turn; not single rows, because neighbours share their noise."""

@@ -10,8 +10,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Basis", "Kind", "basis_of", "spread_centres"]
-
 Kind = Literal["gaussian", "wavelet"]
 LEVELS = 3
 """Scales of the wavelets: each halves the width of the one before and takes twice as many centres."""

@@ -13,8 +13,6 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.mechanics.grey_box_model import GreyBoxModel
 from identifiers.mechanics.motion import noise_level
 
-__all__ = ["Corrected", "Piece", "Spread", "corrected", "pieces"]
-
 FAITHFUL = 6.0
 """Simulated records are believed to be like the measured ones while the rms of the free run stays below the noise of
 the record times 1 + 6 / sqrt(N): both are known to about 2 / sqrt(N) of themselves (the noise from an eighth of the

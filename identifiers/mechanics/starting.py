@@ -16,8 +16,6 @@ from harness.signals import FloatArray, Trajectory, residual
 if TYPE_CHECKING:
     from harness.physics import OutputErrorFit, Simulator
 
-__all__ = ["StartBelief"]
-
 _WIDER = 2.0
 """A record may begin where the runs of the estimation data seldom are: their deviations count so many times."""
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from harness.physics.compiled.system import System
     from harness.physics.fitting.maximum import LikelihoodFit
 
-__all__ = ["MaximumLikelihood"]
-
 METHOD = "curvature of the log-likelihood, noise estimated"
 
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from harness.signals import Channel, FloatArray, residual
 
-__all__ = ["Surprise"]
-
 ROUGH = 20.0
 """A third difference of white noise has twenty times its variance: 1 + 9 + 9 + 1."""
 KEPT = 0.95

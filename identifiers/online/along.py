@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -18,18 +18,20 @@ from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import missing_notes, moving, real_signals, usable
 
-__all__ = ["OnePass", "along", "sizes_of", "told_of_pass"]
 
-
+@dataclass(frozen=True, kw_only=True)
 class OnePass(ABC):
     """Online identifier of linear models, which fits records by one pass over them.
 
-    Options of it are ``least_excitation``, as of ``least-squares``, and what a subclass adds.
+    Parameters
+    ----------
+    least_excitation : float
+        Of :meth:`fit`, as of ``least-squares``.
     """
 
     called: ClassVar[str]
     """Name of the identifier, for messages."""
-    least_excitation: float
+    least_excitation: float = 2.0
 
     @abstractmethod
     def waits(self, spec: PlantSpec) -> int:

@@ -15,8 +15,6 @@ from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.described import Described
 from identifiers.common.records import usable
 
-__all__ = ["HoldLast", "HoldModel", "PlantModel", "TrueModel"]
-
 
 @dataclass(frozen=True, eq=False)
 class HoldModel(Described):

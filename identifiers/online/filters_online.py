@@ -22,8 +22,6 @@ from identifiers.mechanics.surprise import Surprise
 if TYPE_CHECKING:
     from harness.physics import System
 
-__all__ = ["FilterState", "OnlineGreyBox", "ekf", "ukf"]
-
 ALPHA, BETA = 0.5, 2.0
 """Spread of the sigma points, and the weight of a normal prior (Wan & van der Merwe 2000, eq. 15)."""
 

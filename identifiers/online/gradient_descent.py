@@ -15,8 +15,6 @@ from identifiers.common.named import wrong_options
 from identifiers.common.records import moving, real_signals
 from identifiers.online.along import OnePass, sizes_of
 
-__all__ = ["GradientDescent", "GradientState", "acquiescent"]
-
 _LEAST = 0.02
 """Least real part of the characteristic polynomial on the unit circle, relative to z^n."""
 
@@ -80,8 +78,6 @@ class GradientDescent(OnePass):
         Step, in units of the inverse mean square of the gradients of the prediction.
     burn_in : int
         Samples that only set the size of the signals; until then the last output is held.
-    least_excitation : float
-        Of :meth:`fit`, as of ``least-squares``.
 
     Examples
     --------
@@ -100,7 +96,6 @@ class GradientDescent(OnePass):
     block: int = 20
     rate: float = 0.5
     burn_in: int = 20
-    least_excitation: float = 2.0
     called = "gradient-descent"
 
     def waits(self, spec: PlantSpec) -> int:

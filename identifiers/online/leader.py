@@ -15,8 +15,6 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.named import named, wrong_options
 from identifiers.common.records import real_signals
 
-__all__ = ["FollowTheLeader", "LeaderState"]
-
 # While a record is shorter than this its initial state is estimated anew at every sample.
 _YOUNG = 10
 

@@ -23,8 +23,6 @@ from identifiers.online.rls_pass import rotated
 if TYPE_CHECKING:
     from harness.physics import LumpedModel, System
 
-__all__ = ["RecursiveLumped", "RecursiveState"]
-
 WIDTH = 13
 """Samples that a cubic spans, by default: two thirds of what a batch fit chooses at noise of a milliradian."""
 SPAN = 51

@@ -13,8 +13,6 @@ from harness.models.analysis import Findings, Takes
 from harness.signals import Dataset, FloatArray, Trajectory
 from identifiers.online.recursive_polynomial import RecursiveOptions, RecursivePolynomial
 
-__all__ = ["ParameterTrajectory", "Recursion", "recursion_along"]
-
 DRAWN = 12
 """Coefficients that are drawn, one below the other; the table has all."""
 BAND = 1.96
@@ -49,12 +47,7 @@ class Recursion:
     errors: FloatArray
 
     def plot(self) -> Any:
-        """Draw the coefficients with 95 % bands, and the trace of the covariance with the stretches of the guard.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-        """
+        """Draw the coefficients with 95 % bands, and the trace of the covariance with the stretches of the guard."""
         from harness.plots import sheet
 
         shown = min(DRAWN, len(self.names))

@@ -12,17 +12,15 @@ from harness.errors import FitError
 from harness.models.estimate import Estimate
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from harness.units import quotient
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.observers import innovation_form
-from identifiers.common.one_step_estimate import quotient
 from identifiers.common.records import moving, real_signals
 from identifiers.common.scaling import Scaling, sizes
 from identifiers.linear.polynomials.model import Orders, Polynomials, block_form
 from identifiers.linear.polynomials.orders import Counts, orders_by_output
 from identifiers.linear.prediction_error import PredictionError
 from identifiers.online.along import OnePass
-
-__all__ = ["OutputFilter", "RecursivePolynomial", "RecursiveState"]
 
 PRIOR = 100.0
 """Variance of every coefficient before any data, of signals at the size that they have in the burn-in."""
@@ -193,8 +191,6 @@ class RecursivePolynomial(RecursiveOptions, OnePass):
     burn_in : int, optional
         Samples that are waited for before the first prediction by the model, which give the size of the signals; until
         then the last output is held. By default 20, and four times the coefficients of an output.
-    least_excitation : float
-        Of :meth:`fit`, as of ``least-squares``.
 
     Examples
     --------
@@ -209,7 +205,6 @@ class RecursivePolynomial(RecursiveOptions, OnePass):
     {'y: a1': -0.8, 'y: b1 of u': 1.0, 'y: c1': 0.5}
     """
 
-    least_excitation: float = 2.0
     called = "recursive-polynomial"
 
     def waits(self, spec: PlantSpec) -> int:
@@ -312,7 +307,7 @@ class RecursivePolynomial(RecursiveOptions, OnePass):
         if state.filters:
             return self._learned(new, u, y)
         new = replace(new, tape=(*state.tape, (u, y)), seen=state.seen + 1)
-        return self._scaled(new) if new.learned >= self._waits(new) else new
+        return self._scaled(new) if new.learned >= self._waits_for(new.orders) else new
 
     def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
         """Return the losses of the batch prediction-error model of these orders, with the same held predictions.
@@ -355,10 +350,6 @@ class RecursivePolynomial(RecursiveOptions, OnePass):
         if any(nk < 1 for own in found for nk in own.nk):
             raise FitError(f"{what}: nk", expected="delays of at least 1", got=str(self.nk), remedy="raise them")
         return found
-
-    def _waits(self, state: RecursiveState) -> int:
-        """Return how many samples are waited for."""
-        return self._waits_for(state.orders)
 
     def _waits_for(self, orders: Sequence[Orders]) -> int:
         return self.burn_in or max(20, 4 * max(_past(own) + sum(own.nb) + own.nc + 1 for own in orders))

@@ -14,8 +14,6 @@ from harness.models.lqr import kalman_gain, lqr_gain
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.mechanics.grey_box import OutputError
 
-__all__ = ["Redesign", "repeatable_coverage"]
-
 _GONE = 10.0
 """A run has left the point when an output is so many times as far from it as the farthest one at the start, or as so
 many deviations of the noise."""

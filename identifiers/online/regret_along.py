@@ -15,8 +15,6 @@ from harness.scoring.regret import Regret, regret
 from harness.signals import Dataset
 from identifiers.common.named import named
 
-__all__ = ["RegretAlong"]
-
 LAWS = {"log": "ln n", "root": "the root of n", "linear": "n", "bounded": "a constant"}
 
 

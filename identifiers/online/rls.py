@@ -20,8 +20,6 @@ from identifiers.linear.arx import lag_model, one_step, solution_notes
 from identifiers.online.along import OnePass
 from identifiers.online.rls_pass import Layout, learn, run
 
-__all__ = ["RecursiveLeastSquares", "RlsState"]
-
 
 class RlsState(NamedTuple):
     """What recursive least squares knows: the memory (size,) of its recursion, and where things stand in it."""
@@ -66,8 +64,6 @@ class RecursiveLeastSquares(OnePass):
         Equations that are learned from before the first prediction is made by them; until then the last output is held,
         by the identifier and by the predictor that it is compared with. By default twice the number of parameters:
         with fewer the excess error of least squares has no finite mean.
-    least_excitation : float
-        Of :meth:`fit`, as of ``least-squares``.
 
     Examples
     --------
@@ -88,7 +84,6 @@ class RecursiveLeastSquares(OnePass):
     prior: float = 1e-9
     forgetting: float = 1.0
     burn_in: int | None = None
-    least_excitation: float = 2.0
     called = "rls"
 
     def fitted(self, state: RlsState, records: list[Trajectory]) -> LinearModel:

@@ -12,8 +12,6 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.common.native import library, pointers
 
-__all__ = ["Layout", "learn", "rotated", "run"]
-
 # Numbers of the head: seen, rows, order, p, ny, nu, burn-in, forgetting, prior.
 _HEAD = 9
 

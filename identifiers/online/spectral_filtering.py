@@ -16,8 +16,6 @@ from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import moving, real_signals
 from identifiers.online.along import OnePass, sizes_of
 
-__all__ = ["SpectralFiltering", "SpectralState", "wave_filters"]
-
 
 @functools.lru_cache(maxsize=16)
 def wave_filters(window: int, count: int) -> tuple[FloatArray, FloatArray]:
@@ -79,8 +77,6 @@ class SpectralFiltering(OnePass):
         Of ``newton``: weight of M = 0, in samples of unit size.
     burn_in : int
         Samples that only set the size of the signals, so that no unit decides; until then the last output is held.
-    least_excitation : float
-        Of :meth:`fit`, as of ``least-squares``.
 
     Examples
     --------
@@ -101,7 +97,6 @@ class SpectralFiltering(OnePass):
     rate: float = 1.0
     prior: float = 1e-3
     burn_in: int = 20
-    least_excitation: float = 2.0
     called = "spectral-filtering"
 
     def waits(self, spec: PlantSpec) -> int:

@@ -22,8 +22,6 @@ from plants.bullet.outputs import BASE_STATES, Camera, channels, reader
 from plants.bullet.world import Saved, World
 from plants.checking import checked_inputs, initial_values, per_item, refuse_input, with_fields
 
-__all__ = ["ArmPlant"]
-
 GREATEST_DAMPED_STEP = 0.9
 """Joint damping times step over inertia beyond which a plant is refused: Bullet's damping is explicit."""
 
@@ -125,15 +123,7 @@ class ArmPlant(BasePlant):
         return y
 
     def step(self, u: FloatArray) -> FloatArray:
-        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,).
-
-        Raises
-        ------
-        InputError
-            If ``u`` has the wrong shape or is not finite (Bullet would accept NaN).
-        PlantError
-            If the plant is closed.
-        """
+        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,)."""
         if not (isinstance(u, ndarray) and u.shape == self._shape and isfinite(hypot(*(values := u.tolist())))):
             refuse_input(u, self._spec)
         try:

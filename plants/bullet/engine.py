@@ -37,18 +37,6 @@ from harness.physics.arms.inertia import triangle_excess
 from harness.physics.arms.joints import MOVING
 from harness.signals import FloatArray
 
-__all__ = [
-    "bullet",
-    "data_file",
-    "engine_joints",
-    "explicit_urdf",
-    "load",
-    "moving_joints",
-    "quiet",
-    "stated",
-    "stiffest_rate",
-]
-
 
 @contextlib.contextmanager
 def quiet(*streams: int) -> Iterator[None]:

@@ -12,8 +12,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, positive
 
-__all__ = ["MarkedArmPlant"]
-
 
 class MarkedArmPlant(BasePlant):
     """Pairs <q, p>: joint readings go in, the place of a marker on the last body comes out; nothing moves by itself.

@@ -15,8 +15,6 @@ from plants.bullet.outputs import Camera, Keypoints
 from plants.bullet.world import Control, Settings
 from plants.checking import per_item, positive
 
-__all__ = ["ArmOptions", "Joints", "joints_of", "settings_of"]
-
 MOTOR_FORCE = 300.0
 """Greatest force [N m] of Bullet's motors at a joint whose file states no effort."""
 

@@ -13,8 +13,6 @@ from harness.errors import InputError, PlantError
 from harness.signals import Channel, FloatArray
 from plants.bullet.world import World
 
-__all__ = ["BASE_STATES", "OUTPUTS", "Camera", "channels", "reader"]
-
 OUTPUTS = ("q", "qd", "ee", "base", "contact", "keypoints")
 BASE_STATES = (
     *(Channel(f"base_{axis}", "m") for axis in "xyz"),

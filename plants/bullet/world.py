@@ -15,8 +15,6 @@ from harness.errors import PlantError
 from harness.signals import FloatArray
 from plants.bullet.engine import bullet, engine_joints, load
 
-__all__ = ["Control", "Settings", "World"]
-
 Control = Literal["torque", "velocity", "position"]
 
 

@@ -13,8 +13,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive
 
-__all__ = ["CompassGait"]
-
 _BISECTIONS = 40
 """Halvings of an engine step in which the foot strikes."""
 

@@ -12,8 +12,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive, refuse_input
 
-__all__ = ["LinearPlant"]
-
 
 class LinearPlant(BasePlant):
     """``x[k+1] = A x[k] + B u[k] + w[k]``, ``y[k] = C x[k] + D u[k] + v[k]`` with white w of covariance Q, v of R.

@@ -11,8 +11,6 @@ from harness.errors import InputError
 from harness.signals import FloatArray
 from plants.checking import positive
 
-__all__ = ["AdaptiveEngine", "Integrator", "checked_integrator"]
-
 Integrator = Literal["rk4", "dop853", "lsoda", "bdf", "radau"]
 METHODS: dict[str, Any] = {"dop853": "DOP853", "lsoda": "LSODA", "bdf": "BDF", "radau": "Radau"}
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from harness.effects import Effect
     from harness.physics import System
 
-__all__ = ["Engine", "depends_on_time", "needed_substeps", "system_of", "with_effects", "with_noise", "with_value"]
-
 
 class Engine:
     """One sample at a time through the compiled rollout, buffers allocated once; CasADi where there is no compiler."""

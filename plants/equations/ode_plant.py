@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from harness.effects import Effect
     from harness.physics.compiled.system import System
 
-__all__ = ["OdePlant"]
-
 
 class OdePlant(BasePlant):
     """A model of :mod:`harness.physics` as a plant, its input held over every sample.
@@ -184,15 +182,7 @@ class OdePlant(BasePlant):
         return self._sense(self._engine.output(values, np.zeros(self._spec.nu), 0.0), advance=True)
 
     def step(self, u: FloatArray) -> FloatArray:
-        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,).
-
-        Raises
-        ------
-        InputError
-            If ``u`` has the wrong shape or is not finite.
-        PlantError
-            If the motion diverges, or the plant is closed.
-        """
+        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,)."""
         if self._closed:
             self._need_open()
         if not (isinstance(u, np.ndarray) and u.shape == self._shape and finite(u)):

@@ -10,8 +10,6 @@ from typing import Any
 from plants.equations.ode import named
 from plants.equations.ode_plant import OdePlant
 
-__all__ = ["glider_ode", "hydro_cart_pole_ode"]
-
 # Keeps the root of a squared speed smooth at rest [m^2/s^2].
 STILL = 1e-12
 

@@ -9,8 +9,6 @@ from harness.signals import FloatArray
 from plants.checking import positive
 from plants.finite.mdp import FiniteMdp
 
-__all__ = ["CorridorsMdp"]
-
 
 class CorridorsMdp(FiniteMdp):
     """Two corridors of the same length side by side, of which one is slippery, and a goal at their ends.

@@ -12,8 +12,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.checking import initial_values, positive
 from plants.finite.mdp import FinitePlant, category_number
 
-__all__ = ["MachinesMdp"]
-
 
 class MachinesMdp(FinitePlant):
     """A ring of machines, each up (1) or down (0); every step one of them, or none, is rebooted.

@@ -14,8 +14,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive
 
-__all__ = ["FiniteMdp", "FinitePlant", "category_number", "checked_distribution", "cumulated", "grid_mdp"]
-
 TOLERANCE = 1e-9
 """How far a distribution's sum may be from 1."""
 

@@ -14,8 +14,6 @@ from plants.base import BasePlant
 from plants.checking import checked_inputs
 from plants.finite.mdp import FiniteMdp, checked_distribution, cumulated, grid_mdp
 
-__all__ = ["FinitePomdp", "grid_pomdp"]
-
 
 class FinitePomdp(BasePlant):
     """A finite POMDP as a plant: action in, observation out; the hidden state is the truth.
@@ -35,7 +33,7 @@ class FinitePomdp(BasePlant):
     Raises
     ------
     InputError
-        If a shape does not fit, a probability is negative, or a distribution does not sum to 1.
+        As of :class:`plants.finite.mdp.FiniteMdp`.
 
     Notes
     -----

@@ -11,8 +11,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.checking import checked_inputs
 from plants.finite.pomdp import FinitePomdp
 
-__all__ = ["TigerPomdp"]
-
 
 class TigerPomdp(FinitePomdp):
     """Kaelbling, Littman & Cassandra's tiger (1998, *Artificial Intelligence* 101, sec. 3.3).

@@ -19,8 +19,6 @@ from plants.fmu.snapshot import Snapshot
 from plants.fmu.states import packed, unpacked
 from plants.fmu.trust import FirstRun, state_error
 
-__all__ = ["Beyond", "idle"]
-
 
 def idle() -> int:
     """Stand in for the step of a plant that does not run (a method of its own would keep the plant alive)."""

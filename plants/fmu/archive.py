@@ -17,8 +17,6 @@ from harness.fmi.archive import STARTS, check_entries, has_document_type, plain_
 from harness.trust import UNZIPPING
 from plants.temporary import release, temporary_folder
 
-__all__ = ["MAX_ENTRIES", "MAX_TOTAL", "FmuFile", "read_fmu"]
-
 MAX_ENTRIES = 20_000
 MAX_TOTAL = 2 << 30  # bytes, unpacked
 MAX_RATIO = 200  # unpacked to packed, for large entries
@@ -160,15 +158,7 @@ class FmuFile:
 def read_fmu(path: str | Path) -> FmuFile:
     """Read and check an FMU without unpacking or loading anything.
 
-    Parameters
-    ----------
-    path : path
-        The ``.fmu`` file.
-
-    Returns
-    -------
-    FmuFile
-        Its ``problems`` tell where the description breaks the standard.
+    Its ``problems`` tell where the description breaks the standard.
 
     Raises
     ------

@@ -22,8 +22,6 @@ from plants.fmu.plant import FmuPlant
 from plants.fmu.variables import INTEGERS, REALS, states_of
 from plants.isolation.isolated import IsolatedPlant
 
-__all__ = ["run_as_is"]
-
 DOMINATES = 1e-3
 """Share of an output's spread beyond which the error of the suggested tolerance is said."""
 

@@ -18,8 +18,6 @@ from harness.signals import FloatArray
 from plants.fmu.instance import Instance
 from plants.fmu.variables import Port
 
-__all__ = ["Engine", "NativeStep", "SlowLoop", "Timing", "grouped", "native_library"]
-
 log = logging.getLogger("plants.fmu.plant")
 FINE, SET_FAILED, STEP_FAILED, GET_FAILED, OUTPUT_NOT_FINITE, INPUT_NOT_FINITE, STEP_INTERRUPTED = range(7)
 # code in the C loop and ctypes type of a variable's type, by FMI version (12: 1.0 and 2.0)

@@ -25,8 +25,6 @@ from plants.fmu.engine import (
 from plants.fmu.instance import Instance
 from plants.fmu.variables import Port
 
-__all__ = ["EventEngine"]
-
 EVENTS = 1000  # in one sample, before it counts as endless
 
 

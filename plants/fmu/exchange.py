@@ -23,8 +23,6 @@ from plants.fmu.engine import STEP_FAILED, Engine, Timing
 from plants.fmu.instance import Instance
 from plants.fmu.variables import Port
 
-__all__ = ["ExchangeEngine"]
-
 EVENTS = 1000  # in one sample, before it counts as endless
 
 

@@ -18,8 +18,6 @@ from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.snapshot import Snapshot
 from plants.temporary import release
 
-__all__ = ["Instance"]
-
 log = logging.getLogger("plants.fmu.plant")
 _loading = threading.Lock()  # fmpy changes the working directory of the process while it loads
 _alive: Counter[tuple[str, str]] = Counter()  # instances by (token, identifier), for "only once per process"

@@ -16,8 +16,6 @@ from harness.options import options_of
 from plants.fmu.plant import FmuPlant
 from plants.mockups import mockup
 
-__all__ = ["cart_pole_fmu", "drive_fmu", "mass_spring_fmu", "pendulum_fmu", "two_tanks_fmu"]
-
 
 def _made(
     model: str,

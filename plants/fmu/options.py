@@ -13,17 +13,6 @@ from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.values import encode
 from plants.fmu.variables import INTEGERS, REALS, port, unknown
 
-__all__ = [
-    "check_event_mode",
-    "chosen_kind",
-    "complaints",
-    "count_substeps",
-    "default",
-    "encoded",
-    "out_of_bounds",
-    "refused",
-]
-
 log = logging.getLogger("plants.fmu.plant")
 BOUNDED = REALS | (INTEGERS - {"Enumeration"})
 """Types of variables that may declare min and max."""

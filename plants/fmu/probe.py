@@ -19,8 +19,6 @@ from plants.fmu.archive import Kind
 from plants.fmu.plant import FmuPlant
 from plants.isolation.isolated import IsolatedPlant
 
-__all__ = ["Finding", "ProbeResult", "probe"]
-
 STEP_TOLERANCE = 1e-2  # of an output's spread: more means that the step or tolerance decides the result
 Check = Literal["units", "description", "runs", "finite", "reset", "restore", "step", "tolerance"]
 FINER: dict[Kind, tuple[Check, str]] = {

@@ -13,8 +13,6 @@ from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.instance import Instance
 from plants.fmu.variables import Port, port, unknown
 
-__all__ = ["slopes"]
-
 
 def slopes(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str], seed: FloatArray | None) -> FloatArray:
     """Return ``d unknowns / d knowns`` times the seed, or the whole matrix without one.

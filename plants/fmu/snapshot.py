@@ -6,8 +6,6 @@ import ctypes
 import weakref
 from typing import Any, Protocol
 
-__all__ = ["Keeper", "Snapshot"]
-
 
 class Keeper(Protocol):
     """What keeps a state: a loaded instance."""

@@ -10,8 +10,6 @@ from harness.errors import InputError
 from plants.fmu.instance import Instance
 from plants.fmu.snapshot import Snapshot
 
-__all__ = ["packed", "unpacked"]
-
 HEAD = struct.Struct("<8s16sqd")  # mark, digest of the FMU's token and kind, samples since reset, next event or NaN
 MARK = b"sysidfmu"
 

@@ -14,8 +14,6 @@ from plants.fmu.engine import (
 )
 from plants.fmu.instance import LEVELS
 
-__all__ = ["finish", "stopped"]
-
 OK, WARNING, DISCARD = 0, 1, 2
 TERMINATED, LAST_SUCCESSFUL_TIME = 3, 2  # kinds of status (FMI 2.0.5 sec. 4.2.4)
 ATTEMPTS = 10_000  # pieces of one step, before it counts as endless

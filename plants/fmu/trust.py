@@ -16,8 +16,6 @@ from harness.errors import HarnessError, PlantError
 from harness.signals import FloatArray
 from plants.fmu.engine import Engine
 
-__all__ = ["FirstRun", "state_error"]
-
 ROWS = 50
 """Samples of the first run that are repeated."""
 LONGEST = 2.0
@@ -94,33 +92,26 @@ class FirstRun:
         """
         held = self._engine.u.copy()
         if self._u:
-            wanted = np.vstack([self._first, *self._y])
             rows = np.array(self._u).reshape(len(self._u), -1)
+            wanted: FloatArray | None = np.vstack([self._first, *self._y])
+            found = self._run(begin, self.values, rows)
         elif self._engine.loop.k == 0 or once:
             return "", 0.0  # never stepped, or nothing to compare with
         else:  # stepped by a loop in C: the last input held, against a fresh instance
             rows = np.tile(held, (ROWS // 2, 1))
-            after_reset = self._run(begin, self.values, rows)
+            found = self._run(begin, self.values, rows)
             renew()
-            fresh = self._run(begin, self.values, rows)
-            difference = _difference(fresh, after_reset)
-            if difference == 0.0:
-                return "reset", 0.0
-            renew()
-            return (
-                "instance" if _difference(fresh, self._run(begin, self.values, rows)) <= NOISE else "process"
-            ), difference
-        difference = _difference(wanted, self._run(begin, self.values, rows))
-        if difference == 0.0 and self.values and not once:
+            wanted = self._run(begin, self.values, rows)
+        difference = _difference(wanted, found)
+        if self._u and difference == 0.0 and self.values and not once:
             plain = self._run(begin, {}, rows[:0])  # start values must not outlive a reset
             renew()
             difference = _difference(self._run(begin, {}, rows[:0]), plain)
         if difference == 0.0:
             return "reset", 0.0
         renew()
-        return (
-            "instance" if _difference(wanted, self._run(begin, self.values, rows)) <= NOISE else "process"
-        ), difference
+        again = _difference(wanted, self._run(begin, self.values, rows))
+        return "instance" if again <= NOISE else "process", difference
 
     def _run(
         self, begin: Callable[[Mapping[str, Any]], None], values: Mapping[str, Any], rows: FloatArray

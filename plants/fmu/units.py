@@ -10,8 +10,6 @@ import numpy as np
 
 from harness.errors import InputError
 
-__all__ = ["Conversion", "si_conversion"]
-
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
 # exponents of kg m s A K mol cd; the first of two names with equal exponents is the one that is chosen
 KNOWN: dict[str, tuple[int, ...]] = {

@@ -7,8 +7,6 @@ from typing import Any
 from harness.errors import InputError
 from plants.fmu.archive import FmuFile
 
-__all__ = ["encode"]
-
 
 def encode(file: FmuFile, variable: Any, value: Any, scale: float = 1.0, offset: float = 0.0) -> Any:
     """Return a Python value as the FMU's type, or refuse it.

@@ -10,12 +10,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, did_you_mean
 from harness.signals import Channel
 from plants.fmu.archive import FmuFile, Kind, read_fmu
 from plants.fmu.units import si_conversion
-
-__all__ = ["Port", "channels", "choose", "describe", "feeds_through", "port", "resize", "starts", "states_of"]
 
 REALS = frozenset({"Real", "Float64", "Float32"})
 INTEGERS = frozenset(
@@ -138,7 +136,7 @@ def choose(file: FmuFile, names: Sequence[str] | None, causality: Literal["input
     if names is None:
         able = REALS | INTEGERS | {"Boolean"}
         chosen = [v for v in variables.values() if v.causality == causality and v.type in able]
-        return tuple(port(file, v) for v in _without_aliases(chosen))
+        return tuple(port(file, v) for v in chosen if v.alias is None)
     if not isinstance(names, str) and len(names) == 1:
         names = str(names[0])
     if isinstance(names, str):
@@ -183,22 +181,14 @@ def starts(ports: Iterable[Port]) -> list[float]:
     return values
 
 
-def _without_aliases(variables: Iterable[Any]) -> list[Any]:
-    """Return the variables without further names for one that is already there."""
-    return [variable for variable in variables if variable.alias is None]
-
-
 def unknown(file: FmuFile, what: str, name: object, known: Sequence[str]) -> InputError:
     """Return the error for a name that the FMU does not have, with the nearest that it has."""
-    import difflib
-
-    near = difflib.get_close_matches(str(name), list(known), n=3)
     listed = ", ".join(known[:20]) + (", ..." if len(known) > 20 else "")
     return InputError(
         f"unknown name in {what}",
         expected=f"names among {listed or '(none)'}",
         got=repr(name),
-        remedy=f"did you mean {' or '.join(near)}?" if near else "run 'sysid list FILE.fmu'",
+        remedy=did_you_mean(str(name), known, "run 'sysid list FILE.fmu'"),
         file=file.path,
     )
 

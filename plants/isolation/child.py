@@ -29,8 +29,6 @@ from plants.isolation.frames import Answer, Made
 if TYPE_CHECKING:
     import importlib.metadata
 
-__all__ = ["registered", "serve"]
-
 HELD = 90.0
 """Seconds for which a library may keep the interpreter to itself, as one that never ends its loading does: nothing here
 can then notice that the caller has gone. More than a caller waits for a plant to be loaded."""

@@ -17,8 +17,6 @@ from harness.errors import FitError, HarnessError, InputError, PlantError, Plugi
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["Answer", "Made", "Trouble", "array_of", "plain", "raised", "receive", "send", "trouble"]
-
 _LENGTH = struct.Struct("<Q")
 _STATUSES = ("diverged", "crashed", "timeout", "terminated")
 _LONGEST = 2000  # characters of a text from a child

@@ -31,8 +31,6 @@ from plants.isolation import frames
 from plants.isolation.child import registered
 from plants.temporary import release, temporary_folder
 
-__all__ = ["IsolatedPlant", "isolated"]
-
 log = logging.getLogger("plants.isolation.isolated")
 
 FIRST_CHUNK, LAST_CHUNK = 128, 8192  # rows of input in one message

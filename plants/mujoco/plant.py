@@ -19,8 +19,6 @@ from plants.checking import checked_inputs, initial_values, refuse_input
 from plants.mujoco.settings import Cone, Integrator, Settings, Solver, built, times
 from plants.mujoco.signals import Inputs, Outputs, inputs_of, outputs_of, states_of
 
-__all__ = ["MujocoPlant"]
-
 BLOCK = 4000
 """Engine steps that a roll-out takes at once: their states are held in memory."""
 

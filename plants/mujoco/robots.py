@@ -7,8 +7,6 @@ from typing import Any
 from plants.checking import checked_options, positive
 from plants.mujoco.plant import MujocoPlant
 
-__all__ = ["one_joint_arm"]
-
 POINT = 1e-12
 """Inertia [kg m^2] of a point mass: MuJoCo refuses none."""
 

@@ -16,8 +16,6 @@ from harness.physics.arms.formats.mjcf_spec import compiled, mujoco, parsed, rea
 from harness.physics.arms.formats.urdf import rotors_of
 from plants.checking import per_item, positive
 
-__all__ = ["Cone", "Integrator", "Settings", "Solver", "built", "times"]
-
 Integrator = Literal["euler", "rk4", "implicit", "implicitfast"]
 Solver = Literal["pgs", "cg", "newton"]
 Cone = Literal["pyramidal", "elliptic"]

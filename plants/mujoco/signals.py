@@ -15,8 +15,6 @@ from harness.physics.arms.formats.mjcf_spec import mujoco
 from harness.signals import Channel
 from plants.checking import per_item, positive
 
-__all__ = ["Inputs", "Outputs", "States", "inputs_of", "outputs_of", "states_of"]
-
 GROUPS = ("q", "qd", "sensors")
 AXES = {1: ("",), 3: ("_x", "_y", "_z"), 4: ("_w", "_x", "_y", "_z")}
 

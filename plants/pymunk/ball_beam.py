@@ -12,8 +12,6 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, pin_forces, put
 
-__all__ = ["PymunkBallBeam"]
-
 
 class PymunkBallBeam(PymunkPlant):
     """A ball rolls on a beam that turns about its middle; the input is the torque on the beam.

@@ -12,8 +12,6 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
-__all__ = ["PymunkBouncingMass"]
-
 FAR = 1000.0
 """Where the spring is anchored [m], as in :mod:`plants.pymunk.soft_wall`."""
 

@@ -11,8 +11,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.checking import positive
 from plants.pymunk.plant import PymunkPlant, State, point_mass_pole, put
 
-__all__ = ["PymunkCartPole"]
-
 FAR = 1e3
 """Half length of the rail without end stops [m]."""
 

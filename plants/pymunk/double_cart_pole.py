@@ -11,8 +11,6 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, pin_forces, point_mass_pole, put
 
-__all__ = ["PymunkDoubleCartPole"]
-
 FAR = 1e3
 """Half length of the rail [m]."""
 

@@ -16,8 +16,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive, refuse_input
 
-__all__ = ["PymunkPlant", "State", "mechanism_spec", "pin_forces", "point_mass_pole", "put"]
-
 State = tuple[float, ...]
 """Of each moving body: position x, y, velocity x, y, angle, angular velocity."""
 
@@ -78,15 +76,7 @@ class PymunkPlant(BasePlant, ABC):
         return self._measured()
 
     def step(self, u: FloatArray) -> FloatArray:
-        """Hold ``u`` (1,) for one sample time; returns the next output (ny,).
-
-        Raises
-        ------
-        InputError
-            If ``u`` has the wrong shape or is not finite.
-        PlantError
-            If the plant is closed.
-        """
+        """Hold ``u`` (1,) for one sample time; returns the next output (ny,)."""
         if self._closed:
             self._need_open()
         if not (isinstance(u, np.ndarray) and u.shape == (1,) and math.isfinite(value := u.item())):

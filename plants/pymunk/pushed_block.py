@@ -12,8 +12,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.checking import positive
 from plants.pymunk.plant import PymunkPlant, State, put
 
-__all__ = ["PymunkPushedBlock"]
-
 HALF = 0.05
 """Half the side of the block and of the pusher [m]: their centres are this far from the faces that touch."""
 

@@ -14,8 +14,6 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.checking import checked_inputs, positive, refuse_input
 from plants.pymunk.plant import PymunkPlant, State, put
 
-__all__ = ["PymunkPushedObject"]
-
 HALF = 0.05
 """Half the side of the square object [m]."""
 

@@ -12,8 +12,6 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
-__all__ = ["PymunkCartWall"]
-
 FAR = 1000.0
 """Where springs are anchored [m]: a cart beside its spring's line changes its length by less than rounding."""
 

@@ -120,6 +120,8 @@ def test_a_table_for_papers_marks_the_leader_in_one_column_of_each() -> None:
     by_name = {own[2]: dict(zip(head, own, strict=True)) for own in body}
     assert by_name["kern"]["simulation error"] == "unfit"
     assert (by_name["rls"]["simulation error"], by_name["rls"]["regret"]) == ("", "4.5 [3.25, 5.75]")
+    with pytest.raises(InputError, match="markdown, latex, csv"):
+        render(compared(), "word")
 
 
 def test_what_a_suite_does_not_say(tmp_path: Path) -> None:

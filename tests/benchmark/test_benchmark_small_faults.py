@@ -11,33 +11,14 @@ import pytest
 from harness.benchmark.control import _regret
 from harness.benchmark.page.tables import _shown
 from harness.benchmark.records import _recorded
-from harness.benchmark.row import Row
 from harness.benchmark.running import _seed_list
-from harness.benchmark.summary import Quartiles, summarise
+from harness.benchmark.summary import Quartiles
 from harness.benchmark.work import _pooled
 from harness.errors import InputError
 from harness.scoring import Score
 from harness.scoring.control import LinearPlantModel
 from harness.signals import FloatArray
 from identifiers.linear.least_squares import StateLeastSquares
-
-
-def lines(scores: dict[str, list[float]]) -> dict[str, bool]:
-    """Return which identifier leads."""
-    rows = [
-        Row(job=f"{name}{seed}", plant="p", scenario="s", identifier=name, seed=seed, status="ok", reason="",
-            simulation_error=score, noise_floor=0.01)
-        for name, values in scores.items() for seed, score in enumerate(values)
-    ]  # fmt: skip
-    return {line.identifier: line.leading for line in summarise(rows)}
-
-
-def test_the_true_model_leads_nobody() -> None:
-    seeds = np.random.default_rng(0).uniform(0.9, 1.1, 8)
-    scores = {"arx": list(seeds), "dmdc": list(9.0 * seeds**2)}
-    alone = lines(scores)
-    assert alone == {"arx": True, "dmdc": False}
-    assert lines({"true-model": list(0.01 * seeds**3), **scores}) == {"true-model": False, **alone}
 
 
 def plant(a: list[list[float]]) -> LinearPlantModel:

@@ -14,7 +14,6 @@ from harness.benchmark.page.exports import render
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import MARGIN, enough_pairs, ranking, replicates, standings
 from harness.benchmark.summary import pairs_in_words, rankings, summarise
-from harness.errors import InputError
 
 UNLIKE = [1.0, 1.3, 0.8, 1.1, 0.9, 1.2]
 """Scores of six seeds whose data differ."""
@@ -172,24 +171,3 @@ def test_summaries_mark_the_leaders_but_never_the_truth() -> None:
     assert marked == {"a", "b"}
     assert {line.identifier: (line.ok, line.run) for line in found}["d"] == (7, 8)
     assert "8 replicates" in pairs_in_words(found)
-
-
-def test_tables_for_papers() -> None:
-    own = rows({"a_1": [1.0, 2.0, 3.0, 4.0, 5.0], "b|2": [None] * 5})
-    result = BenchResult("s", tuple(own), 10, None, {"numpy": "2.0"}, (("p", "s", "a_1"), ("p", "s", "b|2")))
-    markdown = render(result, "markdown").splitlines()
-    assert "| p | s | a_1 | 5/5 |  | **3 [2, 4]** | 0.01 | noise | 300 |" in markdown[2]
-    assert "b\\|2" in markdown[3]
-    assert "diverged" in markdown[3]
-    assert all(line.replace("\\|", "").count("|") == 12 for line in markdown)
-    latex = render(result, "latex")
-    assert r"a\_1 & 5/5 &  & \textbf{3 [2, 4]}" in latex
-    assert latex.count("{") == latex.count("}")
-    assert latex.startswith("\\begin{table}\n\\caption{Suite s: ")
-    assert "CITATION.cff. Versions: numpy 2.0." in latex
-    csv = render(result, "csv").splitlines()
-    assert csv[0].split(",")[:6] == ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
-    assert csv[1].startswith("p,s,a_1,5,5,1,,,,3.0,2.0,4.0,0.01")
-    assert "5 diverged: 100 % of it & more" in csv[2]
-    with pytest.raises(InputError, match="markdown, latex, csv"):
-        render(result, "word")

@@ -51,8 +51,6 @@ def test_quick_has_every_family() -> None:
         ('name = "x"\n' + GROUP.replace('"prbs"', '"prsb"'), "did you mean prbs"),
         ('name = "x"\n' + GROUP.replace('"dmdc"', '"hold"'), "two rows with one name"),
         ('name = "x"\nseeds = ["a"]\n' + GROUP, "seeds[0]"),
-        ('name = "x"\n' + GROUP + "seeds = [-1]\n", "numbers from 0 up"),
-        ('name = "x"\n' + GROUP + "score = {horizon = 0.0}\n", "horizon"),
         ("name = \n", "not TOML"),
         ('name = "x"\ngroups = []\n', "at least one group"),
         (GROUP, "name"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -19,15 +19,9 @@ TRUTH = {"arm.mgl": 1.3, "law.Kp": 1.5}
 
 
 @pytest.fixture(scope="module")
-def packages() -> ModuleType:
+def packages(script: Callable[[str], ModuleType]) -> ModuleType:
     """The packages that the tests of co-simulation build."""
-    file = Path(__file__).parents[1] / "cosim" / "test_cosim_ssp.py"
-    spec = importlib.util.spec_from_file_location("cosim_packages", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("tests/cosim/test_cosim_ssp.py")
 
 
 @pytest.mark.slow

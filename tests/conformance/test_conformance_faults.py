@@ -71,10 +71,11 @@ def test_a_declared_shortcoming_is_said_and_strict() -> None:
     assert result.passed
     assert "it takes one record" in result.reason
 
-    declared = {"deterministic": "so it says"}
-    (result,) = run_checks([checks["deterministic"]], sound.Sound, expected_failures=declared)
+    declared = {"deterministic": "so it says", "typo": "no check has this name"}
+    typo, result = run_checks([checks["deterministic"]], sound.Sound, expected_failures=declared)
     assert not result.passed
     assert "passes: remove that" in result.reason
+    assert not typo.passed
 
 
 def test_a_plug_in_of_its_own_is_tested_in_three_lines() -> None:

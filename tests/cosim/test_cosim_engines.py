@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,17 +18,9 @@ from plants.mockups import mockup
 
 ROOT = Path(__file__).parents[2]
 RNG = np.random.default_rng(0)
+Script = Callable[[str], ModuleType]
 KP, KI, WISH = 0.5, 0.2, 0.4
 ARM = {"J": 0.05, "b": 0.1, "mgl": 1.0}
-
-
-def script(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def loop(h: float, *, fmi: Any = 2, delay: int = 0, ratio: int = 1, **options: Any) -> Coupled:
@@ -130,8 +122,8 @@ def test_the_coupling_error_falls_with_the_first_power_of_the_communication_step
     assert errors[-1] < 0.01
 
 
-def test_four_engines_in_a_loop_come_to_the_one_ode() -> None:
-    example = script(ROOT / "examples" / "coupled_cart_pole.py")
+def test_four_engines_in_a_loop_come_to_the_one_ode(script: Script) -> None:
+    example = script("examples/coupled_cart_pole.py")
     truth = example.monolith(2.0)
     errors = []
     for substeps, count in ((2, 1e-3), (20, 1e-4), (200, 1e-6)):
@@ -143,8 +135,8 @@ def test_four_engines_in_a_loop_come_to_the_one_ode() -> None:
     assert errors[2] < 2e-5
 
 
-def test_the_example_prints_the_order_in_the_communication_step() -> None:
-    example = script(ROOT / "examples" / "coupled_cart_pole.py")
+def test_the_example_prints_the_order_in_the_communication_step(script: Script) -> None:
+    example = script("examples/coupled_cart_pole.py")
     steps, errors, orders = np.array(example.convergence(1.0)).T
     assert errors[-1] < 2e-3
     assert orders[1:] == pytest.approx(np.log2(errors[:-1] / errors[1:]))
@@ -159,8 +151,8 @@ def test_a_coupled_plant_keeps_the_contract_of_plants() -> None:
         assert result.passed, result
 
 
-def test_the_engines_agree_as_their_steps_fall(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    page = script(ROOT / "docs" / "engines_agree.py")
+def test_the_engines_agree_as_their_steps_fall(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, script: Script) -> None:
+    page = script("docs/engines_agree.py")
     monkeypatch.setattr(page, "SUBSTEPS", (2, 4, 8))
     found = page.measured()
     for engines in found.values():

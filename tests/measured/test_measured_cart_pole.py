@@ -1,21 +1,17 @@
 """The chapter's cart-pole through records and identifiers: its own figures digit for digit, then better methods."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 
 pytestmark = pytest.mark.slow
 
-_SPEC = importlib.util.spec_from_file_location(
-    "mechanical_figures", Path(__file__).resolve().parents[2] / "docs" / "mechanical_figures.py"
-)
-figures = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(figures)
+
+@pytest.fixture(scope="module")
+def figures(script):
+    return script("docs/mechanical_figures.py")
 
 
 @pytest.fixture(scope="module")
-def found(recordings_folder):
+def found(recordings_folder, figures):
     folder = recordings_folder / "textbook"
     if not (folder / "cartpole_lumped_data_damped.npz").is_file():
         pytest.skip(f"no textbook data at {folder}")
@@ -30,6 +26,6 @@ def test_the_chapters_figures_digit_for_digit(found):
 
 
 @pytest.mark.parametrize(("method", "worst"), [("energy", 3e-5), ("momentum", 3e-5), ("torque, spline", 1e-5)])
-def test_the_same_data_with_better_methods(found, method, worst):
+def test_the_same_data_with_better_methods(found, figures, method, worst):
     for name, true in figures.TRUTH.items():
         assert found[method][name] == pytest.approx(true, rel=worst)

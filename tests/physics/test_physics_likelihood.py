@@ -91,24 +91,6 @@ def linear_case(outputs) -> tuple:
     return system, p, noise, data, np.array([0.1, 0.0])
 
 
-def test_the_likelihood_of_a_linear_model_is_that_of_filterpy() -> None:
-    from filterpy.kalman import KalmanFilter
-
-    system, p, noise, data, x0 = linear_case(["q"])
-    ours = KalmanPass(with_latent_forces(system), DT)(data, p, x0, noise)
-    theirs = KalmanFilter(3, 1, 1)
-    theirs.F, theirs.B, theirs.Q, theirs.H, theirs.R = discretised(system, p, noise)
-    theirs.x, theirs.P = np.array([[0.1], [0.0], [0.0]]), np.diag([0.0, 0.0, 0.25])
-    total = 0.0
-    for k in range(len(data)):
-        if k:
-            theirs.predict(u=data.u[k - 1][:, None])
-        theirs.update(data.y[k])
-        variance = theirs.S[0, 0]
-        total += 0.5 * (np.log(2 * np.pi * variance) + theirs.y[0, 0] ** 2 / variance)
-    assert ours.nll == pytest.approx(total, rel=1e-9)
-
-
 @pytest.mark.parametrize("outputs", [["q"], ["q", ("q", 1)]], ids=["position", "whole state"])
 def test_the_likelihood_of_a_linear_model_is_that_of_statsmodels(outputs) -> None:
     """Sample by sample, too."""

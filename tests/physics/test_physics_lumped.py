@@ -1,48 +1,16 @@
-"""Lumped parameters: names, exactness on exact data, the chapter's numbers, noise, identifiability."""
+"""Lumped parameters: names, exactness on exact data, identifiability."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.interpolate import make_interp_spline
 
 from harness.errors import FitError, InputError
 from harness.physics import Mechanism, lumped, models
 from harness.physics.lumps.identifiability import identifiability
-
-
-def chapter_cart_pole():
-    m = Mechanism("cart-pole", q="x theta", u="f", p="mc mp l bx bt")
-    (x, th), (xd, thd), (f,), (mc, mp, length, bx, bt) = m.q, m.v, m.u, m.p
-    m.body(mc, (x, 0))
-    m.body(mp, (x + length * sp.sin(th), -length * sp.cos(th)))
-    m.Q = [f - bx * xd, -bt * thd]
-    return m
-
-
-@pytest.fixture(scope="module")
-def chapter_runs(recordings_folder: Path):
-    """Return t, q, v, u of the four runs of the chapter's example (mc 10, mp 1, l 0.5, damping 0.1)."""
-    data = np.load(recordings_folder / "textbook" / "cartpole_lumped_data_damped.npz")
-    runs = []
-    for k in range(4):
-        x = data[f"X{k}"].T
-        runs.append((data[f"t{k}"], x[:, :2], x[:, 2:], data[f"u{k}"].reshape(-1, 1)))
-    return runs
-
-
-MODEL = lumped(chapter_cart_pole(), known={"bx": 0.1, "bt": 0.1})
-TRUTH = np.array([11.0, 0.25, 0.5])
-
-
-def solved(rows):
-    fit = MODEL.solve(np.vstack([one[0] for one in rows]), np.concatenate([one[1] for one in rows]))
-    return np.array([fit.values[name] for name in ("mc + mp", "l**2*mp", "l*mp")])
 
 
 def test_names_and_numbers_of_lumped_parameters():
@@ -71,25 +39,6 @@ def test_offsets_of_the_joints_make_eight():
     assert exact_miss(m, p) < 1e-10
 
 
-def test_planar_quadrotor_shows_mass_and_inertia_over_arm_only():
-    m = Mechanism("quadrotor", q="x y theta", u="u1 u2", p="m I r")
-    (x, y, theta), (mass, inertia, r), (u1, u2) = m.q, m.p, m.u
-    m.body(mass, (x, y), inertia, theta)
-    lift = u1 + u2
-    m.Q = [-lift * sp.sin(theta), lift * sp.cos(theta), r * (u1 - u2)]
-    model = lumped(m)
-    rng = np.random.default_rng(0)
-    q, v, u = rng.normal(size=(50, 3)), rng.normal(size=(50, 3)), rng.normal(size=(50, 2))
-    p = [0.486, 0.00383, 0.25]
-    system = m.system()
-    simulator = system.simulator(0.01)
-    a = np.array([simulator.derivative([*qk, *vk], uk, p)[3:] for qk, vk, uk in zip(q, v, u, strict=True)])
-    found = identifiability(model.regressor(q, v, a, u), model.names)
-    assert found.rank == 2
-    assert found.gap > 1e10
-    assert any("I" in text and "r" in text for text in found.combinations)
-
-
 def exact_miss(mechanism, p):
     """Return the relative error of the lumped parameters from exact accelerations."""
     model = lumped(mechanism)
@@ -111,47 +60,6 @@ def test_exact_data_give_exact_parameters(name):
     mechanism = models.BUILT_IN[name]()
     p = {one.name: 1.3 * (one.value or 0.4) for one in mechanism.parameter_list()}
     assert exact_miss(mechanism, p) < 1e-10
-
-
-def test_the_chapters_numbers_to_eight_digits(chapter_runs):
-    rows = []
-    for t, q, v, u in chapter_runs:
-        a = (np.diff(v, axis=0) / np.diff(t)[:, None])[:87]
-        rows.append(MODEL.torque_rows(t[:87], q[:87], v[:87], a, u[:87]))
-    assert solved(rows) == pytest.approx([10.90542535, 0.30291575, 0.59457971], abs=6e-9)
-
-
-def test_better_derivatives_and_forms_without_any(chapter_runs):
-    spline, energy, momentum = [], [], []
-    for t, q, v, u in chapter_runs:
-        a = make_interp_spline(t, v, k=5).derivative()(t)
-        spline.append(MODEL.torque_rows(t, q, v, a, u))
-        energy.append(MODEL.energy_rows(t, q, v, u, intersample="smooth"))
-        momentum.append(MODEL.momentum_rows(t, q, v, u, samples=1, intersample="smooth"))
-    assert solved(spline) == pytest.approx(TRUTH, rel=1e-5)
-    assert solved(energy) == pytest.approx(TRUTH, rel=3e-5)
-    assert solved(momentum) == pytest.approx(TRUTH, rel=3e-5)
-
-
-def test_noise_hurts_the_torque_form_and_hardly_the_others(chapter_runs):
-    errors = {"torque": [], "energy": [], "momentum": []}
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        rows = {name: [] for name in errors}
-        for run in chapter_runs:
-            late = run[0] > 0.05  # the integrator's first steps are shorter than a millisecond
-            t, q, v, u = (one[late] for one in run)
-            q, v = q + 1e-3 * rng.normal(size=q.shape), v + 1e-2 * rng.normal(size=v.shape)
-            a = np.diff(v, axis=0) / np.diff(t)[:, None]
-            rows["torque"].append(MODEL.torque_rows(t[:-1], q[:-1], v[:-1], a, u[:-1]))
-            rows["energy"].append(MODEL.energy_rows(t, q, v, u, samples=21, intersample="smooth"))
-            rows["momentum"].append(MODEL.momentum_rows(t, q, v, u, samples=21, intersample="smooth"))
-        for name, one in rows.items():
-            errors[name].append(np.abs(solved(one) / TRUTH - 1).max())
-    worst = {name: float(np.median(found)) for name, found in errors.items()}
-    assert worst["torque"] > 0.15
-    assert worst["energy"] < 0.03
-    assert worst["momentum"] < 0.02
 
 
 @given(seed=st.integers(0, 10**6))

@@ -94,12 +94,3 @@ def test_bad_files_are_refused_with_the_place(tmp_path: Path, text: str, says: s
 def test_missing_file() -> None:
     with pytest.raises(InputError, match="no such URDF"):
         load_urdf("nowhere.urdf")
-
-
-def test_torque_is_linear_in_the_parameters_and_rank_is_that_of_the_iiwa() -> None:
-    arm = load_urdf(Path(pybullet_data.getDataPath()) / "kuka_iiwa/model.urdf")
-    q, v, a = np.random.default_rng(0).uniform(-1, 1, (3, 60, 7))
-    W = arm.regressor(q, v, a)
-    torque = np.concatenate([arm.inverse_dynamics(q[k], v[k], a[k]) for k in range(60)])
-    np.testing.assert_allclose(W @ arm.parameters, torque, atol=1e-9)
-    assert np.linalg.matrix_rank(W, tol=1e-8) == 43

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,10 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import plants
-from harness.signals import FloatArray, Trajectory
+from harness.signals import FloatArray
 
-GOLDEN = Path(plants.__file__).parent / "golden"
 FOLDER = Path(__file__).resolve().parent / "fmus"
 
 
@@ -44,27 +41,6 @@ def temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     return tmp_path
-
-
-@pytest.fixture
-def golden() -> Callable[[str, Trajectory, float], None]:
-    """Return a check of a trajectory against plants/golden/NAME.csv.
-
-    With SYSID_HARNESS_GOLDEN=write the file is written instead: do so only when the plant was meant to change.
-    """
-
-    def compare(name: str, trajectory: Trajectory, tolerance: float) -> None:
-        path = GOLDEN / f"{name}.csv"
-        spec = trajectory.spec
-        columns = ["time [s]", *(str(channel) for channel in (*spec.inputs, *spec.outputs))]
-        table = np.column_stack([trajectory.t, trajectory.u, trajectory.y])
-        if os.environ.get("SYSID_HARNESS_GOLDEN") == "write":
-            np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
-            return
-        assert path.read_text(encoding="utf-8").splitlines()[0] == ",".join(columns)
-        np.testing.assert_allclose(table, np.loadtxt(path, delimiter=",", skiprows=1), rtol=0, atol=tolerance)
-
-    return compare
 
 
 def pendulum_reference(arm: Any, inputs: FloatArray, theta: float, dry: float = 0.0) -> FloatArray:

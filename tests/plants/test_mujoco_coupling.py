@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -16,18 +16,10 @@ pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'sysi
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def example() -> ModuleType:
-    """Return the module of the example."""
-    spec = importlib.util.spec_from_file_location("gripper_on_arm", EXAMPLES / "gripper_on_arm.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_a_gripper_on_an_arm_comes_to_the_one_model_with_the_first_power_of_the_step() -> None:
-    gripper = example()
+def test_a_gripper_on_an_arm_comes_to_the_one_model_with_the_first_power_of_the_step(
+    script: Callable[[str], ModuleType],
+) -> None:
+    gripper = script("examples/gripper_on_arm.py")
     errors = {
         step: float(np.abs(gripper.coupled(step, "jacobi") - gripper.truth(step))[:, 1].max()) for step in (4e-3, 2e-3)
     }

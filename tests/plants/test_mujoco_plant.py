@@ -16,7 +16,6 @@ from harness.conformance import check_plant
 from harness.errors import InputError, PlantError
 from harness.protocols import Experiment
 from harness.rollout import perform
-from harness.signals import Trajectory
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'sysid-harness[mujoco]'")
 
@@ -320,9 +319,3 @@ def test_without_mujoco_the_remedy_is_one_line(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(InputError, match=r"pip install 'sysid-harness\[mujoco\]'") as caught:
         registry.create("plants", "arm-mujoco")
     assert len(str(caught.value).splitlines()) == 1
-
-
-def test_golden_record(golden: Callable[[str, Trajectory, float], None]) -> None:
-    inputs = (2.0 * np.sin(0.08 * np.arange(100)))[:, None]
-    with one_joint_arm(joint_friction=0.2, joint_damping=0.05) as arm:
-        golden("arm-mujoco", perform(arm, Experiment(inputs, x0={"theta": 0.5}), rng=RNG(0)), 1e-6)

@@ -68,17 +68,6 @@ def test_a_wrong_option_is_named_either_way(isolated: bool) -> None:
         api.simulate(str(mockup("pendulum")), scenario="multisine", options=options)
 
 
-def test_isolated_or_not_the_numbers_are_the_same() -> None:
-    runs = [
-        api.simulate(str(mockup("pendulum")), scenario="multisine", options={"sample_time": 0.01, "isolated": isolated})
-        for isolated in (True, False)
-    ]
-    assert np.array_equal(runs[0].y, runs[1].y)
-    assert runs[0].x is not None
-    assert runs[1].x is not None
-    assert np.array_equal(runs[0].x, runs[1].x)
-
-
 def test_an_option_may_have_any_name() -> None:
     with pytest.raises(InputError, match=r"options of pendulum-ode.*got id;"):
         api.simulate("pendulum-ode", scenario="multisine", options={"id": "x"})

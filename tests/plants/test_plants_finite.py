@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import hypothesis.extra.numpy as arrays
 import hypothesis.strategies as st
 import numpy as np
@@ -11,10 +9,7 @@ import pytest
 from hypothesis import given
 
 from harness.errors import InputError
-from harness.protocols import Experiment
 from harness.rng import stream
-from harness.rollout import perform
-from harness.signals import Trajectory
 from plants.finite.mdp import FiniteMdp, grid_mdp
 
 RNG = np.random.default_rng
@@ -64,18 +59,6 @@ def test_the_draws_belong_to_the_generator_given_at_reset() -> None:
     assert start.tolist() == [3.0]
 
 
-def test_snapshots_hold_the_generator_too() -> None:
-    plant = grid_mdp()
-    plant.reset(rng=RNG(0))
-    plant.rollout(np.zeros((10, 1)))
-    state = plant.get_state()
-    once = np.array([plant.step(np.array([1.0])) for _ in range(50)])
-    plant.set_state(state)
-    assert np.array_equal(plant.rollout(np.ones((50, 1))), once)
-    plant.set_state(state)
-    assert np.array_equal(plant.rollout(np.ones((50, 1))), once), "a state can be set twice"
-
-
 def test_slip_and_walls() -> None:
     plant = grid_mdp(rows=2, columns=2, walls=(), slip=0.2, restart=0.0)
     up, right = 0, 1
@@ -117,8 +100,3 @@ def test_a_table_is_taken_only_if_it_is_a_distribution(table: np.ndarray) -> Non
     else:
         with pytest.raises(InputError):
             FiniteMdp(table)
-
-
-def test_golden_record(golden: Callable[[str, Trajectory, float], None]) -> None:
-    actions = np.array([[k % 4] for k in range(200)], dtype=float)
-    golden("grid-mdp", perform(grid_mdp(), Experiment(actions), rng=RNG(7)), 0.0)

@@ -21,7 +21,6 @@ from plants.fmu.mockups import pendulum_fmu
 from plants.fmu.plant import FmuPlant, describe
 from plants.mockups import FOLDER, mockup, models
 
-GOLDEN = Path(fmu_engine.__file__).parents[1] / "golden" / "pendulum-fmu.csv"
 RNG = np.random.default_rng(0)
 
 
@@ -102,15 +101,6 @@ def test_stiction_needs_the_breakaway_torque() -> None:
         assert plant.rollout(np.full((5, 1), 0.201))[-1, 0] > 0.0
 
 
-def test_rollout_equals_stepping_bit_for_bit(pendulum: FmuPlant) -> None:
-    u = excitation(400)
-    pendulum.reset(rng=RNG, x0={"theta": 1.0})
-    stepped = np.array([pendulum.step(row) for row in u])
-    pendulum.reset(rng=RNG, x0={"theta": 1.0})
-    assert np.array_equal(pendulum.rollout(u), stepped)
-    assert pendulum.rollout(np.empty((0, 1))).shape == (0, 2)
-
-
 def test_both_versions_of_fmi_and_both_loops_agree_bit_for_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     u = excitation(200)
     results = []
@@ -125,19 +115,6 @@ def test_both_versions_of_fmi_and_both_loops_agree_bit_for_bit(monkeypatch: pyte
         assert np.array_equal(results[0], other)
 
 
-def test_snapshot_continues_bit_for_bit(pendulum: FmuPlant) -> None:
-    u = excitation(200)
-    pendulum.reset(rng=RNG, x0={"theta": 1.0})
-    pendulum.rollout(u[:100])
-    taken = pendulum.get_state()
-    expected = pendulum.rollout(u[100:])
-    pendulum.reset(rng=RNG)
-    pendulum.set_state(taken)
-    assert np.array_equal(np.array([pendulum.step(row) for row in u[100:]]), expected)
-    pendulum.set_state(taken)
-    assert np.array_equal(pendulum.rollout(u[100:]), expected)
-
-
 def test_reset_repeats_bit_for_bit_and_fresh_plants_too(pendulum: FmuPlant) -> None:
     u = excitation(50)
     runs = []
@@ -149,15 +126,6 @@ def test_reset_repeats_bit_for_bit_and_fresh_plants_too(pendulum: FmuPlant) -> N
         runs.append(np.vstack([first, fresh.rollout(u)]))
     assert np.array_equal(runs[0], runs[1])
     assert np.array_equal(runs[0], runs[2])
-
-
-def test_golden_trajectory() -> None:
-    table = np.loadtxt(GOLDEN, delimiter=",", skiprows=1)
-    with pendulum_fmu(Fc=0.03, Fs=0.05, c2=0.001, outputs=("theta", "omega")) as plant:
-        first = plant.reset(rng=RNG, x0={"theta": 1.0, "omega": 0.0})
-        got = np.vstack([first, plant.rollout(table[:-1, 1:2])])
-    assert GOLDEN.read_text().startswith("time [s],u [N m],theta [rad],omega [rad/s]\n")
-    assert np.allclose(got, table[:, 2:], rtol=0, atol=1e-9)
 
 
 def test_truth_is_the_state_and_the_start_shows_in_it() -> None:

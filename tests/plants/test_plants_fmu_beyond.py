@@ -25,26 +25,6 @@ def waves(n: int) -> np.ndarray:
     return 0.5 * np.sin(0.3 * np.arange(n)).reshape(-1, 1)
 
 
-@BOTH
-def test_a_batch_brings_the_truth_of_every_sample(version: int) -> None:
-    u = waves(60)
-    with cart_pole_fmu(fmi=version) as plant:  # type: ignore[arg-type]
-        assert "batch-truth" in plant.abilities
-        plant.reset(rng=RNG, x0={"theta": 0.4})
-        stepped = [(plant.step(row), plant.truth()) for row in u]
-        for plan in ((60,), (25, 35)):
-            plant.reset(rng=RNG, x0={"theta": 0.4})
-            rows = np.split(u, np.cumsum(plan)[:-1])
-            parts = [plant.rollout_truth(part) for part in rows]
-            assert np.array_equal(np.vstack([y for y, _ in parts]), [y for y, _ in stepped])
-            assert np.array_equal(np.vstack([x for _, x in parts]), [x for _, x in stepped])
-        assert np.array_equal(plant.truth(), stepped[-1][1])
-        after = plant.step(u[0])  # the plain engine goes on where the batch ended
-        plant.reset(rng=RNG, x0={"theta": 0.4})
-        plant.rollout(u)
-        assert np.array_equal(plant.step(u[0]), after)
-
-
 def test_an_isolated_plant_brings_the_truth_too() -> None:
     u = waves(1500)
     with pendulum_fmu() as direct:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import plants
-from harness import registry
 from harness.signals import FloatArray
 from plants.fmu.mockups import cart_pole_fmu, drive_fmu, mass_spring_fmu, two_tanks_fmu
 from plants.fmu.plant import FmuPlant
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)
-GOLDEN = Path(plants.__file__).parent / "golden"
 Rates = Callable[[FloatArray, float], Any]
 
 
@@ -167,21 +163,3 @@ def test_quantiser_can_be_switched_off() -> None:
     with FmuPlant(mockup("quantiser"), sample_time=0.1, parameters={"enabled": False}) as sensor:
         sensor.reset(rng=RNG)
         assert sensor.output(np.array([0.12345]))[0] == 0.12345
-
-
-@pytest.mark.parametrize("name", ["cart-pole-fmu", "mass-spring-fmu", "drive-fmu", "two-tanks-fmu"])
-def test_golden_trajectories(name: str) -> None:
-    table = np.loadtxt(GOLDEN / f"{name}.csv", delimiter=",", skiprows=1)
-    with registry.create("plants", name, **GOLDEN_OPTIONS[name]) as plant:
-        header = ",".join(["time [s]", *map(str, plant.spec.inputs), *map(str, plant.spec.outputs)])
-        got = np.vstack([plant.reset(rng=RNG), plant.rollout(table[:-1, 1:2])])
-    assert (GOLDEN / f"{name}.csv").read_text().splitlines()[0] == header
-    assert np.allclose(got, table[:, 2:], rtol=0, atol=1e-9)
-
-
-GOLDEN_OPTIONS: dict[str, dict[str, Any]] = {
-    "cart-pole-fmu": {"Fx": 0.1, "Ftheta": 0.002},
-    "mass-spring-fmu": {"k3": 0.5},
-    "drive-fmu": {"sample_time": 0.01, "gap": 0.001, "Fc": 10.0},
-    "two-tanks-fmu": {"overflow": True, "rim": 3.0},
-}

@@ -14,10 +14,6 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError, PlantError
-from harness.protocols import Experiment
-from harness.rng import Streams
-from harness.rollout import run
-from harness.signals import PlantSpec
 from plants.fmu.mockups import pendulum_fmu
 from plants.isolation.isolated import IsolatedPlant, isolated
 
@@ -51,24 +47,6 @@ def test_gives_the_numbers_of_the_direct_plant() -> None:
         plant.rollout(u[:100])
         plant.set_state(taken)
         assert np.array_equal(plant.rollout(u[50:100]), expected[51:101])
-
-
-class Waves:
-    """A scenario of one wave."""
-
-    def prepare(self, spec: PlantSpec, *, streams: Streams, role: str) -> Experiment:
-        """Return it."""
-        return Experiment(waves(200), x0={"theta": 0.5})
-
-
-def test_is_a_plant_for_the_stepping_loop() -> None:
-    streams = Streams("p", "s", 0)
-    with pendulum_fmu() as direct, IsolatedPlant(pendulum_fmu, {"fmi": 3}) as plant:
-        a, b = (run(one, Waves(), streams=streams) for one in (direct, plant))
-    assert np.array_equal(a.y, b.y)
-    assert a.x is not None
-    assert b.x is not None
-    assert np.array_equal(a.x, b.x)
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harness.conformance.plants import check_plant
 from harness.errors import InputError, PlantError
-from harness.signals import Trajectory
 from plants.equations.linear import LinearPlant
 
 RNG = np.random.default_rng
@@ -18,11 +16,6 @@ C = [[1.0, 0.5]]
 
 def noisy(**options):
     return LinearPlant(**{"A": A, "B": B, "C": C, "Q": [[0.04, 0.01], [0.01, 0.09]], "R": [[0.25]], **options})
-
-
-@pytest.mark.parametrize("options", [{}, {"D": [[0.3]]}, {"C": None, "R": None}], ids=["noisy", "direct", "states"])
-def test_conforms(options):
-    assert [one for one in check_plant(lambda: noisy(**options)) if not one.passed] == []
 
 
 def test_noise_has_the_declared_covariance():
@@ -44,16 +37,6 @@ def test_feedthrough_answers_at_once_and_is_declared():
         assert plant.output(np.array([3.0])).tolist() == [7.0]
         assert plant.truth().tolist() == [1.0, 0.0]
     assert not LinearPlant(A=A, B=B, C=C, D=[[0.0]]).spec.feedthrough
-
-
-def test_equal_seeds_give_equal_runs():
-    with noisy() as plant:
-        runs = []
-        for seed in (0, 0, 1):
-            first = plant.reset(rng=RNG(seed))
-            runs.append(np.vstack([first, plant.rollout(np.zeros((20, 1)))]))
-    assert np.array_equal(runs[0], runs[1])
-    assert not np.array_equal(runs[0], runs[2])
 
 
 @pytest.mark.parametrize(
@@ -85,10 +68,3 @@ def test_an_unstable_system_diverges_by_name():
         assert caught.value.status == "diverged"
         plant.reset(rng=RNG(0), x0={"x1": 1.0})
         assert not np.isfinite(plant.rollout(np.zeros((3, 1)))[-1, 0])
-
-
-def test_golden_record(golden):
-    with noisy(D=[[0.3]], sample_time=0.1) as plant:
-        u = np.sin(0.2 * np.arange(100)).reshape(-1, 1)
-        y = [plant.reset(rng=RNG(0), x0={"x1": 1.0}), *plant.rollout(u[:-1])]
-        golden("linear", Trajectory(0.1 * np.arange(100), u, np.array(y), plant.spec), 1e-9)

@@ -99,18 +99,6 @@ def test_a_pickled_plant_continues_where_it_was(kind):
         assert np.array_equal(twin.rollout(inputs[20:]), plant.rollout(inputs[20:]))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_batch_brings_the_truth_of_every_sample(kind):
-    with KINDS[kind]() as plant:
-        inputs = RNG(0).normal(size=(30, plant.spec.nu))
-        plant.reset(rng=RNG(3))
-        stepped = [(plant.step(u), plant.truth()) for u in inputs]
-        plant.reset(rng=RNG(3))
-        y, x = plant.rollout_truth(inputs)
-    assert np.array_equal(y, [one for one, _ in stepped])
-    assert np.array_equal(x, [one for _, one in stepped])
-
-
 def test_a_single_state_is_enough():
     with linear_ode(order=1) as plant:
         a, b, _ = plant.discrete()

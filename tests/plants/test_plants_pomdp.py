@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from harness.errors import InputError
 from harness.protocols import Experiment
 from harness.rng import stream
 from harness.rollout import perform
-from harness.signals import Trajectory
 from plants.finite.mdp import grid_mdp
 from plants.finite.pomdp import FinitePomdp, grid_pomdp
 
@@ -35,15 +32,6 @@ def test_without_error_it_is_the_mdp_seen() -> None:
     assert np.array_equal(log.x, log.y)
 
 
-def test_snapshots_repeat_the_draws() -> None:
-    plant = grid_pomdp()
-    plant.reset(rng=stream("pomdp", 2))
-    state = plant.get_state()
-    once = plant.rollout(np.ones((40, 1)))
-    plant.set_state(state)
-    assert np.array_equal(np.array([plant.step(np.ones(1)) for _ in range(40)]), once)
-
-
 @pytest.mark.parametrize(
     ("table", "word"),
     [(np.ones((11, 2)), "sum of 1"), (np.full((3, 2), 0.5), r"\(11, O\)"), (-np.ones((11, 1)), ">= 0")],
@@ -51,8 +39,3 @@ def test_snapshots_repeat_the_draws() -> None:
 def test_wrong_observations_are_refused(table: np.ndarray, word: str) -> None:
     with pytest.raises(InputError, match=word):
         FinitePomdp(grid_mdp().transition, table)
-
-
-def test_golden_record(golden: Callable[[str, Trajectory, float], None]) -> None:
-    actions = np.array([[k % 4] for k in range(200)], dtype=float)
-    golden("grid-pomdp", perform(grid_pomdp(), Experiment(actions), rng=stream("golden")), 0.0)

@@ -1,18 +1,9 @@
 """The pushed block: laws of contact, and mass and friction from the measured contact force."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from plants.pymunk.pushed_block import PymunkPushedBlock
-
-_SPEC = importlib.util.spec_from_file_location(
-    "contact_figures", Path(__file__).resolve().parents[2] / "docs" / "contact_figures.py"
-)
-figures = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(figures)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +45,8 @@ def test_a_push_below_the_friction_moves_nothing():
         assert y[-100:, 2].mean() == pytest.approx(7.0, rel=0.02)
 
 
-def test_mass_and_friction_need_the_contact_force():
+def test_mass_and_friction_need_the_contact_force(script):
+    figures = script("docs/contact_figures.py")
     found = figures.contact(figures.pushed())
     mass, friction = found["contact force measured"]
     assert mass == pytest.approx(2.0, rel=0.03)

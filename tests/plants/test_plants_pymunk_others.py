@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from harness.errors import InputError
 from harness.protocols import Experiment
 from harness.rollout import perform
-from harness.signals import FloatArray, Trajectory
+from harness.signals import FloatArray
 from plants.pymunk.ball_beam import PymunkBallBeam
 from plants.pymunk.cart_pole import PymunkCartPole
 from plants.pymunk.double_cart_pole import PymunkDoubleCartPole
@@ -142,34 +141,6 @@ def test_rates_can_be_measured(make: type[PymunkCartPole]) -> None:
             make(outputs=wrong)
 
 
-@pytest.mark.parametrize("make", [PymunkDoubleCartPole, PymunkBallBeam])
-def test_snapshots_and_fresh_runs_repeat_bit_for_bit(
-    make: type[PymunkDoubleCartPole] | type[PymunkBallBeam],
-) -> None:
-    inputs = 0.05 * push(100)
-    with make() as plant:
-        plant.reset(rng=RNG(0))
-        straight = plant.rollout(inputs)
-        plant.reset(rng=RNG(0))
-        assert np.array_equal(plant.rollout(inputs), straight)
-        plant.reset(rng=RNG(0))
-        plant.rollout(inputs[:50])
-        state = plant.get_state()
-        once = np.array([plant.step(u) for u in inputs[50:]])
-        plant.set_state(state)
-        again = plant.rollout(inputs[50:])
-    assert np.array_equal(once, again)
-    np.testing.assert_allclose(again, straight[50:], rtol=0, atol=1e-3)
-
-
-def test_named_states_are_the_truth() -> None:
-    for plant in (PymunkDoubleCartPole(), PymunkBallBeam()):
-        x0 = {channel.name: 0.1 * (i + 1) for i, channel in enumerate(plant.spec.states)}
-        plant.reset(rng=RNG(0), x0=x0)
-        np.testing.assert_allclose(plant.truth(), list(x0.values()), atol=1e-14)
-        plant.close()
-
-
 def test_options_out_of_range_are_refused() -> None:
     for options in ({"mp1": 0.0}, {"b1": -1.0}, {"substeps": 0.5}):
         with pytest.raises(InputError):
@@ -177,12 +148,3 @@ def test_options_out_of_range_are_refused() -> None:
     for options in ({"length": 0.05}, {"m": 0.0}, {"friction": -0.1}):
         with pytest.raises(InputError):
             PymunkBallBeam(**options)
-
-
-def test_golden_records(golden: Callable[[str, Trajectory, float], None]) -> None:
-    with PymunkDoubleCartPole() as plant:
-        log = perform(plant, Experiment(push(200), x0={"theta1": 0.5}), rng=RNG(0))
-        golden("double-cart-pole-pymunk", log, 1e-9)
-    with PymunkBallBeam() as beam:
-        log = perform(beam, Experiment(0.05 * push(100), x0={"r": 0.1}), rng=RNG(0))
-        golden("ball-beam-pymunk", log, 1e-9)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harness.signals import Trajectory
 from plants.equations.surrogates import glider_ode, hydro_cart_pole_ode
 
 RNG = np.random.default_rng
@@ -70,12 +69,3 @@ def test_without_water_energy_stays():
     theta, v, w, arm = x[:, 1], x[:, 2], x[:, 3], 0.05
     energy = 0.6 * v**2 + 0.2 * arm * v * w * np.cos(theta) + 0.5 * (0.2 * arm**2 + 0.2 * 0.1**2 / 12) * w**2
     assert np.ptp(energy) < 1e-6 * energy[0]
-
-
-@pytest.mark.parametrize(("name", "make"), [("glider-ode", glider_ode), ("hydro-cart-pole-ode", hydro_cart_pole_ode)])
-def test_golden_records(golden, name, make):
-    with make() as plant:
-        n, dt = 150, plant.spec.sample_time
-        u = 0.5 * np.sin(0.15 * np.arange(n)).reshape(-1, 1)
-        y = np.vstack([plant.reset(rng=RNG(0), x0={"theta": 0.1}), plant.rollout(u[:-1])])
-        golden(name, Trajectory(dt * np.arange(n), u, y, plant.spec), 1e-9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from harness.benchmark.result import BenchResult
 from harness.benchmark.summary import (
@@ -17,8 +17,6 @@ from harness.benchmark.summary import (
     pairs_in_words,
 )
 from harness.errors import InputError
-
-__all__ = ["FORMATS", "caption", "latex_text", "markdown_text", "render"]
 
 HEAD = (
     "plant",
@@ -62,28 +60,50 @@ def _markdown(result: BenchResult) -> str:
     lines = result.summary()
     control, more = _asked(lines), optional_scores(lines)
     head = (*HEAD, *more.values(), FIT, *CONTROL * control)
-    rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    rows += ["| " + " | ".join(_cells(line, more, "**{}**", markdown_text, control)) + " |" for line in lines]
+    rows = markdown_rows(head, (_cells(line, more, "**{}**", markdown_text, control) for line in lines))
     return "\n".join(rows) + "\n"
+
+
+def markdown_rows(head: Sequence[str], cells: Iterable[Iterable[str]]) -> list[str]:
+    """Return the lines of a table in Markdown.
+
+    Examples
+    --------
+    >>> markdown_rows(["a", "b"], [["1", "2"]])
+    ['| a | b |', '|---|---|', '| 1 | 2 |']
+    """
+    return ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(row) + " |" for row in cells)]
 
 
 def _latex(result: BenchResult) -> str:
     lines = result.summary()
     control, more = _asked(lines), optional_scores(lines)
-    head = " & ".join(map(latex_text, (*HEAD, *more.values(), FIT, *CONTROL * control)))
+    head = (*HEAD, *more.values(), FIT, *CONTROL * control)
     columns = f"lllrlllllll{'l' * len(more)}{'llll' * control}"
     words = (
         f"Suite {result.suite}: median [quartiles] over seeds of the NRMSE on held-out records. {pairs_in_words(lines)}"
     )
-    rows = [r"\begin{table}", caption(words, result.versions)]
-    rows += [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head + r" \\", r"\midrule"]
+    rows: list[str] = []
     place = None
     for line in lines:
         if place not in (None, (line.plant, line.scenario)):
             rows.append(r"\addlinespace")
         place = (line.plant, line.scenario)
         rows.append(" & ".join(_cells(line, more, r"\textbf{{{}}}", latex_text, control)) + r" \\")
-    return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
+    return latex_lines(caption(words, result.versions), columns, head, rows)
+
+
+def latex_lines(title: str, columns: str, head: Sequence[str], rows: Sequence[str]) -> str:
+    """Return a table in LaTeX: its caption, the kinds of its columns, their titles, and lines that are set already.
+
+    Examples
+    --------
+    >>> latex_lines("", "l", ["title"], ["x"]).count("tabular")
+    2
+    """
+    titles = " & ".join(map(latex_text, head)) + r" \\"
+    begin = [r"\begin{table}", title, rf"\begin{{tabular}}{{{columns}}}", r"\toprule", titles, r"\midrule"]
+    return "\n".join([*begin, *rows, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
 
 CITATION = "sysid-harness (BSD-3-Clause); how to cite it stands in its CITATION.cff"

@@ -14,8 +14,6 @@ from harness.benchmark.summary import figure
 from harness.data.whole_files import whole_file
 from harness.plots import plain_texts
 
-__all__ = ["draw_overlays"]
-
 OUTPUTS = 4
 """Outputs that are drawn; the table ``traces`` has all."""
 AWAY = 4.0

@@ -15,21 +15,6 @@ from harness.benchmark.statistics import Ranking
 from harness.benchmark.summary import Summary, best_possible, places_of
 from harness.plots import plain_texts
 
-__all__ = [
-    "ACCENT",
-    "GRID",
-    "INK",
-    "LINES",
-    "MUTED",
-    "STYLE",
-    "WARN",
-    "axis_plot",
-    "error_plot",
-    "rank_plot",
-    "regret_plot",
-    "svg_text",
-]
-
 INK, MUTED, GRID, ACCENT, WARN = "#1f2933", "#7b8794", "#e4e7eb", "#0b6e99", "#b4540a"
 LINES = ("#0b6e99", "#b4540a", "#3f7d20", "#7a3e9d", "#a61e4d", "#52606d")
 DOTS = 100

@@ -9,9 +9,7 @@ from typing import Any
 from harness.benchmark.page.plots import axis_plot, error_plot, rank_plot, regret_plot
 from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row
-from harness.benchmark.summary import Summary, figure, optional_scores, pairs_in_words, places_of, rankings
-
-__all__ = ["filled", "render_html"]
+from harness.benchmark.summary import figure, optional_scores, pairs_in_words, places_of, rankings
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 STYLE_SHEET = Path(__file__).with_name("page.css")
@@ -45,7 +43,7 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
         curves=axis_plot(result.rows),
         errors=error_plot(lines, result.rows),
         regrets=regret_plot(result.rows),
-        failures=_failures(lines),
+        failures=[(line, status, reason, count) for line in lines for status, reason, count in line.problems],
         settings=_settings(result.rows),
         statuses=_statuses(result),
     )
@@ -69,11 +67,6 @@ def _links(rows: Sequence[Row], overlays: Mapping[str, str]) -> dict[tuple[str, 
         if row.job in overlays:
             found.setdefault((row.plant, row.scenario, row.identifier), []).append((row.seed, overlays[row.job]))
     return found
-
-
-def _failures(lines: Sequence[Summary]) -> list[tuple[Summary, str, str, int]]:
-    """Return every kind of failure with its reason and count."""
-    return [(line, status, reason, count) for line in lines for status, reason, count in line.problems]
 
 
 def _statuses(result: BenchResult) -> list[tuple[str, int]]:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-__all__ = ["rich_table"]
-
 LEAVING = ("model for control", "control regret")
 """Columns that leave a table that is too wide, together; the quartiles of the others leave after them."""
 UNBOUNDED = sys.maxsize

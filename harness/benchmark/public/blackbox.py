@@ -18,8 +18,6 @@ from harness.protocols import Model
 from harness.rng import stream
 from harness.signals import Trajectory
 
-__all__ = ["Tried", "chosen", "parted"]
-
 WHOLE_RECORDS = 4
 """From so many records on, whole ones validate."""
 

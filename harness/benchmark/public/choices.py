@@ -12,8 +12,6 @@ import msgspec
 from harness.benchmark.public.rules import RULES
 from harness.errors import InputError
 
-__all__ = ["CHOICES", "BlackChoices", "Candidate", "Choices", "GreyChoice", "SetChoices", "read_choices"]
-
 CHOICES = Path(__file__).with_name("choices.toml")
 
 

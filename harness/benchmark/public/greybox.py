@@ -22,8 +22,6 @@ from harness.errors import InputError
 from harness.protocols import Model
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
-__all__ = ["Repaired", "Signals", "nominal_data", "repaired", "signals_of"]
-
 REPORT, MODEL = "report.json", "model.json"
 
 

@@ -11,8 +11,6 @@ import msgspec
 
 from harness.benchmark.public.rules import RULES
 
-__all__ = ["PUBLISHED", "Published", "best_published", "published"]
-
 PUBLISHED = Path(__file__).with_name("published.toml")
 
 

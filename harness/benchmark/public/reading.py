@@ -15,8 +15,6 @@ from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["READERS", "Split", "downloaded", "found_in", "read"]
-
 DATA_FOLDER = "SYSID_HARNESS_DATA"
 ORIGIN = "origin.txt"
 Pair = tuple[FloatArray, FloatArray]

@@ -15,8 +15,6 @@ from harness.benchmark.public.rules import Rule, chosen_rules
 from harness.data.whole_files import whole_file
 from harness.errors import InputError
 
-__all__ = ["RESULTS", "Cell", "PublicResult", "arranged", "read_public", "write_public"]
-
 RESULTS = "public.json"
 Status = Literal["ok", "missing", "not entered", "unfit", "failed"]
 

@@ -16,8 +16,6 @@ from typing import Literal
 from harness.errors import InputError
 from harness.signals import Channel, PlantSpec
 
-__all__ = ["IDENTIBENCH", "OFFICIAL", "RULES", "Rule", "chosen_rules"]
-
 OFFICIAL = "nonlinearbenchmark.org"
 IDENTIBENCH = "IdentiBench"
 

@@ -24,8 +24,6 @@ from harness.fingerprint import fingerprint, own_code
 from harness.protocols import Model
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["COLUMNS", "bench_public"]
-
 COLUMNS = ("black", "grey", "peers")
 
 
@@ -57,10 +55,6 @@ def bench_public(
     resume : bool
     progress : callable, optional
         Called as ``progress(done, total, what)``.
-
-    Returns
-    -------
-    PublicResult
 
     Raises
     ------

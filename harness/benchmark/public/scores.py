@@ -13,8 +13,6 @@ from harness.scoring import free_run
 from harness.scoring.prediction import DIVERGED
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["figure", "horizon_errors", "simulated", "window_rmse"]
-
 
 def window_rmse(measured: FloatArray, modelled: FloatArray, window: int) -> FloatArray:
     """Return the root mean square error of each output behind the window.

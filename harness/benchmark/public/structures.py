@@ -21,8 +21,6 @@ from harness.protocols import Model
 from harness.rng import stream
 from harness.signals import Trajectory
 
-__all__ = ["Structure", "grown", "halves_figure", "refitted"]
-
 _WORTH = 0.95
 """An effect must bring the figure over both halves below this share of what it is without: what half a record of one
 motion says is no surer than some percent, and the best of some thirty tries is flattered."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from harness.benchmark.page.exports import caption, latex_text, markdown_text
+from harness.benchmark.page.exports import caption, latex_lines, latex_text, markdown_rows, markdown_text
 from harness.benchmark.page.report import filled
 from harness.benchmark.public.published import Published, best_published, published
 from harness.benchmark.public.result import Cell, PublicResult
@@ -18,8 +18,6 @@ from harness.data.whole_files import whole_file
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-__all__ = ["csv_table", "latex_table", "markdown_table", "page", "records", "rich_public", "write_tables"]
 
 TEMPLATE = Path(__file__).with_name("public.html.j2")
 MARKS = "* made under another window or another start than the rule's; ? not known which"
@@ -69,13 +67,13 @@ def markdown_table(result: PublicResult) -> str:
     """Return the table, what was fitted, and the sets without data, as Markdown."""
     peers = _peers(result)
     titles = [*TITLES, *peers, "start from the whole record: black", "grey"]
-    lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
+    rows = []
     for rule, test, number in _lines(result, run=True):
         own = result.by_set[rule.id]
         cells = [*_shown(rule, test, number, own, "**{}**"), *(_value(own.get(peer), number) for peer in peers)]
         cells += [_value(own.get(column), number, whole=True) for column in ("black", "grey")]
-        lines.append("| " + " | ".join(map(markdown_text, cells)) + " |")
-    lines += ["", MARKS + ".", ""]
+        rows.append(map(markdown_text, cells))
+    lines = [*markdown_rows(titles, rows), "", MARKS + ".", ""]
     lines += [f"- {rule.title}, {cell.column}: {_said(cell)}" for rule, cell in _cells(result)]
     lines += ["", "Sets without data here:", ""]
     lines += [
@@ -101,22 +99,7 @@ def latex_table(result: PublicResult) -> str:
         "Free runs over the test records of public benchmarks: root mean square error behind the first n outputs, "
         "which the model may see. Bold: at or below the best published figure. " + MARKS + "."
     )
-    head = " & ".join(map(latex_text, titles)) + r" \\"
-    return "\n".join(
-        [
-            r"\begin{table}",
-            caption(words, result.versions),
-            rf"\begin{{tabular}}{{lllr{'l' * (len(titles) - 4)}}}",
-            r"\toprule",
-            head,
-            r"\midrule",
-            *body,
-            r"\bottomrule",
-            r"\end{tabular}",
-            r"\end{table}",
-            "",
-        ]
-    )
+    return latex_lines(caption(words, result.versions), f"lllr{'l' * (len(titles) - 4)}", titles, body)
 
 
 def page(result: PublicResult) -> str:

@@ -16,8 +16,6 @@ from harness.cosim.structure.model import (
 from harness.cosim.structure.walk import Hop, Place, Walk
 from harness.errors import InputError
 
-__all__ = ["Arriving", "Term"]
-
 
 @dataclass(frozen=True)
 class Term:

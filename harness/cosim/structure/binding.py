@@ -20,8 +20,6 @@ from harness.cosim.structure.model import (
 )
 from harness.cosim.structure.walk import FIXED, Place, Walk
 
-__all__ = ["Bound"]
-
 
 class Bound:
     """Values of connectors with their units; those of FMUs stand in the components."""

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from harness.errors import InputError
 from harness.units import base_units
 
-__all__ = ["BARE", "Chain", "Linear", "Table", "Unit", "change_of_unit", "named_unit", "undefined_unit", "unit_of"]
-
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of SSP and FMI (SSP 2.0 sec. BaseUnit)."""
 BARE = ("", "1", "-")

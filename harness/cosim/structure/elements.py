@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["children", "first", "local", "truth"]
-
 
 def local(element: Any) -> str:
     """Return the name of an XML element without its namespace, which SSP 1.0 and 2.0 share."""

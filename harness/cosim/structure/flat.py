@@ -12,21 +12,6 @@ import numpy as np
 from harness.cosim.structure.conversion import Chain
 from harness.errors import InputError
 
-__all__ = [
-    "Describe",
-    "FlatComponent",
-    "FlatInput",
-    "FlatOutput",
-    "FlatSystem",
-    "FlatWire",
-    "channels_of",
-    "dotted",
-    "each",
-    "members",
-    "named",
-    "start_of",
-]
-
 Describe = Callable[[Path], dict[str, Any]]
 """Tells what is in an FMU: rows of variables with unit, scale and offset to SI, and its experiment."""
 

@@ -7,7 +7,8 @@ Sections are those of the SSP 2.0.1 text.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,12 +27,10 @@ from harness.cosim.structure.flat import (
     members,
     start_of,
 )
-from harness.cosim.structure.model import (
-    Description,
-)
+from harness.cosim.structure.model import Description
 from harness.cosim.structure.walk import FIXED, NO_SIGNAL, SOURCES, TEXTS, Place, Walk
 
-__all__ = ["flatten"]
+Led = TypeVar("Led", FlatWire, FlatOutput)
 
 
 def flatten(description: Description, describe: Describe, *, parameters: dict[str, Any] | None = None) -> FlatSystem:
@@ -73,9 +72,9 @@ class _Flattening:
         order = {name: at for at, name in enumerate(one.name for one in inputs)}
         return FlatSystem(
             list(self.walk.components.values()),
-            [self._from_outside(wire) if wire.source in order else wire for wire in wires],
+            [self._from_outside(one) if one.source in order else one for one in wires],
             inputs,
-            [self._shown_from_outside(one) if one.source in order else one for one in outputs],
+            [self._from_outside(one) if one.source in order else one for one in outputs],
             self.walk.notes,
         )
 
@@ -210,12 +209,9 @@ class _Flattening:
         number = (value - line.offset) / line.factor
         return number if unit is None else unit.to_si(number)
 
-    def _from_outside(self, wire: FlatWire) -> FlatWire:
-        """Return a wire from an input of the whole, whose channel is in SI."""
-        return FlatWire(wire.source, wire.target, self._after_si(wire.source, wire.chain), wire.add)
-
-    def _shown_from_outside(self, one: FlatOutput) -> FlatOutput:
-        return FlatOutput(one.name, one.source, self._after_si(one.source, one.chain), one.unit)
+    def _from_outside(self, one: Led) -> Led:
+        """Return what comes from an input of the whole, whose channel is in SI."""
+        return replace(one, chain=self._after_si(one.source, one.chain))
 
     def _after_si(self, source: str, chain: Chain) -> Chain:
         name = source if ((), source) in self.walk.connectors else source.rpartition("[")[0]

@@ -9,19 +9,6 @@ from typing import Any
 
 from harness.cosim.structure.conversion import Linear, Unit
 
-__all__ = [
-    "Binding",
-    "Component",
-    "Connector",
-    "Description",
-    "Element",
-    "Mapped",
-    "Reference",
-    "System",
-    "Value",
-    "Wire",
-]
-
 
 @dataclass(frozen=True)
 class Mapped:

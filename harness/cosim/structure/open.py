@@ -12,8 +12,6 @@ from harness.cosim.structure.package import FolderPackage, Package, ZipPackage
 from harness.cosim.structure.ssd import SSD, SsdReader
 from harness.errors import InputError
 
-__all__ = ["Opened", "open_structure", "opened"]
-
 
 class Opened:
     """A system that was read; :meth:`close` removes what was unpacked for it."""

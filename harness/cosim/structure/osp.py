@@ -14,8 +14,6 @@ from harness.cosim.structure.package import PROXIED, FolderPackage, InFmu, on_th
 from harness.errors import InputError
 from harness.trust import names_fmu
 
-__all__ = ["OSP", "read_osp"]
-
 OSP = "OspSystemStructure"
 MOST = 10_000
 """Inputs of a sum, before it counts as a slip."""

@@ -15,8 +15,6 @@ from harness.errors import InputError
 from harness.fmi.archive import check_entries, has_document_type
 from harness.trust import UNZIPPING
 
-__all__ = ["PROXIED", "FolderPackage", "InFmu", "Package", "Readable", "ZipPackage", "on_this_machine", "parsed"]
-
 LARGEST_TEXT = 64 << 20  # bytes of an XML file
 DESCRIPTIONS = (".ssd", ".ssv", ".ssm", ".ssb")
 

@@ -20,8 +20,6 @@ from harness.cosim.structure.values import read_bindings
 from harness.errors import InputError
 from harness.trust import names_fmu
 
-__all__ = ["SSD", "SsdReader"]
-
 SSD = "SystemStructure.ssd"
 FMU = "application/x-fmu-sharedlibrary"
 PACKAGE = ("application/x-ssp-package", "application/ssp+zip")

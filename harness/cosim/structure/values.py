@@ -11,8 +11,6 @@ from harness.cosim.structure.model import Binding, Mapped, Value
 from harness.cosim.structure.package import InFmu, Package, parsed
 from harness.errors import InputError
 
-__all__ = ["read_bindings"]
-
 VALUES, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
 REALS = ("Real", "Float64", "Float32")
 

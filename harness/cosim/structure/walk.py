@@ -30,8 +30,6 @@ from harness.cosim.structure.model import (
 )
 from harness.errors import InputError
 
-__all__ = ["DICTIONARY", "FIXED", "NO_SIGNAL", "SOURCES", "TEXTS", "Hop", "Place", "Walk"]
-
 Place = tuple[Way, str]
 """A connector: the names of the systems and the component on the way to it, and its own."""
 

@@ -20,8 +20,6 @@ from harness.physics.arms.inertia import triangle_excess
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import Channel, FloatArray
 
-__all__ = ["GRAVITY", "ArmModel", "is_arm", "load_arm"]
-
 GRAVITY = (0.0, 0.0, -9.81)
 ARMS = {"iiwa": ("kuka_iiwa", "model.urdf")}
 """Arms by name: their URDF comes with the package ``pybullet_data``."""

@@ -9,8 +9,6 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray
 
-__all__ = ["FrictionCone", "Restitution", "friction_cone", "restitution"]
-
 LOADED = 0.02
 """Share of the largest normal force below which a contact counts as open."""
 FEW = 10

@@ -25,8 +25,6 @@ from harness.physics.arms.regressor import ArmRegressor
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
-__all__ = ["BaseMotion", "FloatingRobot", "eliminated", "load_floating", "rotation_matrices"]
-
 GRAVITY = np.array([0.0, 0.0, -9.81])
 LOST = 1e-9
 """Singular value of a contact Jacobian, relative, below which a direction of its force does no work."""

@@ -13,20 +13,6 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = [
-    "TEN",
-    "UNITS",
-    "about_the_centre",
-    "divergence",
-    "from_log_cholesky",
-    "from_pseudo_inertia",
-    "is_consistent",
-    "pseudo_inertia",
-    "refuse_inconsistent",
-    "to_log_cholesky",
-    "triangle_excess",
-]
-
 TEN = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 """Names of the ten: mass, first moments, inertia about the frame of the joint."""
 UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)

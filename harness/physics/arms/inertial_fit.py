@@ -19,16 +19,6 @@ from harness.errors import FitError
 from harness.physics.arms.inertia import from_pseudo_inertia, pseudo_inertia
 from harness.signals import FloatArray
 
-__all__ = [
-    "Bodies",
-    "Problem",
-    "by_least_squares",
-    "by_log_cholesky",
-    "by_semidefinite_program",
-    "extent_of",
-    "interval_of",
-]
-
 _CAREFUL: tuple[dict[str, Any], ...] = (
     {},
     {"iterative_refinement_max_iter": 50, "iterative_refinement_reltol": 1e-15, "iterative_refinement_abstol": 1e-15},

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from harness.signals import FloatArray
 
-__all__ = ["MOVING", "Joint"]
-
 MOVING = {"revolute", "continuous", "prismatic"}
 """Kinds of joints that move."""
 

@@ -9,8 +9,6 @@ from harness.physics.arms.joints import MOVING
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
-__all__ = ["joint_places"]
-
 
 def joint_places(arm: Arm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the origins and the rotation matrices of all joints' frames, in the frame of the base.

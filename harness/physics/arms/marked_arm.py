@@ -13,8 +13,6 @@ from harness.physics.arms.joints import MOVING
 from harness.physics.arms.vectorised import OnRecords
 from harness.signals import Channel, FloatArray
 
-__all__ = ["MarkedArm"]
-
 
 class MarkedArm:
     """A marker on the last body of an arm, seen in the frame of the base or of a camera that stands somewhere.

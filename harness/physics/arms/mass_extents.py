@@ -13,8 +13,6 @@ from harness.models.analysis import Findings, Takes
 from harness.physics.arms.inertial_fit import Bodies, Problem, extent_of
 from harness.physics.arms.mechanism import arm_of
 
-__all__ = ["MassExtents"]
-
 _MOTIONS = 300
 """Random instants of exact torques: more than any arm has base parameters, so that nothing is left to the motion."""
 _VAST = 1e3

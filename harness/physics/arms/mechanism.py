@@ -18,8 +18,6 @@ from harness.physics.definition.parameters import Parameter
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import Channel
 
-__all__ = ["ArmMechanism", "arm_mechanism", "arm_of"]
-
 SMALL = 3
 """So many moving joints are written out in symbols: a Lagrangian of four spatial joints has thousands of terms."""
 SQUARE = 1e-9

@@ -18,8 +18,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
 
-__all__ = ["mjcf_with"]
-
 AT_JOINTS = ("damping", "frictionloss", "armature")
 SHAPED = ("inertiafromgeom", "settotalmass", "balanceinertia")
 """Attributes of ``<compiler>`` that would change bodies whose inertia is written out."""

@@ -15,8 +15,6 @@ from harness.physics.compiled.ccode import c_function, dense
 from harness.physics.compiled.compilation import Compilation
 from harness.signals import FloatArray
 
-__all__ = ["ArmRegressor", "Form"]
-
 Form = Literal["torque", "momentum", "energy", "pull"]
 
 LANES = 4

@@ -12,8 +12,6 @@ from harness.physics.arms.joints import MOVING, Joint
 from harness.physics.arms.regressor import ArmRegressor
 from harness.signals import FloatArray
 
-__all__ = ["Arm", "pendulum_for_the_example"]
-
 
 @dataclass(frozen=True, eq=False)
 class Arm:

@@ -18,8 +18,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
 
-__all__ = ["bounding_boxes"]
-
 Box = tuple[FloatArray, FloatArray]
 
 

@@ -15,8 +15,6 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
 
-__all__ = ["urdf_with"]
-
 
 def urdf_with(
     model: ArmModel,

@@ -11,8 +11,6 @@ import numpy as np
 from harness.physics.compiled.ccode import dense
 from harness.signals import FloatArray
 
-__all__ = ["OnRecords", "Vectorised"]
-
 _UFUNCS: dict[str, Callable[..., Any]] = {
     "OP_ADD": np.add,
     "OP_SUB": np.subtract,

@@ -10,8 +10,6 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["c_function", "formats", "system_source"]
-
 _BINARY = {
     "OP_ADD": "{0}+{1}",
     "OP_SUB": "{0}-{1}",

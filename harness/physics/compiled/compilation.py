@@ -16,8 +16,6 @@ from pathlib import Path
 from harness.fmi.build import compiler, small_compiler, tell_without_compiler
 from harness.fmi.compiled import cache_folder
 
-__all__ = ["Compilation", "compiles"]
-
 
 def compiles() -> bool:
     """Return True where generated C can be compiled: by the system's compiler, or by the small one."""
@@ -44,7 +42,7 @@ def _machine_flags() -> tuple[str, ...]:
     """Return the flags for four doubles in a register, where the processor has them; the same bits, sooner.
 
     The second one has gcc clear the upper halves of the registers before calls: with them in use, some processors run
-    the tanh and log1p of the mathematical library up to eight times as long (``benchmarks/bench_rollouts.py``).
+    the tanh and log1p of the mathematical library up to eight times as long (``benchmarks/bench_compilation.py``).
     """
     try:
         known = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")

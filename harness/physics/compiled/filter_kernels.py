@@ -11,8 +11,6 @@ from harness.physics.compiled.compilation import Compilation
 from harness.physics.compiled.rollout_source import BLOCK, SAMPLE
 from harness.signals import FloatArray
 
-__all__ = ["JOB", "filter_kernels", "smoother_kernels"]
-
 _LAYOUT = """\
 /* Matrices of states as rows of blocks: NB blocks hold a row. */
 #define NB ((NX + W - 1)/W)

@@ -12,8 +12,6 @@ import numpy as np
 from harness.physics.compiled.rollout_code import Functions
 from harness.signals import FloatArray
 
-__all__ = ["FilterMachine", "Wanted"]
-
 
 @dataclass(frozen=True)
 class Wanted:

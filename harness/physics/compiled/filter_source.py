@@ -10,8 +10,6 @@ from harness.physics.compiled.rollout_source import RUNGE_KUTTA, STAGE, shared_s
 if TYPE_CHECKING:
     from harness.physics.compiled.rollout_code import Functions
 
-__all__ = ["filter_source"]
-
 
 def filter_source(functions: Functions, delay_columns: tuple[int, ...]) -> str:
     """Return the C source of ``sysid_filter`` for a system whose last states are latent forces: held over a sample.

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from harness.physics.compiled.latent import Disturbed, LatentForce
     from harness.physics.compiled.simulator import Intersample
 
-__all__ = ["Filtered", "KalmanPass", "Noise", "Pass", "Path"]
-
 _LOG_2PI = float(np.log(2 * np.pi))
 _COUNTS = ("n", "substeps", "every", "chosen", "foh")
 _NUMBERS = ("dt", "t0")

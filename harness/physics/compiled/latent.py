@@ -13,8 +13,6 @@ from harness.signals import Channel
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-__all__ = ["Disturbed", "LatentForce", "with_latent_forces", "without_latent_forces"]
-
 PREFIX = "latent@"
 
 

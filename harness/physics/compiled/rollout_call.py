@@ -13,8 +13,6 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray
 
-__all__ = ["Asked", "Given", "Sums", "all_columns", "call_rollout", "repeated_rollout"]
-
 _COUNTS = ("m", "n", "substeps", "every", "chosen")
 _INPUTS = ("p", "x0", "u", "d", "t0", "columns")
 _ROWS = ("x", "y", "s")

@@ -16,8 +16,6 @@ from harness.physics.compiled.rollout_call import Given
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray
 
-__all__ = ["Functions", "Linear"]
-
 How = tuple[float, int, bool, bool, tuple[int, ...]]
 """Sample time, substeps, whether inputs move along lines, whether sensitivities are asked for, columns of delays."""
 

@@ -9,8 +9,6 @@ from harness.physics.compiled.ccode import FINE, c_function, near_zero
 if TYPE_CHECKING:
     from harness.physics.compiled.rollout_code import Functions, Linear
 
-__all__ = ["BLOCK", "RUNGE_KUTTA", "SAMPLE", "STAGE", "rollout_source", "shared_source"]
-
 
 def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tuple[int, ...]) -> str:
     """Return the C source of ``sysid_rollout`` for a system.

@@ -7,8 +7,6 @@ import numpy as np
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray
 
-__all__ = ["BySample", "SampledBlocks", "delayed", "delayed_between", "quantised"]
-
 
 def delayed(signal: FloatArray, delay: float, dt: float) -> tuple[FloatArray, FloatArray]:
     """Return a signal delayed by any fraction of a sample, and its derivative by the delay.

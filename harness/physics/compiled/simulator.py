@@ -20,8 +20,6 @@ from harness.physics.compiled.sampled import SampledBlocks
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["Backend", "Intersample", "Simulator", "default_substeps"]
-
 Backend = Literal["auto", "c", "casadi"]
 Intersample = Literal["zoh", "foh", "smooth"]
 

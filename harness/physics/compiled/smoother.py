@@ -11,8 +11,6 @@ from harness.physics.compiled.filter_kernels import smoother_kernels
 from harness.physics.compiled.kalman_pass import Filtered
 from harness.signals import FloatArray
 
-__all__ = ["Smoothed", "innovation_response", "smoothed"]
-
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:

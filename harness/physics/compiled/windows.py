@@ -16,8 +16,6 @@ from harness.signals import FloatArray, Trajectory
 if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Simulator
 
-__all__ = ["Evaluation", "Group", "Windows", "data_states"]
-
 
 @dataclass(frozen=True, eq=False)
 class Group:

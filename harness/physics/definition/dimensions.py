@@ -7,8 +7,6 @@ from typing import Any
 
 from harness.signals import Ported
 
-__all__ = ["Dimensions"]
-
 
 class Dimensions(Ported):
     """Counts and names of a model with ``inputs``, ``outputs``, ``states`` and ``parameters``."""

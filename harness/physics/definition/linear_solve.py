@@ -6,8 +6,6 @@ from typing import Any
 
 import casadi as ca
 
-__all__ = ["solve_symmetric"]
-
 
 def solve_symmetric(matrix: Any, right: Any) -> Any:
     """Return the solution of a symmetric positive definite system.
@@ -17,10 +15,6 @@ def solve_symmetric(matrix: Any, right: Any) -> Any:
     matrix : casadi.SX (n, n)
         Only the lower triangle is read.
     right : casadi.SX (n,)
-
-    Returns
-    -------
-    casadi.SX (n,)
 
     Examples
     --------

@@ -18,8 +18,6 @@ from harness.physics.definition.parameters import Parameter, defaults
 from harness.physics.definition.ports import BodyTerm, Coordinate, Port, SampledBlock
 from harness.signals import Channel, FloatArray, Trajectory
 
-__all__ = ["Equations", "index_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Equations(Dimensions):

@@ -10,8 +10,6 @@ import numpy as np
 
 from harness.errors import InputError, unknown_name
 
-__all__ = ["FAR", "Parameter", "as_parameter", "defaults", "said_far"]
-
 FAR = 100.0
 """Factor between a fitted parameter and its declared value from which both sides are said: a power of ten is a rough
 declaration, and a unit wrong by 1000 moves some parameter by 1000 or its square; halfway, in powers of ten, is 100."""

@@ -7,8 +7,6 @@ from typing import Any, Literal
 
 from harness.signals import Channel
 
-__all__ = ["BodyTerm", "Coordinate", "Hidden", "Port", "SampledBlock"]
-
 PortKind = Literal["input", "coordinate", "output", "base", "process", "mass"]
 
 

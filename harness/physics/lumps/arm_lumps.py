@@ -15,8 +15,6 @@ from harness.physics.lumps.identifiability import identifiability
 from harness.physics.symbolic.lumping import Split, known_symbols
 from harness.signals import FloatArray
 
-__all__ = ["ArmLumps"]
-
 MOTIONS = 400
 """Random instants on which dependent columns are found; the gap of an iiwa is above 1e10 on a tenth of them."""
 TOLERANCE = 1e-8

@@ -12,8 +12,6 @@ from harness.models.analysis import Findings, Takes
 from harness.physics.lumps.lumped_model import lumped
 from harness.physics.symbolic.mechanism import Mechanism
 
-__all__ = ["BaseParameters"]
-
 
 @dataclass(frozen=True)
 class BaseParameters:

@@ -11,8 +11,6 @@ from harness.errors import InputError
 from harness.models.estimate import SHARE, RankDecision, null_words
 from harness.signals import FloatArray
 
-__all__ = ["Identifiability", "determined", "identifiability"]
-
 NOISE_RATIO = 1.5
 """A direction of the parameters counts as determined where the regressor moves by more than this many times what its
 noise alone makes. Below, more than 4/9 of its energy is noise, and least squares shrinks the parameter to less than

@@ -15,8 +15,6 @@ from harness.physics.symbolic.lumping import Split
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import FloatArray
 
-__all__ = ["jumping_mean", "motion_functions", "motion_terms", "test_function_on"]
-
 
 def test_function_on(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a test function on a stretch of time, its derivative, and the weights of the trapezoidal rule."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal
 
@@ -12,16 +13,36 @@ import sympy as sp
 from harness.errors import FitError, InputError
 from harness.physics.arms.mechanism import ArmMechanism
 from harness.physics.lumps.arm_lumps import ArmLumps
-from harness.physics.lumps.lumped_fit import LumpedFit, least_squares
+from harness.physics.lumps.identifiability import Identifiability, identifiability
 from harness.physics.lumps.lumped_functions import jumping_mean, motion_functions, test_function_on
 from harness.physics.symbolic.lumping import Split, split
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import FloatArray
 
-__all__ = ["LumpedFit", "LumpedModel", "lumped"]
-
 ForceColumns = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 """``columns(q, v, u, t) -> (N, n, k)``: forces on the n coordinates, each to be multiplied by a new parameter."""
+
+
+@dataclass(frozen=True, eq=False)
+class LumpedFit:
+    """Lumped parameters from least squares.
+
+    Attributes
+    ----------
+    values : dict
+        By name. A combination that the data do not determine has the value it takes when those left out are 0.
+    covariance : array (k, k)
+        Of all, from the residual; rows of those left out are 0.
+    identifiability : Identifiability
+        Rank, kept and dependent combinations.
+    rms : float
+        Of the residual, in the unit of the rows.
+    """
+
+    values: dict[str, float]
+    covariance: FloatArray
+    identifiability: Identifiability
+    rms: float
 
 
 def lumped(mechanism: Mechanism, *, known: Mapping[str, float] | None = None) -> LumpedModel:
@@ -342,7 +363,7 @@ class LumpedModel:
         FitError
             If nothing is determined, or a number is not finite.
         """
-        return least_squares(rows, target, self.names, self.mechanism.name, weights=weights, tolerance=tolerance)
+        return _least_squares(rows, target, self.names, self.mechanism.name, weights=weights, tolerance=tolerance)
 
     # ---- inside --------------------------------------------------------------------------------------------------
 
@@ -460,3 +481,43 @@ class LumpedModel:
 def _evaluated(symbols: tuple[sp.Symbol, ...], expressions: tuple[sp.Expr, ...]) -> Any:
     """Return expressions as a function of numbers: a search asks for the same ones again and again."""
     return sp.lambdify(symbols, expressions, "numpy")
+
+
+def _least_squares(
+    rows: FloatArray,
+    target: FloatArray,
+    names: Sequence[str],
+    model: str,
+    *,
+    weights: FloatArray | None = None,
+    tolerance: float = 1e-8,
+) -> LumpedFit:
+    """Return the lumped parameters; see :meth:`harness.physics.LumpedModel.solve`."""
+    if weights is not None:
+        rows, target = rows * weights[:, None], target * weights
+    if not (np.isfinite(rows).all() and np.isfinite(target).all()):
+        raise FitError(
+            "regression", expected="finite numbers", got="NaN or infinity", remedy="cut the record before it breaks"
+        )
+    found = identifiability(rows, names, tolerance=tolerance)
+    if found.rank == 0:
+        raise FitError(
+            f"lumped parameters of {model}",
+            expected="a motion that shows at least one",
+            got="rows that are all zero",
+            remedy="excite the plant",
+        )
+    kept = list(found.kept)
+    part = rows[:, kept]
+    size = np.linalg.norm(part, axis=0)
+    solution, *_ = np.linalg.lstsq(part / size, target, rcond=None)
+    residual = target - part / size @ solution
+    freedom = max(len(target) - len(kept), 1)
+    _, r = np.linalg.qr(part / size)
+    inverse = np.linalg.inv(r) / size[:, None]
+    covariance = np.zeros((len(names), len(names)))
+    covariance[np.ix_(kept, kept)] = inverse @ inverse.T * float(residual @ residual) / freedom
+    values = np.zeros(len(names))
+    values[kept] = solution / size
+    rms = float(np.sqrt(np.mean(residual**2)))
+    return LumpedFit(dict(zip(names, values.tolist(), strict=True)), covariance, found, rms)

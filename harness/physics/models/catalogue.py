@@ -2,41 +2,28 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
+import importlib.metadata
 import importlib.util
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import sympy as sp
 
-from harness.errors import HarnessError, InputError, no_file, refuse_no_file
+from harness.errors import HarnessError, InputError, PluginError, did_you_mean, no_file, refuse_no_file
 from harness.physics.arms.arm import is_arm
 from harness.physics.arms.mechanism import arm_mechanism
 from harness.physics.compiled.system import System
 from harness.physics.definition.parameters import Parameter
 from harness.physics.models.chain import mass_chain
 from harness.physics.models.flight import perching_glider, planar_quadrotor
-from harness.physics.models.plug_ins import model_names, model_of
 from harness.physics.models.tanks import two_tanks
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.physics.symbolic.ode import Ode
 from harness.physics.symbolic.typed import SUFFIX, typed_model
-
-__all__ = [
-    "BUILT_IN",
-    "acrobot",
-    "cart_pole",
-    "double_pendulum",
-    "drive",
-    "from_file",
-    "linear",
-    "load_model",
-    "oscillator",
-    "pendulum",
-]
 
 
 def pendulum() -> Mechanism:
@@ -300,12 +287,11 @@ def load_model(name: str, **options: Any) -> System:
         known = dict.fromkeys((*BUILT_IN, *model_names()))
         expected = f"one of {', '.join(known)}, or FILE.py:FUNCTION"
         refuse_no_file(name, expected)
-        near = difflib.get_close_matches(name, known, n=2)
         raise InputError(
             "unknown model",
             expected=expected,
             got=repr(name),
-            remedy=f"did you mean {' or '.join(near)}?" if near else "correct the name, or write the model in a file",
+            remedy=did_you_mean(name, known, "correct the name, or write the model in a file", most=2),
         )
     try:
         made = maker(**options) if callable(maker) and not isinstance(maker, System) else maker
@@ -369,12 +355,60 @@ def from_file(path: Path, attribute: str) -> tuple[Any, Path]:
     if not attribute and len(public) == 1:
         attribute = public[0]
     if not attribute or not hasattr(module, attribute):
-        near = difflib.get_close_matches(attribute, public, n=2)
         raise InputError(
             f"the file has no {attribute!r}" if attribute else "no name in the file",
             expected=f"FILE.py:NAME with one of {', '.join(public[:12]) or '(nothing public)'}",
             got=repr(attribute),
-            remedy=f"did you mean {' or '.join(near)}?" if near else "write the function's name after a colon",
+            remedy=did_you_mean(attribute, public, "write the function's name after a colon", most=2),
             file=path,
         )
     return getattr(module, attribute), path
+
+
+@functools.cache
+def _points() -> dict[str, importlib.metadata.EntryPoint]:
+    """Return the entry points by name, of two with one name the first distribution's; the registry lies above this."""
+    if os.environ.get("SYSID_HARNESS_NO_PLUGINS", "") not in ("", "0"):
+        return {}
+    found = [
+        (point.dist.name if point.dist is not None else "?", point)
+        for point in importlib.metadata.entry_points(group="sysid_harness.models")
+    ]
+    result: dict[str, importlib.metadata.EntryPoint] = {}
+    for _, point in sorted(found, key=lambda pair: pair[0]):
+        result.setdefault(point.name, point)
+    return result
+
+
+def model_names() -> tuple[str, ...]:
+    """Return the names of all registered models, the built-in ones included.
+
+    Examples
+    --------
+    >>> "pendulum" in model_names()
+    True
+    """
+    return tuple(sorted(_points()))
+
+
+def model_of(name: str) -> Callable[..., Any] | None:
+    """Return the function that makes a registered model; None if there is none of this name.
+
+    Raises
+    ------
+    PluginError
+        If the plug-in raises while it is imported.
+    """
+    point = _points().get(name)
+    if point is None:
+        return None
+    try:
+        maker: Callable[..., Any] = point.load()
+    except HarnessError:
+        raise
+    except Exception as error:
+        raise PluginError(
+            f"model {name!r} ({point.value}) does not load: {type(error).__name__}: {error}; "
+            "remedy: repair or uninstall its distribution"
+        ) from error
+    return maker

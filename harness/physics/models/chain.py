@@ -11,8 +11,6 @@ from harness.errors import InputError
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.signals import FloatArray
 
-__all__ = ["chain_modes", "mass_chain"]
-
 
 def mass_chain(
     masses: int = 3, mass: float = 1.0, stiffness: float = 40.0, damping: float = 0.08, coupling: float = 1.0

@@ -10,8 +10,6 @@ from harness.physics.definition.parameters import Parameter
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.physics.symbolic.ode import Ode
 
-__all__ = ["perching_glider", "planar_quadrotor"]
-
 STILL = 1e-12
 """Keeps the root of a squared speed smooth at rest [m^2/s^2]."""
 

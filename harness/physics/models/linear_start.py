@@ -8,8 +8,6 @@ import numpy as np
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["start_of"]
-
 
 def start_of(
     n: int, nu: int, lengths: Sequence[int], time_scale: float, offsets: bool

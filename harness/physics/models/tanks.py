@@ -9,8 +9,6 @@ import sympy as sp
 from harness.errors import InputError
 from harness.physics.symbolic.ode import Ode
 
-__all__ = ["two_tanks"]
-
 
 def two_tanks(pump_offset: bool = False, upper_outlet: str = "orifice", sensor_zero: bool = False) -> Ode:
     """Two tanks in cascade; levels in the unit of the level sensor; y is the lower level.

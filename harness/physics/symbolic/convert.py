@@ -12,8 +12,6 @@ import sympy as sp
 
 from harness.errors import InputError
 
-__all__ = ["to_casadi"]
-
 _UNARY: dict[Any, Callable[[Any], Any]] = {
     sp.sin: ca.sin,
     sp.cos: ca.cos,

@@ -11,8 +11,6 @@ from harness.physics.symbolic.lumping import lagrangian, without_squared_sines
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.physics.symbolic.ode import Ode
 
-__all__ = ["equations", "written"]
-
 SIMPLE = 200
 """Operations up to which identities of several angles are tried: minutes for an arm with all its parameters."""
 SHORT = 12

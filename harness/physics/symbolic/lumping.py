@@ -11,8 +11,6 @@ import sympy as sp
 from harness.errors import InputError, unknown_name
 from harness.physics.symbolic.mechanism import Mechanism
 
-__all__ = ["Split", "known_symbols", "lagrangian", "split"]
-
 
 @dataclass(frozen=True, eq=False)
 class Split:

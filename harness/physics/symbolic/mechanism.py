@@ -16,8 +16,6 @@ from harness.physics.definition.parameters import Parameter, as_parameter
 from harness.physics.symbolic.convert import to_casadi
 from harness.signals import Channel
 
-__all__ = ["Body", "Mechanism"]
-
 _TRIGONOMETRIC = (sp.sin, sp.cos, sp.tan)
 
 

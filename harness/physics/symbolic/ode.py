@@ -16,8 +16,6 @@ from harness.physics.symbolic.convert import to_casadi
 from harness.physics.symbolic.mechanism import _check_names
 from harness.signals import Channel
 
-__all__ = ["Ode"]
-
 
 class Ode:
     """Ordinary differential equations ``x' = rhs(x, u, p, t)``, ``y = outputs(x, u, p, t)``.

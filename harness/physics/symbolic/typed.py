@@ -17,8 +17,6 @@ from harness.physics.definition.parameters import as_parameter
 from harness.physics.symbolic.ode import Ode
 from harness.units import is_unit
 
-__all__ = ["SUFFIX", "read_equations", "typed_model"]
-
 SUFFIX = ".eqs"
 LONGEST = 20_000
 """Characters of a file."""

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
     from harness.scoring import TorqueError
 
-__all__ = ["ArmDynamics"]
-
 STEPS = 2
 """Runge-Kutta steps in a sample."""
 START = 12

@@ -19,8 +19,6 @@ from identifiers.common.records import real_signals, usable
 if TYPE_CHECKING:
     from harness.physics.arms.marked_arm import MarkedArm
 
-__all__ = ["JointCalibration", "MarkerModel", "free_parameters", "marked"]
-
 LEVEL = 0.95
 TURN = 1.0
 """A direction of the offsets whose standard deviation is above a radian (for lengths: above the length itself) is not

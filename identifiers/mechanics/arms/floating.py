@@ -23,8 +23,6 @@ from identifiers.mechanics.motion import Smoothing
 if TYPE_CHECKING:
     from harness.physics.lumps.identifiability import Identifiability
 
-__all__ = ["Contacts", "FloatingInertial"]
-
 BLOCKS = 20
 """Stretches of the record, by which the spread of a parameter is told whatever the colour of its errors."""
 SEEN = 1e-5

@@ -16,8 +16,6 @@ from harness.physics.arms.inertia import TEN, UNITS
 from harness.signals import FloatArray, Trajectory
 from identifiers.mechanics.motion import Motion, Smoothing, motion
 
-__all__ = ["FloatingMotion", "Rows", "channels_of", "floating_motion", "measured", "rows_of"]
-
 PLACE, TURN, SPIN = (
     tuple(f"base_{axis}" for axis in axes) for axes in (("x", "y", "z"), ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz"))
 )

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
     from harness.physics.arms.inertial_fit import Problem
 
-__all__ = ["Equations", "Inertial", "speaks"]
-
 Method = Literal["sdp", "log-cholesky", "least-squares"]
 SLOW = 0.01
 """Speed [rad/s] and acceleration [rad/s^2] at which friction of the size of the torques seen is held possible."""

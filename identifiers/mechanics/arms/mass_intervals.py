@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
     from harness.physics.arms.inertial_fit import Problem
 
-__all__ = ["MassIntervals"]
-
 QUANTILE = 1.96
 """Of the normal distribution, for 95 %."""
 BLOCKS = 40

@@ -16,8 +16,6 @@ from identifiers.mechanics.arms.calibration import free_parameters
 if TYPE_CHECKING:
     from harness.physics.arms.marked_arm import MarkedArm
 
-__all__ = ["CalibrationPoses"]
-
 TOLD = 1e-6
 """Singular value, of the largest one, below which no posture of the arm tells a direction of the parameters."""
 PASSES = 20

@@ -16,8 +16,6 @@ from identifiers.mechanics.arms.inertial import speaks
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
 
-__all__ = ["GravityAtRest"]
-
 TOLD = 1e-8
 """Information of a direction, of the largest one's, below which no posture of the records tells it."""
 MOVED = 5.0

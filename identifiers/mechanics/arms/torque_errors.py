@@ -13,8 +13,6 @@ from harness.scoring import TorqueError
 from harness.signals import FloatArray, Trajectory
 from identifiers.mechanics.motion import motion
 
-__all__ = ["low_pass", "torque_errors"]
-
 THINNED = 2.5
 """Rows that are kept in a period of the corner: two tell what is below it, the filter is not steep."""
 

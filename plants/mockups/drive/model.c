@@ -37,7 +37,7 @@ static void prepare(double *v)
     if (!(v[V_gap] > 0)) v[V_q_load] = v[V_q], v[V_v_load] = v[V_v];
 }
 
-static double internal_step(const double *v) { return v[V_substep]; }
+OWN_SUBSTEP
 
 static void advance(double *v, double h)
 {

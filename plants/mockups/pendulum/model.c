@@ -27,9 +27,8 @@ static const char *check(const double *v)
     return NULL;
 }
 
-static void prepare(double *v) { (void)v; }
-
-static double internal_step(const double *v) { return v[V_substep]; }
+NOTHING_PREPARED
+OWN_SUBSTEP
 
 static void advance(double *v, double h)
 {

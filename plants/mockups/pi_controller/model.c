@@ -13,7 +13,7 @@ static double speed(const double *v)
 
 static const char *check(const double *v) { return v[V_low] <= v[V_high] ? NULL : "low must not exceed high"; }
 
-static void prepare(double *v) { (void)v; }
+NOTHING_PREPARED
 
 static double internal_step(const double *v)
 {

@@ -3,15 +3,8 @@ enum { MEMORY = 0 };
 
 static const char *check(const double *v) { return v[V_low] <= v[V_high] ? NULL : "low must not exceed high"; }
 
-static void prepare(double *v) { (void)v; }
-
-static double internal_step(const double *v)
-{
-    (void)v;
-    return HUGE_VAL;
-}
-
-static void advance(double *v, double h) { (void)v, (void)h; }
+NOTHING_PREPARED
+NO_MOTION
 
 static void evaluate(double *v)
 {

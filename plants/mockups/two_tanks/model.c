@@ -37,7 +37,7 @@ static void prepare(double *v)
     v[V_lower] = within(v, v[V_lower]);
 }
 
-static double internal_step(const double *v) { return v[V_substep]; }
+OWN_SUBSTEP
 
 static void advance(double *v, double h)
 {

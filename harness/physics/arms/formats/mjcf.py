@@ -20,8 +20,6 @@ from harness.physics.arms.joints import Joint
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
-__all__ = ["Drive", "Stated", "drives", "joint_names", "load_mjcf", "rotation_of", "simple_joints"]
-
 EARTH = 9.81
 SAME_GRAVITY = 1e-3
 """Relative difference of the gravity that is no other planet: 9.80665 is 3e-4 from 9.81."""

@@ -11,8 +11,6 @@ from typing import Any
 from harness.errors import InputError
 from harness.trust import registered_only
 
-__all__ = ["compiled", "mujoco", "parsed", "read_spec", "wrapped"]
-
 FILES = ("file", "filename", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 """Attributes of an MJCF or a URDF that name a file which MuJoCo opens (its XML reference)."""
 FOLDERS = {"mesh": ("meshdir", "assetdir"), "texture": ("texturedir", "assetdir")}

@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 
 from harness.errors import InputError
 
-__all__ = ["robot_contents"]
-
 
 def robot_contents(path: str | Path) -> dict[str, Any]:
     """Return the joints of a robot's file as it states them, nothing computed or filled in.

@@ -15,18 +15,6 @@ from harness.physics.arms.joints import MOVING, Joint
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
-__all__ = [
-    "dynamics_of",
-    "inertial_of",
-    "limits_of",
-    "load_urdf",
-    "pose_of",
-    "refuse_dependent",
-    "rotors_of",
-    "vector_of",
-]
-
-
 WORLD = "world"
 """The link that needs no declaration: what a robot is fastened to, as Drake and ROS read it."""
 
