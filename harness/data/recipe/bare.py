@@ -142,6 +142,16 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str], chosen: C
                     role="output", port=channel.name, derivative=derivative, unit=unit, column=column
                 )
             signals[title] = name, section
+    _refuse_no_output(table, ports, path, signals)
+    clock = next((title for title, name in said.items() if name == TIME), None) or table.clock(signals)
+    ignored = [title for title in table.titles if title and title not in signals and title != clock]
+    if ignored:
+        notes.append(f"columns that are no ports of {ports.model} are ignored: {', '.join(ignored[:8])}")
+    return signals
+
+
+def _refuse_no_output(table: Table, ports: Ports, path: Path, signals: Found) -> None:
+    """Refuse a table of which no column is an output of the model."""
     if not any(signal.role == "output" for _, signal in signals.values()):
         raise InputError(
             f"no column is an output of {ports.model}",
@@ -151,11 +161,6 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str], chosen: C
             "or write a dataset.toml",
             file=path,
         )
-    clock = next((title for title, name in said.items() if name == TIME), None) or table.clock(signals)
-    ignored = [title for title in table.titles if title and title not in signals and title != clock]
-    if ignored:
-        notes.append(f"columns that are no ports of {ports.model} are ignored: {', '.join(ignored[:8])}")
-    return signals
 
 
 def _titles(table: Table, units: dict[str, str], said: dict[str | int, str]) -> dict[str | int, tuple[str, str]]:

@@ -127,9 +127,12 @@ class TextFile:
             if named is None:
                 self.notes.append(f"line {self._lines[0][0]} holds numbers: the columns are called 0, 1, ... in order")
         else:
-            self.titles = titles
-            if self._is_of_scope():
-                return
+            self._read_titles(titles)
+
+    def _read_titles(self, titles: list[str]) -> None:
+        """Take titles that are no numbers, with the lines below them that belong to them."""
+        self.titles = titles
+        if not self._is_of_scope():
             head = [self._cells(line) for _, line in self._lines[: MOST_ROWS + 2]]
             stacked = logger_titles(head) or stacked_titles(head)
             count = 1 if stacked is None else stacked[1]

@@ -84,7 +84,7 @@ from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import by_equations
 from harness.effects.effect import Placed
-from harness.signals import FloatArray
+from harness.signals import Dataset, FloatArray
 from harness.units import behind
 
 if TYPE_CHECKING:
@@ -142,11 +142,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "tie_sets": [[_named(member) for member in effect.tie] for effect in accepted],
         "separating_experiments": [separating([p for member in effect.tie for p in member]) for effect in accepted],
         "separate_with": [separate_with(bench, effect.tie) for effect in accepted],
-        "recorded": {
-            channel.name: {"unit": channel.unit, "recorded": own}
-            for channel in found.dataset.spec.outputs
-            if (own := found.dataset.recorded.get(channel.name, channel.unit)) != channel.unit
-        },
+        "recorded": _recorded(found.dataset),
         "errors": {
             "before": errors,
             "after": deepcopy(errors) if unchanged else _errors(found, answer.fit, answer.runs),
@@ -185,6 +181,14 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
     advice = undeclared_motion(found.system) if cause else ""
     data["summary"] = "; ".join(filter(None, [_summary(data, found.policy.least, cause, _lasting(found)), advice]))
     return data
+
+
+def _recorded(data: Dataset) -> dict[str, dict[str, str]]:
+    """Return by output its unit and that in which it was recorded, where this is another."""
+    units = {
+        channel.name: (channel.unit, data.recorded.get(channel.name, channel.unit)) for channel in data.spec.outputs
+    }
+    return {name: {"unit": unit, "recorded": own} for name, (unit, own) in units.items() if own != unit}
 
 
 def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
