@@ -216,6 +216,14 @@ def compare(
             remedy="give a model and a data set",
         )
     if len(files) == 2 and is_report(files[1]):
+        asked = [name for name, given in (("--out", out), ("--max-error", max_error), ("--junit", junit)) if given]
+        if asked:
+            raise InputError(
+                "options of two reports",
+                expected="none but --json: what differs is printed",
+                got=", ".join(asked),
+                remedy="leave them out",
+            )
         told = api.compare_reports(*files)
         if as_json:
             print_json(told.rows())

@@ -176,6 +176,8 @@ def test_two_reports_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert found["simulation error of theta"]["second"] == "0.002 rad"
     assert found["parameter J"]["meaning"] == "the intervals do not meet"
     assert "what went in differs: model" in run(["compare", one, two], capsys)[1]
+    status, _, said = run(["compare", one, two, "-o", tmp_path / "page.html"], capsys)
+    assert (status, "--out" in said) == (2, True), "no option is left out without a word"
     with pytest.raises(InputError, match="not a report"):
         compare_reports(one, tmp_path)
 

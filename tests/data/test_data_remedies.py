@@ -352,7 +352,7 @@ def test_a_draft_of_a_workbook_names_its_sheet(tmp_path: Path) -> None:
         for t, u, y in zip(TIME, TORQUE, ANGLE, strict=True):
             sheet.append([float(t), sign * float(u), sign * float(y)])
     book.save(tmp_path / "a.xlsx")
-    with pytest.raises(InputError, match=r"2 others do.*'run 1', 'run 2'.*sysid new dataset a.xlsx"):
+    with pytest.raises(InputError, match=r"2 others do.*'run 1', 'run 2'.*--sheet .run 1."):
         load_dataset(tmp_path / "a.xlsx", model="pendulum")
     assert lengths(drafted(tmp_path, "a.xlsx", {})) == [(0, 80), (80, 40)]
     other = drafted(tmp_path, "a.xlsx", {'sheet = "run 1"': 'sheet = "run 2"'})

@@ -107,7 +107,7 @@ def test_the_command_says_how_far_ahead_the_bands_are_vouched_for(tmp_path, caps
     np.savetxt(table, np.column_stack([record.t, record.u, record.y]), delimiter=",", header="t,u,y", comments="")
     words = f"identify {table} --input u --output y --identifier gaussian-process -O exact=60 -O inducing=30"
     assert run_command(words.split(), Interrupts()) == 0
-    assert "bands were made to hold on held-out data up to" in capsys.readouterr().out
+    assert "Bands were made to hold on held-out data up to" in capsys.readouterr().out
 
 
 def test_every_sample_but_the_first_ones_is_held_out_once():
