@@ -198,6 +198,21 @@ def no_file(path: str | Path) -> str:
     return f"no file (near it: {', '.join(near)})" if near else "no file"
 
 
+ALIKE = 0.65
+"""Likeness of names from which one is proposed for the other: order and model have 0.6, sesnor and sensor 0.83."""
+
+
+def nearest(name: str, known: Iterable[str], most: int = 3) -> list[str]:
+    """Return the known names that a wrong one is near to, the nearest first.
+
+    Examples
+    --------
+    >>> nearest("frction", ["mass", "friction"]), nearest("order", ["model"])
+    (['friction'], [])
+    """
+    return difflib.get_close_matches(name, list(known), n=most, cutoff=ALIKE)
+
+
 def did_you_mean(name: str, known: Iterable[str], otherwise: str, most: int = 3) -> str:
     """Return a remedy: the known names that a wrong one is near to, or what to do where it is near to none.
 
@@ -206,7 +221,7 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str, most: int = 3)
     >>> did_you_mean("pendulm", ["pendulum", "drive"], "run 'sysid list'")
     'did you mean pendulum?'
     """
-    near = difflib.get_close_matches(name, list(known), n=most)
+    near = nearest(name, known, most)
     return f"did you mean {' or '.join(near)}?" if near else otherwise
 
 

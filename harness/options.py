@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import sys
 import types
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, nearest
 
 _Factory = typing.TypeVar("_Factory", bound=Callable[..., Any])
 
@@ -32,9 +31,6 @@ _NEVER: tuple[tuple[Any, tuple[Any, ...]], ...] = (
     (list | tuple | dict, (float, int, bool, str, type(None))),
 )
 """Plain types that a value certainly is not, by its own; true and false first, which Python calls numbers."""
-
-ALIKE = 0.7
-"""Likeness of names from which one is proposed for the other: order and model have 0.6."""
 
 
 def meant_options(owner: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -163,8 +159,8 @@ def instead(unknown: Sequence[str], known: Iterable[str]) -> str:
     >>> instead(["frction"], ["friction", "mass"]), instead(["colour"], ["mass"])
     ('did you mean friction for frction?', 'remove colour')
     """
-    near = {name: difflib.get_close_matches(name, list(known), n=1, cutoff=ALIKE) for name in unknown}
-    meant = [f"did you mean {found[0]} for {name}?" for name, found in near.items() if found]
+    names = list(known)
+    meant = [f"did you mean {found} for {name}?" for name in unknown for found in nearest(name, names, 1)]
     return " ".join(meant) if meant else f"remove {', '.join(unknown)}"
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 from harness.effects.effect import Placed
-from harness.errors import InputError
+from harness.errors import InputError, did_you_mean
 
 _ITEM = re.compile(
     r"(?P<no>!?)\s*(?P<name>[\w*]+)\s*(?:(?:\(\s*(?P<in>[\w*]+)\s*\))|(?:@\s*(?P<at>[\w*]+)))?\s*(?P<maybe>\??)"
@@ -129,13 +128,12 @@ class Wanted:
         """Refuse an entry that means nothing here, or not one thing."""
         names = sorted({placed.effect.name for placed in candidates})
         places = sorted({placed.at for placed in candidates if fnmatchcase(placed.effect.name, item.name)})
-        near = difflib.get_close_matches(item.name, names, n=3)
         if means:
             remedy = f"name one: {', '.join(f'{placed.effect.name}({placed.at})' for placed in means[:8])}"
         elif places:
             remedy = f"it may stand at {', '.join(places)}"
         else:
-            remedy = f"did you mean {' or '.join(near)}?" if near else "sysid list effects shows the names"
+            remedy = did_you_mean(item.name, names, "sysid list effects shows the names")
         raise InputError(
             f"{str(item)!r} in the dictionary of this run",
             expected="one effect at one port of the model"

@@ -20,7 +20,7 @@ from harness.effects.laws import (
     thermal,
     transmission,
 )
-from harness.errors import InputError
+from harness.errors import InputError, did_you_mean
 
 _FILES = (
     friction,
@@ -77,14 +77,11 @@ def find(name: str | Effect, known: Mapping[str, Effect] | None = None) -> Effec
         return name
     effects = builtin() if known is None else known
     if name not in effects:
-        import difflib
-
-        near = difflib.get_close_matches(name, effects, n=3)
         raise InputError(
             "unknown effect",
             expected=f"one of {', '.join(sorted(effects))}",
             got=repr(name),
-            remedy=f"did you mean {' or '.join(near)}?" if near else "run 'sysid list effects'",
+            remedy=did_you_mean(name, effects, "run 'sysid list effects'"),
         )
     return effects[name]
 

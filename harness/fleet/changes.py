@@ -13,7 +13,7 @@ from datetime import datetime
 import numpy as np
 
 from harness.fleet.row import Row
-from harness.fleet.trends import NORMAL, Series, series_of
+from harness.fleet.trends import NORMAL, Series, fitted, series_of
 from harness.signals import FloatArray
 from harness.units import behind
 
@@ -210,19 +210,10 @@ def _likeliest(when: FloatArray, size: FloatArray, deviation: FloatArray) -> tup
     shapes += [("outlier", k, (np.arange(n) == k).astype(float), n) for k in range(n) if n >= FEWEST]
     found = []
     for shape, place, column, tried in shapes:
-        before, by, error, left = _fitted(column, size, weight)
+        before, by, error, left = fitted(column, size, weight)
         found.append((left, _chance(by / error, left, n, 3 * tried), shape, place, before, before + by))
     _, p, shape, place, before, after = min(found)
     return shape, place, before, after, p
-
-
-def _fitted(column: FloatArray, size: FloatArray, weight: FloatArray) -> tuple[float, float, float, float]:
-    """Return a level, the factor of a column beside it, its error by the weights, and the sum of squares left."""
-    centre = float(np.average(column, weights=weight))
-    spread = float(weight @ (column - centre) ** 2)
-    by = float(weight @ ((column - centre) * size)) / spread
-    before = float(np.average(size, weights=weight)) - by * centre
-    return before, by, spread**-0.5, float(weight @ (size - before - by * column) ** 2)
 
 
 def _chance(z: float, left: float, n: int, tried: int) -> float:

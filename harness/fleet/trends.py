@@ -9,6 +9,7 @@ from datetime import datetime
 import numpy as np
 
 from harness.fleet.row import Found, Row
+from harness.signals import FloatArray
 
 LEAST = 3
 """Records of a line: with two, its slope has no error."""
@@ -131,6 +132,15 @@ def trends(series: Sequence[Series]) -> list[Trend]:
     return found
 
 
+def fitted(column: FloatArray, size: FloatArray, weight: FloatArray) -> tuple[float, float, float, float]:
+    """Return a level, the factor of a column beside it, its error by the weights, and the sum of squares left."""
+    centre = float(np.average(column, weights=weight))
+    spread = float(weight @ (column - centre) ** 2)
+    by = float(weight @ ((column - centre) * size)) / spread
+    before = float(np.average(size, weights=weight)) - by * centre
+    return before, by, spread**-0.5, float(weight @ (size - before - by * column) ** 2)
+
+
 def _slope(points: np.ndarray) -> tuple[float, float, float] | None:
     """Return slope and its 95 % interval of sizes (day, size, deviation); None with too few days."""
     day, size, deviation = points.T
@@ -138,15 +148,9 @@ def _slope(points: np.ndarray) -> tuple[float, float, float] | None:
         return None
     from scipy.stats import t
 
-    weight = deviation**-2
-    centre = np.average(day, weights=weight)
-    spread = float(weight @ (day - centre) ** 2)
-    level = np.average(size, weights=weight)
-    slope = float(weight @ ((day - centre) * size)) / spread
-    left = size - level - slope * (day - centre)
+    _, slope, error, left = fitted(day, size, deviation**-2)
     freedom = len(day) - 2
-    birge = max(1.0, float(np.sqrt(weight @ left**2 / freedom)))
-    half = float(t.ppf(0.975, freedom)) * birge / np.sqrt(spread)
+    half = float(t.ppf(0.975, freedom)) * max(1.0, np.sqrt(left / freedom)) * error
     return slope, slope - half, slope + half
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from harness.errors import InputError, as_described
 from harness.signals import FloatArray
+from harness.units import behind
 
 SHARE = 0.05
 """A parameter whose share in a null direction (columns at unit length) is below this is left out of its words."""
@@ -225,7 +226,7 @@ class Estimate:
         parts = []
         for row, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             found = self.interval(name)
-            text = f"{name} = {self.values[row]:.6g}" + ("" if unit == "1" else f" {unit}")
+            text = f"{name} = {self.values[row]:.6g}{behind(unit)}"
             parts.append(text + (f" [{found[0]:.6g}, {found[1]:.6g}]" if found else ""))
         how = f"{100 * self.level:g} %: {self.method}" if self.intervals is not None else self.method
         lines = [", ".join(parts) + (f" ({how})" if how else "")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterable
@@ -22,7 +21,7 @@ from harness.data.sections import (
     SourceSection,
     TimeSection,
 )
-from harness.errors import InputError
+from harness.errors import InputError, did_you_mean
 
 OPEN = "?"
 """What a draft writes where something has to be decided: no value of any key, so that nothing is taken before it is."""
@@ -133,12 +132,11 @@ def _refuse_unknown(content: dict[str, Any], file: str | Path | None) -> None:
         known = kind.__struct_fields__
         for key in table if isinstance(table, dict) else ():
             if key not in known:
-                near = difflib.get_close_matches(key, known, n=1)
                 raise InputError(
                     "unknown key",
                     expected=f"one of {', '.join(known)}",
                     got=repr(key),
-                    remedy=f"did you mean {near[0]}?" if near else "remove it",
+                    remedy=did_you_mean(key, known, "remove it", 1),
                     file=file,
                     place=f"{place}.{key}".lstrip("."),
                 )
@@ -252,12 +250,11 @@ def _check_run(place: str, run: RunSection, known: Iterable[str]) -> None:
         )
     for name in run.columns:
         if name not in known:
-            near = difflib.get_close_matches(name, list(known), n=1)
             raise InputError(
                 "column of an unknown signal",
                 expected=f"one of {', '.join(known)}",
                 got=repr(name),
-                remedy=f"did you mean {near[0]}?" if near else "declare the signal",
+                remedy=did_you_mean(name, known, "declare the signal", 1),
                 place=f"{place}.columns.{name}",
             )
 

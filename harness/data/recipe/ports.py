@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from harness.errors import InputError
+from harness.errors import InputError, did_you_mean
 from harness.signals import Channel
 from harness.trust import names_fmu
 
@@ -69,11 +68,10 @@ class Ports:
                 return channel
         others = self.outputs if role == "input" else self.inputs
         names = [channel.name for channel in channels]
-        near = difflib.get_close_matches(port, names, n=2, cutoff=0.4)
         if any(channel.name == port for channel in others):
             remedy = f"{port} is an {'output' if role == 'input' else 'input'} of {self.model}: correct the role"
         else:
-            remedy = f"did you mean {' or '.join(near)}?" if near else "set port = ... to one of these"
+            remedy = did_you_mean(port, names, "set port = ... to one of these", 2)
         raise InputError(
             f"{self.model} has no {role} {port!r}",
             expected=f"one of {', '.join(map(str, channels)) or '(none)'}",

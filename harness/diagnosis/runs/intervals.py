@@ -29,11 +29,6 @@ class Interval:
     low: float
     high: float
 
-    @property
-    def excludes_zero(self) -> bool:
-        """True if zero lies outside."""
-        return self.low > 0 or self.high < 0
-
     def to_dict(self, unit: str) -> dict[str, Any]:
         """Return the entry of ``report.json``; figures that do not exist are None."""
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError, unknown_name
+from harness.units import behind
 
 FAR = 100.0
 """Factor between a fitted parameter and its declared value from which both sides are said: a power of ten is a rough
@@ -156,8 +157,9 @@ def said_far(
         if (ratio >= factor and not within) or (
             GONE < ratio <= 1 / factor and 0 < abs(high) < 10 * abs(low) and low * high > 0
         ):
-            unit = "" if one.unit == "1" else f" {one.unit}"
-            parts.append(f"{one.name} = {values[one.name]:.4g}{unit} is {ratio:.2g} times the declared {one.value:g}")
+            parts.append(
+                f"{one.name} = {values[one.name]:.4g}{behind(one.unit)} is {ratio:.2g} times the declared {one.value:g}"
+            )
     return f"check the units of the columns, time included: {', '.join(parts)}" if parts else None
 
 
