@@ -153,8 +153,9 @@ def all_readings(
 def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
     """Return an outcome whose model has the values that all readings tell, as sure as these make them.
 
-    The search looks at fewer: they tell a law as well, and beside exact sensors its size half as sharply. A model that
-    does not come to its end there, or to what physics allows, stays as it was.
+    The search looks at fewer: they tell a law as well, and beside exact sensors its size half as sharply. Initial
+    states and unmeasured forces begin anew: those of the fewer belong to other instants, and lead a model that leaves
+    nothing unexplained astray. One that does not come to its end, or to what physics allows, stays as it was.
 
     Parameters
     ----------
@@ -163,7 +164,7 @@ def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
     outcome : Outcome
     """
     fit = outcome.model
-    found = None if whole is None else whole.fit(fit.effects, [fit.values], fit)
+    found = None if whole is None else whole.fit(fit.effects, [fit.values], None)
     if whole is None or found is None or not found.converged:
         return outcome
     if any(impossible(whole, one, found) for one in fit.effects):

@@ -57,10 +57,12 @@ def _special_cases(table: Table, base: Fit, fits: Fits, begun: Mapping[Placed, B
 class _Race:
     """Refits that were begun, from where, and which of them are to be finished.
 
-    What no law allows is no answer, nor what was refused: neither says how little an answer may gain.
+    What no law allows is no answer, nor what was refused: neither says how little an answer may gain. ``found`` is what
+    the base brings beyond the nominal model.
     """
 
     base: Fit
+    found: float
     policy: Policy
     laws: Dictionary
     begun: dict[Placed, Begun | None] = field(default_factory=dict)
@@ -102,8 +104,9 @@ class _Race:
         return 0.5 * float(np.log(self.base.samples)) * free
 
     def _needed(self, placed: Placed) -> float:
-        """Return what the first steps must gain: nothing is accepted that does not pay for its parameters."""
-        return max(self.enough(), self.policy.reach * (self.policy.evidence + self._price(placed)))
+        """Return what the first steps must gain of what acceptance asks: to pay, and the share of a further effect."""
+        asked = max(self.policy.evidence, self.policy.second_share * self.found)
+        return max(self.enough(), self.policy.reach * (asked + self._price(placed)))
 
     def _forbidden(self, placed: Placed) -> bool:
         """Return True for what no law allows: it must not take the place of what one does."""
@@ -113,7 +116,7 @@ class _Race:
 
 def _begun(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> _Race:
     """Begin the refits of all that promises something, and of what no promise tells of."""
-    race = _Race(base, table.policy, table.laws)
+    race = _Race(base, base.penalised - table.nominal.penalised, table.policy, table.laws)
     before = base.log_likelihood("estimation")
     for lead in [*chosen(test, table.laws, table.policy), *_remembered(table, base, test, untried)]:
         table.say(str(lead.placed))
