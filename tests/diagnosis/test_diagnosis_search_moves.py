@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from linear_form import (
     ALL,
+    NAMES,
     USES,
     LinearForm,
     accepted,
@@ -28,7 +31,7 @@ from harness.diagnosis.search import moves
 from harness.diagnosis.search.compare import Comparison, Judged, compared, judged
 from harness.diagnosis.search.fit import Begun, Fit, Suspect
 from harness.diagnosis.search.generalised import refined_twice
-from harness.diagnosis.search.moves import add_two, drop, exchange, exchange_contradicted
+from harness.diagnosis.search.moves import best_of, climbed, drop, exchange, exchange_contradicted, pair
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.scores import score_test
@@ -37,6 +40,10 @@ from harness.diagnosis.search.table import Answer, Round, Table, value
 from harness.diagnosis.search.ties import total, unknown_parts
 from harness.diagnosis.search.warm import as_good
 from harness.effects.effect import Placed
+
+
+def pair_instead(table: Table, answer: Answer) -> Answer | None:
+    return best_of(table, answer, pair(table, answer))
 
 
 def test_a_law_that_stood_in_for_two_is_taken_back() -> None:
@@ -51,6 +58,29 @@ def test_a_law_that_stood_in_for_two_is_taken_back() -> None:
     whole = compared(outcome.model, nominal)
     assert sum(one.evidence for one in outcome.accepted) == pytest.approx(whole.evidence), "shared, and not twice"
     assert sum(one.validation for one in outcome.accepted) == pytest.approx(whole.validation)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    hidden=st.dictionaries(st.sampled_from(NAMES), st.sampled_from([0.15, 0.3, 0.6]), max_size=3),
+    mixture=st.tuples(st.sampled_from(NAMES), st.sampled_from(NAMES), st.sampled_from(NAMES)),
+    order=st.permutations(NAMES),
+)
+@settings(max_examples=60, deadline=None)
+def test_the_order_of_the_dictionary_changes_no_answer(
+    seed: int, hidden: dict[str, float], mixture: tuple[str, str, str], order: list[str]
+) -> None:
+    records = linear_records(seed, hidden)
+    if len({*mixture}) == 3:  # one law that may stand in for two
+        mixed(records, mixture[0], **{mixture[1]: 0.7, mixture[2]: 0.7, mixture[0]: 0.3})
+    found = []
+    for names in (NAMES, order):
+        form = LinearForm(records)
+        outcome = search(form, form.fit((), [], None), [placed(name) for name in names])
+        ties = {str(one.placed): {frozenset(map(str, member)) for member in one.tie} for one in outcome.accepted}
+        found.append((ties, value(outcome.model)))
+    assert found[0][0] == found[1][0]
+    assert found[0][1] == pytest.approx(found[1][1], rel=1e-9)
 
 
 def test_on_a_model_that_says_nothing_no_second_effect_is_built() -> None:
@@ -73,7 +103,7 @@ def test_a_pair_in_the_place_of_one_law_brings_what_is_asked_of_an_effect(ahead:
     terms = {use: [values - ahead / len(values) for values in both.terms[use]] for use in USES}
     answer = replace(form.fit([one], [], nominal), terms=terms, count=both.count)
     past = Round(nominal, score_test(form, nominal, ALL), (judged(form, [spring], alone, nominal, nominal),))
-    found = add_two(table_of(form, nominal, past), answer_of(answer, one))
+    found = pair_instead(table_of(form, nominal, past), answer_of(answer, one))
     assert (found is not None and accepted(found) == {"linear_spring", "quadratic_drag"}) == taken
 
 
@@ -88,7 +118,7 @@ def test_a_pair_has_no_member_that_would_not_pass_beside_the_other() -> None:
     alone, both = form.fit([spring], [], nominal), form.fit([spring, drag], [], nominal)
     assert judged(form, [drag], both, alone, nominal).passed, "the drag counts beside the spring"
     first = Round(nominal, score_test(form, nominal, ALL), (judged(form, [spring], alone, nominal, nominal),))
-    assert add_two(table_of(form, nominal, first), Answer(nominal)) is None
+    assert pair_instead(table_of(form, nominal, first), Answer(nominal)) is None
 
 
 @pytest.mark.parametrize("beyond", [False, True])
@@ -111,7 +141,7 @@ def test_a_second_effect_beside_a_rival_may_bring_some_times_what_its_column_pro
     )
     assert gained > 2 * POLICY.evidence, "the pair is likelier than the answer so far"
     past = Round(nominal, score_test(form, nominal, ALL), (first,))
-    found = add_two(table_of(form, nominal, past), answer_of(answer, general))
+    found = pair_instead(table_of(form, nominal, past), answer_of(answer, general))
     assert found is None if beyond else found is not None and accepted(found) == {"cubic_spring", "quadratic_drag"}
 
 
@@ -135,7 +165,8 @@ def test_a_joint_has_its_bristles_once() -> None:
     past = Round(nominal, score_test(form, nominal, ALL), (rival,))
     for later, begun in ((bristles, 0), (placed("quadratic_drag"), 1)):
         chosen = [placed("cubic_spring"), later]
-        exchange(table_of(form, nominal, past, past), answer_of(form.fit(chosen, [], nominal), *chosen))
+        answer = answer_of(form.fit(chosen, [], nominal), *chosen)
+        assert climbed(table_of(form, nominal, past, past), answer, exchange) is answer
         assert len(tried) == begun
 
 
@@ -144,7 +175,7 @@ def test_an_effect_that_later_ones_make_needless_is_dropped_and_one_that_counts_
     nominal = form.fit((), [], None)
     for earlier, stays in (("cubic_spring", False), ("linear_spring", True)):
         chosen = [placed(earlier), placed("quadratic_drag")]
-        found = drop(table_of(form, nominal), answer_of(form.fit(chosen, [], nominal), *chosen))
+        found = climbed(table_of(form, nominal), answer_of(form.fit(chosen, [], nominal), *chosen), drop)
         assert accepted(found) == ({earlier, "quadratic_drag"} if stays else {"quadratic_drag"})
         assert len(found.model.effects) == len(found.accepted)
 
@@ -268,7 +299,7 @@ def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() 
     alone = form.fit(chosen[1:], [], nominal)
     assert alone.values[main("viscous_friction")] < 0, "its sign is forbidden"
     assert compared(alone, answer.model).total > -POLICY.tie, "and it explains as much"
-    assert accepted(drop(table_of(form, nominal), answer)) == {"quadratic_drag", "viscous_friction"}
+    assert accepted(climbed(table_of(form, nominal), answer, drop)) == {"quadratic_drag", "viscous_friction"}
 
 
 def test_what_no_score_test_sees_takes_its_first_steps_in_full() -> None:
@@ -385,11 +416,11 @@ def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: 
     assert any(refusal.kind is Kind.OTHER_LAW for refusal in both.refusals) is goes
     first = Round(nominal, score_test(form, nominal, ALL), (judged(form, [drag], base, nominal, nominal),))
 
-    def best_of(*rows: Judged) -> Answer | None:
+    def step(*rows: Judged) -> Answer | None:
         past = Round(base, score_test(form, base, ALL), rows)
-        return _step(table_of(form, nominal, first, past), answer_of(base, drag), past)
+        return _step(table_of(form, nominal, first, past), answer_of(base, drag))
 
-    found = best_of(both)
+    found = step(both)
     assert found is not None
     if not goes:
         assert accepted(found) == {"quadratic_drag", "viscous_friction"}, "both are laws beside each other"
@@ -402,7 +433,7 @@ def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: 
         more = value(found.model) + ahead - value(both.fit)
         terms = {**both.fit.terms, "validation": [each + more / len(each) for each in both.fit.terms["validation"]]}
         passing = replace(both, added=(spring,), fit=replace(both.fit, terms=terms), refusals=())
-        better = best_of(both, passing)
+        better = step(both, passing)
         assert better is not None
         names = {"quadratic_drag", "linear_spring"} if stays else {"viscous_friction"}
         assert accepted(better) == names, "a likelier candidate comes first; one that ties does not"
@@ -415,7 +446,7 @@ def test_two_laws_that_are_ones_beside_each_other_stay() -> None:
     base = form.fit([drag], [], nominal)
     both = judged(form, [friction], form.fit([drag, friction], [], base), base, nominal)
     past = Round(base, score_test(form, base, ALL), (replace(both, refusals=(Refusal(Kind.UNCONVERGED),)),))
-    assert [*exchange_contradicted(table_of(form, nominal, past), answer_of(base, drag), past)] == []
+    assert [*exchange_contradicted(table_of(form, nominal, past), answer_of(base, drag))] == []
 
 
 @pytest.mark.parametrize(("first", "refined"), [("coulomb_friction", True), ("linear_spring", False)])
@@ -444,7 +475,7 @@ def test_a_second_friction_keeps_no_refinement_of_the_first_from_its_place(
         return [answer.exchanged(0, rich, instead, 0)]
 
     monkeypatch.setattr("harness.diagnosis.search.search.generalise_earlier", refining)
-    found = _step(table_of(form, nominal, past), answer, past)
+    found = _step(table_of(form, nominal, past), answer)
     assert found is not None
     assert [one.placed for one in found.accepted] == ([rich] if refined else [law, second])
 
@@ -486,7 +517,10 @@ def test_a_rival_takes_the_place_of_an_earlier_effect_from_its_own_nominal_param
     alone = replace(alone, values={**alone.values, "a": 7.0})
     past = Round(nominal, score_test(form, nominal, ALL), (judged(form, [right], alone, nominal, nominal),))
     answer = answer_of(form.fit([wrong, later], [], nominal), wrong, later)
-    assert accepted(exchange(table_of(form, nominal, past, past), answer)) == {"linear_spring", "quadratic_drag"}
+    assert accepted(climbed(table_of(form, nominal, past, past), answer, exchange)) == {
+        "linear_spring",
+        "quadratic_drag",
+    }
     assert {start["a"] for start in starts} == {7.0, form.fit([wrong, later], [], nominal).values["a"]}
     assert all(main("quadratic_drag") in start for start in starts), "the later effect stays where it is"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -321,6 +322,10 @@ def _rate_changes(
     def plain(trace: Trace, u: FloatArray) -> FloatArray:
         return along(trace, base, trace.x[:, : nominal.nx], u, nominal.vector(known))
 
+    @cache
+    def without(trace: Trace) -> FloatArray:
+        return plain(trace, trace.record.u)
+
     def rates(trace: Trace, case: Mapping[str, float]) -> FloatArray:
         if whole is None or made is None:
             return plain(trace, input_behind(placed, trace, nominal, case))
@@ -331,9 +336,10 @@ def _rate_changes(
     def change(trace: Trace, given: Mapping[str, float], linear: Sequence[str]) -> FloatArray:
         complete = placed.effect.complete(given, at)
         if not linear:
-            return (rates(trace, complete) - plain(trace, trace.record.u))[:, :, None]
+            return (rates(trace, complete) - without(trace))[:, :, None]
         nothing = {**complete, **{name: placed.effect.parameter(name).neutral or 0.0 for name in linear}}
-        before = rates(trace, nothing)
+        gone = placed.effect.neutral(nothing) == nothing
+        before = without(trace) if gone else rates(trace, nothing)
         return np.stack([rates(trace, {**nothing, n: nothing[n] + 1.0}) - before for n in linear], axis=2)
 
     return change

@@ -1,13 +1,14 @@
-"""The moves of the search from an answer to others: an effect is added, exchanged, specialised or dropped.
+"""The moves of the search: each yields answers that are one step away from an answer, fitted into the table.
 
-A move fits sets of effects into the table and returns the answers among them that stand. Which of these is taken, one
-function tells: :func:`preferred`.
+Which of them is taken, one function tells: :func:`preferred`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import Policy
@@ -22,6 +23,8 @@ from harness.diagnosis.search.ties import alike, physical, tied, total
 from harness.diagnosis.search.warm import own_values, polished, start_between
 from harness.diagnosis.stand_in import same_whole
 from harness.effects.effect import Placed
+
+Move = Callable[[Table, Answer], Iterator[Answer]]
 
 
 def preferred(table: Table, new: Answer, old: Answer, *, simpler: bool = False) -> bool:
@@ -39,6 +42,19 @@ def preferred(table: Table, new: Answer, old: Answer, *, simpler: bool = False) 
     return value(new.model) > value(old.model) + asked
 
 
+def best_of(table: Table, answer: Answer, trials: Iterable[Answer], *, simpler: bool = False) -> Answer | None:
+    """Return the likeliest of some answers that are to take the place of another one; None where none is."""
+    stand = [trial for trial in trials if preferred(table, trial, answer, simpler=simpler)]
+    return max(stand, key=lambda trial: value(trial.model), default=None)
+
+
+def climbed(table: Table, answer: Answer, move: Move, *, simpler: bool = False) -> Answer:
+    """Return where a move leads from an answer until it betters it no more."""
+    while (better := best_of(table, answer, move(table, answer), simpler=simpler)) is not None:
+        answer = better
+    return answer
+
+
 def _corner(table: Table, fit: Fit) -> float:
     """Return what a law may bring more than a special case and be no other law: a share of what all effects bring."""
     return table.policy.second_share * (value(fit) - value(table.nominal))
@@ -47,9 +63,9 @@ def _corner(table: Table, fit: Fit) -> float:
 # ---- add -------------------------------------------------------------------------------------------------------------
 
 
-def expanded(table: Table, base: Fit) -> Round:
-    """Fit a set with each effect more that promises something; the set itself is at its maximum then."""
-    present = named(base.effects)
+def expanded(table: Table, answer: Answer) -> Answer:
+    """Fit an answer with each effect more that promises something, as a round; return it, at its maximum then."""
+    base, present = answer.model, named(answer.model.effects)
     untried = [placed for placed in table.candidates if str(placed) not in present]
     laws = [placed for placed in untried if not placed.effect.grows]
     test = score_test(table.form, base, laws, table.policy)
@@ -60,25 +76,29 @@ def expanded(table: Table, base: Fit) -> Round:
     clear = [row for row in rows if row.comparison is not None and row.comparison.evidence >= table.policy.evidence]
     past = Round(base, test.with_shown({str(row.added[0]) for row in clear}), tuple(rows), left)
     table.rounds.append(past)
-    return past
+    return replace(answer, model=base)
 
 
-def add(table: Table, answer: Answer, past: Round) -> tuple[Judged, Answer] | None:
-    """Return the best candidate beside an answer, or the simplest that ties with it.
+def add(table: Table, answer: Answer) -> Iterator[Answer]:
+    """Yield answers with one candidate of the last round more, first the one to take.
 
-    Of its special cases, and of the other laws of what it is the whole law of: dry friction at the same place.
+    It is the likeliest one, or the simplest that these data do not tell from it: of its special cases, and of the other
+    laws of what it is the whole law of, dry friction at the same place.
     """
-    passed = [row for row in past.candidates if row.passed]
-    if not passed:
-        return None
-    best = max(passed, key=total)
-    for row in sorted(passed, key=lambda row: (row.fit.count if row.fit else 0, -total(row))):
-        first, other = best.added[0], row.added[0]
-        special, fit = first.generalises(other), best.fit
-        tie = tied(best, row, table.policy) and (special or same_whole(first, other))
-        if tie or (special and fit is not None and total(best) - total(row) < _corner(table, fit)):
-            return row, answer.added(row, len(table.rounds) - 1)
-    return best, answer.added(best, len(table.rounds) - 1)
+    passed = sorted((row for row in table.rounds[-1].candidates if row.passed), key=total, reverse=True)
+    same = [row for row in passed if _no_more(table, passed[0], row)] or passed[:1]
+    first = min(same, key=lambda row: row.fit.count if row.fit else 0, default=None)
+    for row in sorted(passed, key=lambda row: row is not first):
+        yield answer.added(row, len(table.rounds) - 1)
+
+
+def _no_more(table: Table, best: Judged, row: Judged) -> bool:
+    """Return True for a candidate that the best one is, as far as these data tell, or a corner of it."""
+    first, other, fit = best.added[0], row.added[0], best.fit
+    special = first.generalises(other)
+    if special and fit is not None and total(best) - total(row) < _corner(table, fit):
+        return True
+    return (special or same_whole(first, other)) and tied(best, row, table.policy)
 
 
 def _ended(table: Table, rows: Sequence[Judged], base: Fit) -> list[Judged]:
@@ -108,26 +128,32 @@ def _unfinished(row: Judged, best: Judged | None, policy: Policy) -> bool:
     return best is None or tied(best, row, policy)
 
 
-def add_two(table: Table, answer: Answer) -> Answer | None:
-    """Return the best pair in the place of a first answer: one law may stand in for two.
+def pair(table: Table, answer: Answer) -> Iterator[Answer]:
+    """Yield pairs in the place of a first answer, each likelier than the one before: one law may stand in for two.
 
     Its best rivals go to their end, and get a second effect. Each of a pair has to pass beside the other, as if it had
     been found last.
     """
-    best: Answer | None = None
+    best = -np.inf
     for rival in _rivals(table, answer):
         fit = rival.fit
         if fit is not None and fit.beyond:  # alone it had no hope: beside another it may
             fit = table.fit(fit.effects, [fit.values], fit)
-            best = _better(table, best, [table.judged(rival.added, fit)])
+            row = table.judged(rival.added, fit)
+            if fit is not None and row.passed and value(fit) > best:
+                best = value(fit)
+                yield _together(table, row)
         if fit is None:
             continue
         for lead in _second(table, answer, rival, fit):
             table.say(f"{rival.added[0]} + {lead.placed}")
             starts = [{**fit.values, **start} for start in lead.starts]
-            pair = table.fit([*fit.effects, lead.placed], starts, fit)
-            best = _better(table, best, _pair(table, rival.added[0], lead.placed, pair, fit, best))
-    return best if best is not None and preferred(table, best, answer) else None
+            both = table.fit([*fit.effects, lead.placed], starts, fit)
+            if both is not None and value(both) > best:
+                row = table.judged([rival.added[0], lead.placed], both)
+                if row.passed and _each_passes(table, row, fit):
+                    best = value(both)
+                    yield _together(table, row)
 
 
 def _rivals(table: Table, answer: Answer) -> list[Judged]:
@@ -160,59 +186,58 @@ def _second(table: Table, answer: Answer, rival: Judged, fit: Fit) -> Iterator[L
             yield lead
 
 
-def _pair(
-    table: Table, first: Placed, second: Placed, pair: Fit | None, alone: Fit, best: Answer | None
-) -> list[Judged]:
-    """Return a pair, judged, if each of the two passes beside the other."""
-    whole = table.judged([first, second], pair)
-    if pair is None or not (whole.passed and table.judged([second], pair, alone).passed):
-        return []
-    if best is not None and value(pair) <= value(best.model):
-        return []
+def _each_passes(table: Table, row: Judged, alone: Fit) -> bool:
+    """Return True for a pair of which each passes beside the other; ``alone`` is the fit with the first one."""
+    first, second = row.added
+    assert row.fit is not None
+    if not table.judged([second], row.fit, alone).passed:
+        return False
     other = table.best([second])
     if other is None or not other.converged:
-        other = table.fit([second], [pair.values], table.nominal) or table.nominal
-    return [whole] if table.judged([first], pair, other).passed else []
+        other = table.fit([second], [row.fit.values], table.nominal) or table.nominal
+    return table.judged([first], row.fit, other).passed
 
 
-def _better(table: Table, best: Answer | None, rows: Sequence[Judged]) -> Answer | None:
-    """Return the best of an answer and others that pass, each effect of several with its part of the evidence."""
-    for row in rows:
-        if row.fit is None or row.comparison is None or not row.passed:
-            continue
-        if best is not None and value(row.fit) <= value(best.model):
-            continue
-        each = row.comparison.evidence / len(row.added), row.comparison.validation / len(row.added)
-        best = Answer(row.fit, tuple(
-            Accepted(placed, ((placed,), *alike(placed, table.rounds[0], table.laws)), *each, found=number)
-            for number, placed in enumerate(row.added)
-        ))  # fmt: skip
-    return best
+def _together(table: Table, row: Judged) -> Answer:
+    """Return the answer of effects that were found together, each with its part of the evidence."""
+    assert row.fit is not None
+    assert row.comparison is not None
+    share = row.comparison.evidence / len(row.added), row.comparison.validation / len(row.added)
+    return Answer(row.fit, tuple(
+        Accepted(placed, ((placed,), *alike(placed, table.rounds[0], table.laws)), *share, found=number)
+        for number, placed in enumerate(row.added)
+    ))  # fmt: skip
 
 
 # ---- exchange, generalise, specialise --------------------------------------------------------------------------------
 
 
-def second_friction(base: Fit, best: Judged) -> bool:
-    """Return True for a law of what a place has a whole law of already: a second dry friction at a joint."""
-    return any(same_whole(best.added[-1], placed) for placed in base.effects)
+def second_friction(answer: Answer) -> bool:
+    """Return True if the last effect is a law of what a place has a whole law of already: a second dry friction."""
+    *earlier, last = answer.model.effects
+    return any(same_whole(last, placed) for placed in earlier)
 
 
-def exchange_contradicted(table: Table, answer: Answer, past: Round) -> Iterator[Answer]:
-    """Yield answers with a candidate in the place of an earlier effect that is no law beside it.
+def _clear(table: Table, past: Round) -> list[tuple[Placed, Fit]]:
+    """Return the likeliest candidates of a round with the evidence that is asked for, whatever else is said of them."""
+    rows = [
+        (row.added[0], row.fit)
+        for row in sorted(past.candidates, key=total, reverse=True)
+        if row.fit is not None and row.comparison is not None and row.comparison.evidence >= table.policy.evidence
+    ]
+    return rows[: EFFORT.pairs + 1]
+
+
+def exchange_contradicted(table: Table, answer: Answer) -> Iterator[Answer]:
+    """Yield answers with a candidate of the last round in the place of an earlier effect that is no law beside it.
 
     Signs that a law does not have show two effects that do the same.
     """
     base = answer.model
-    for row in sorted(past.candidates, key=lambda row: -total(row))[: EFFORT.pairs + 1]:
-        if row.fit is None or row.comparison is None or row.comparison.evidence < table.policy.evidence:
-            continue
-        new = row.added[0]
+    for new, beside in _clear(table, table.rounds[-1]):
         for number, earlier in enumerate(answer.accepted):
-            if earlier.given:
-                continue
-            if wrong_signs(earlier.placed, row.fit.values):
-                fit = table.fit([*answer.without(number), new], [row.fit.values], base, base)
+            if not earlier.given and wrong_signs(earlier.placed, beside.values):
+                fit = table.fit([*answer.without(number), new], [beside.values], base, base)
                 if fit is not None and table.judged([new], fit).passed:
                     yield answer.exchanged(number, new, fit, len(table.rounds) - 1)
 
@@ -225,81 +250,52 @@ def generalise_earlier(table: Table, answer: Answer) -> Iterator[Answer]:
                 yield answer.exchanged(number, rich, fit, len(table.rounds) - 1)
 
 
-def exchange(table: Table, answer: Answer) -> Answer:
-    """Return an answer in which rivals of earlier effects took their places: the first may have stood in for two."""
+def exchange(table: Table, answer: Answer) -> Iterator[Answer]:
+    """Yield answers with a rival of an earlier effect in its place: the first may have stood in for two."""
     for number, earlier in answer.earlier:
-        if earlier.found >= len(table.rounds):
-            continue
-        past, best = table.rounds[earlier.found], answer
-        rivals = [
-            row
-            for row in past.candidates
-            if row.fit is not None and row.comparison is not None and row.comparison.evidence > table.policy.evidence
-        ]
-        for row in sorted(rivals, key=lambda row: -total(row))[: EFFORT.pairs + 1]:
-            trial = _exchanged(table, answer, number, row, best.model)
-            if trial is not None and preferred(table, trial, best):
-                best = trial
-        if best is not answer:
-            changed = best.accepted[number]
-            tie = dict.fromkeys([*changed.tie, *alike(changed.placed, past, table.laws)])
-            changed = replace(changed, tie=tuple(tie))
-            answer = Answer(best.model, (*best.accepted[:number], changed, *best.accepted[number + 1 :]))
-    return answer
+        past = table.rounds[earlier.found] if earlier.found < len(table.rounds) else None
+        for new, alone in _clear(table, past) if past else ():
+            others = answer.without(number)
+            if str(new) in named(answer.model.effects) or refined_twice([*others, new]):
+                continue
+            fit = _in_place(table, answer.model, others, new, alone)
+            if past and fit is not None and table.judged([new], fit).passed:
+                yield answer.exchanged(number, new, fit, earlier.found, alike(new, past, table.laws))
 
 
-def _exchanged(table: Table, answer: Answer, number: int, row: Judged, best: Fit) -> Answer | None:
-    """Return an answer with a rival in the place of an effect, if its first steps may lead it to the best one."""
-    new, model, others = row.added[0], answer.model, answer.without(number)
-    if str(new) in named(model.effects) or refined_twice([*others, new]):
-        return None
-    assert row.fit is not None
+def _in_place(table: Table, model: Fit, others: Sequence[Placed], new: Placed, alone: Fit) -> Fit | None:
+    """Return a fit with a rival in the place of an effect, if its first steps may lead it to the model."""
     # nominal parameters as they are beside the effect that would go, and as they were beside its rival
-    starts = [{**model.values, **values} for values in (own_values(new, row.fit), row.fit.values)]
-    hope = best.log_likelihood("estimation") - EFFORT.margin
+    starts = [{**model.values, **values} for values in (own_values(new, alone), alone.values)]
+    hope = model.log_likelihood("estimation") - EFFORT.margin
     begun = table.begin([*others, new], starts, model, hope)
-    if begun is None or begun.log_likelihood < hope:
-        return None
-    fit = table.finish(begun, model, best)
-    if fit is None or not table.judged([new], fit).passed:
-        return None
-    return answer.exchanged(number, new, fit, answer.accepted[number].found)
+    return None if begun is None or begun.log_likelihood < hope else table.finish(begun, model, model)
 
 
-def specialise(table: Table, answer: Answer) -> Answer:
-    """Return an answer with special cases in the place of laws where the data do not tell the two apart.
+def specialise(table: Table, answer: Answer) -> Iterator[Answer]:
+    """Yield answers with a special case of a law in its place.
 
     Asked of a law beside what did not stand beside it when it was accepted: what was general there may have been so for
     what another effect explains.
     """
-    rows = [row for past in table.rounds for row in past.candidates if row.fit is not None]
+    rows = [(row.added[0], row.fit) for past in table.rounds for row in past.candidates if row.fit is not None]
     for number, earlier in enumerate(answer.accepted):
-        rich, others = earlier.placed, answer.without(number)
+        rich, others, model = earlier.placed, answer.without(number), answer.model
         if earlier.given or earlier.beside == named(others):
             continue
-        special = {row.added[0]: row.fit for row in rows if rich.generalises(row.added[0])}
-        for simple, alone in special.items():
-            assert alone is not None
-            model = answer.model
+        for simple, alone in {simple: fit for simple, fit in rows if rich.generalises(simple)}.items():
             starts = [start_between(simple, alone, rich, model), {**model.values, **own_values(simple, alone)}]
             fit = table.fit([*others, simple], starts, model, model)
-            trial = answer.exchanged(number, simple, fit, earlier.found) if fit and table.lawful(fit) else None
-            if trial is not None and preferred(table, trial, answer, simpler=True):
-                answer = trial
-                break
-    return answer
+            if fit is not None and table.lawful(fit):
+                yield answer.exchanged(number, simple, fit, earlier.found)
 
 
 # ---- drop ------------------------------------------------------------------------------------------------------------
 
 
-def drop(table: Table, answer: Answer) -> Answer:
-    """Return an answer without the earlier effects that a later one has made needless."""
-    for _, earlier in answer.earlier:
-        number, model = answer.accepted.index(earlier), answer.model
-        left = answer.without(number)
-        fit = table.fit(left, [model.values], model, model)
+def drop(table: Table, answer: Answer) -> Iterator[Answer]:
+    """Yield answers without one of the earlier effects: a later one may have made it needless."""
+    for number, _ in answer.earlier:
+        fit = table.fit(answer.without(number), [answer.model.values], answer.model, answer.model)
         if fit is not None and table.lawful(fit):
-            trial = answer.dropped(number, fit)
-            answer = trial if preferred(table, trial, answer) else answer
-    return answer
+            yield answer.dropped(number, fit)

@@ -9,18 +9,20 @@ from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.moves import (
     add,
-    add_two,
+    best_of,
+    climbed,
     drop,
     exchange,
     exchange_contradicted,
     expanded,
     generalise_earlier,
+    pair,
     preferred,
     second_friction,
     specialise,
 )
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.table import Answer, Round, Say, Table, silent, value
+from harness.diagnosis.search.table import Answer, Say, Table, silent
 from harness.diagnosis.search.ties import asked_again, tie_set_of_last, unknown_parts
 from harness.diagnosis.search.warm import settled
 from harness.effects.effect import Placed
@@ -66,38 +68,37 @@ def search(
     answer = table.given(given) if begun is None else Answer(begun.model, begun.accepted)
     paired = bool(given)  # a pair would be one in the place of what is given
     while len(answer.accepted) < policy.most + len(given):
-        past = expanded(table, answer.model)
-        answer = Answer(past.base, answer.accepted)
-        better = _step(table, answer, past)
+        answer = expanded(table, answer)
+        better = _step(table, answer)
         if lost((better or answer).model):
             ended = better or answer
             return Outcome(form, table.nominal, ended.model, ended.accepted, tuple(table.rounds))
         if better is not None and len(better.accepted) > 1:
-            better = drop(table, exchange(table, better))
+            better = climbed(table, climbed(table, better, exchange), drop)
         if not paired and (better is None or len(table.rounds) > 1):
-            better, paired = add_two(table, better or answer) or better, True
+            so_far, paired = better or answer, True
+            better = best_of(table, so_far, pair(table, so_far)) or better
         if better is None:
             break
         answer = better
-    answer = specialise(table, answer)
+    answer = climbed(table, answer, specialise, simpler=True)
     answer = replace(answer, model=settled(table, answer.model))
     answer = unknown_parts(table, asked_again(table, answer))
     return Outcome(form, table.nominal, answer.model, answer.accepted, tuple(table.rounds))
 
 
-def _step(table: Table, answer: Answer, past: Round) -> Answer | None:
+def _step(table: Table, answer: Answer) -> Answer | None:
     """Return the best answer that one move away from another betters it; None where none does.
 
     A second friction at a joint only imitates what one law is, and keeps no refinement of the first from its place. An
     exchange is taken where it ties with what is added: it is one effect less.
     """
-    found = add(table, answer, past)
-    trials = [*exchange_contradicted(table, answer, past)]
-    if found is None or second_friction(answer.model, found[0]):
+    added = [*add(table, answer)]
+    clear = [one for one in added if not second_friction(one)]
+    trials = [*exchange_contradicted(table, answer)]
+    if not added or added[0] not in clear:
         trials += generalise_earlier(table, answer)
-    trials = [trial for trial in trials if preferred(table, trial, answer)]
-    best = max(trials, key=lambda trial: value(trial.model), default=None)
-    rivals = [row.fit for row in past.candidates if row.passed and not second_friction(answer.model, row)]
-    if best is not None and all(fit is None or value(best.model) > value(fit) - table.policy.tie for fit in rivals):
+    best = best_of(table, answer, trials)
+    if best is not None and all(preferred(table, best, one) for one in clear):
         return best
-    return None if found is None else tie_set_of_last(table, found[1], past, found[0])
+    return tie_set_of_last(table, added[0]) if added else None

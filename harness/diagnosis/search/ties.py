@@ -107,11 +107,12 @@ def tie_set(
     return tuple(found)
 
 
-def tie_set_of_last(table: Table, answer: Answer, past: Round, best: Judged) -> Answer:
-    """Return an answer whose last effect, found in a round, has its tie set."""
-    rivals = [*past.candidates, *held(table, best, past)]
-    last = replace(answer.accepted[-1], tie=tie_set(table.form, best, rivals, table.policy))
-    return replace(answer, accepted=(*answer.accepted[:-1], last))
+def tie_set_of_last(table: Table, answer: Answer) -> Answer:
+    """Return an answer whose last effect, found in the last round, has its tie set."""
+    last, past = answer.accepted[-1], table.rounds[-1]
+    best = next(row for row in past.candidates if row.added[-1] == last.placed)
+    tie = tie_set(table.form, best, [*past.candidates, *held(table, best, past)], table.policy)
+    return replace(answer, accepted=(*answer.accepted[:-1], replace(last, tie=tie)))
 
 
 def alike(placed: Placed, past: Round, laws: Dictionary) -> list[tuple[Placed, ...]]:
