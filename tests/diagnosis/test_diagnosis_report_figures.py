@@ -207,7 +207,7 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
     gain = more.get("rival")
     row = None if gain is None else Judged((DRAG,), a_fit(), Comparison(*gain, 4.0, 8.0), (Refusal(Kind.UNCONVERGED),))
     found = SimpleNamespace(
-        leftover=SimpleNamespace(best=SimpleNamespace(name=more["best"]) if "best" in more else None),
+        left=SimpleNamespace(name=more["best"]) if "best" in more else None,
         promised=row,
         outcome=SimpleNamespace(
             withdrawn=[SimpleNamespace(placed=DRAG)] if "withdrawn" in more else [],

@@ -108,6 +108,16 @@ class FreeRuns:
         whole = sum(float((errors**2).sum()) for errors in self.before.validation)
         return change < -max(policy.tie_z * error, policy.explained * whole)
 
+    def to_the_noise(self, policy: Policy) -> bool:
+        """Return True if the final model leaves no more of the validation records than the noise of their sensors.
+
+        But for the share of it that a model which explains all may leave.
+        """
+        if self.after is None or not self.after.finite:
+            return False
+        square = np.mean(np.concatenate(list(self.after.validation)) ** 2, axis=0) * self.output.weights**2
+        return bool(np.all(square <= (1.0 + policy.explained) * self.noise))
+
     def _change(self, policy: Policy) -> tuple[float, float]:
         """Return by how much the sum of squared errors grows, and its standard error over blocks."""
         assert self.before is not None
