@@ -5,21 +5,25 @@
 A fault is another comparison, sign, product, junction or number (DeMillo, Lipton & Sayward 1978, *Computer* 11(4):34);
 which of them are planted depends on the seed alone. Works in a temporary copy of the tree. The tests of a room run
 once with a tracer, which knows the lines that each test reaches; a fault is then held against the tests that reach its
-line, the quickest first, or, where none does in its own process, against the longest. Results are JSON lines
-(``--out``); a fault that was noticed and whose file is as it was is not planted again. ``lab/planted_faults.py`` plants
-faults in the diagnosis that somebody has thought of.
+line, the quickest first, or, where none does in its own process, against the longest, in a fork of a process that has
+imported what the tests import from elsewhere. A test that fails without the fault notices nothing. Results are JSON
+lines (``--out``); a fault that was noticed and whose file is as it was is not planted again. ``lab/planted_faults.py``
+plants faults in the diagnosis that somebody has thought of.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import hashlib
 import json
+import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +38,20 @@ ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "cosim": ("harness/cosim", (), ("tests/cosim", COMMON)),
     "fleet": ("harness/fleet", ("page.py",), ("tests/fleet", COMMON)),
     "data": ("harness/data", ("page.py",), ("tests/data", COMMON)),
-    "benchmark": ("harness/benchmark", ("plots.py", "overlays.py", "report.py", "public"), ("tests/benchmark", COMMON)),
+    "benchmark": (
+        "harness/benchmark",
+        ("plots.py", "overlays.py", "report.py", "public"),
+        ("tests/benchmark", COMMON, "--ignore-glob=*public*"),
+    ),
 }
 """By room its folder, what only has a look (or is being built) in it, and the tests that are to notice beside its own
-examples."""
+examples, in pytest's words."""
 FAILING = 4
 """Tests of a room that must not fail unharmed; fewer are left out."""
-SECONDS = 60.0
+SECONDS = 30.0
 """What the tests of one fault may take together, by the time that they took unharmed."""
+PATIENCE = 10.0
+"""With a fault they may take this many times as long, and start in :data:`SECONDS`; what takes longer is noticed."""
 ROUNDING = 1e-6
 """Below it a number is there for rounding."""
 SWAPS: Mapping[type[ast.AST], tuple[str, str]] = {
@@ -51,10 +61,14 @@ SWAPS: Mapping[type[ast.AST], tuple[str, str]] = {
     ast.And: ("and", "or"), ast.Or: ("or", "and"),
 }  # fmt: skip
 """What stands between two operands, and what is planted instead."""
+TOLERANCES = ("rtol", "atol", "rcond")
+"""Arguments that let rounding pass where they are that small."""
+LEFT_ALONE = ("annotation", "returns", "decorator_list", "op", "ops")
+"""Parts of the syntax tree that hold no faults of their own."""
 TRACER = """
-import json, sys, time
+import json, sys, threading
 ROOT, FILES, OUT = {root!r}, {files!r}, {out!r}
-reached, lasted, passed = {{}}, {{}}, set()
+reached, lasted, failed, skipped = {{}}, {{}}, set(), set()
 
 def tracer(lines):
     def local(frame, event, argument):
@@ -63,22 +77,68 @@ def tracer(lines):
         return local
     return lambda frame, event, argument: local if frame.f_code.co_filename.startswith(FILES) else None
 
+def pytest_runtest_setup(item):
+    lines = tracer(reached.setdefault(item.nodeid, set()))
+    threading.settrace(lines)
+    sys.settrace(lines)
+
 def pytest_runtest_call(item):
-    lines = reached.setdefault(item.nodeid, set())
-    sys.settrace(tracer(lines))
+    pytest_runtest_setup(item)
 
 def pytest_runtest_logreport(report):
-    if report.when == "call":
-        sys.settrace(None)
-        lasted[report.nodeid] = report.duration
-        if report.passed:
-            passed.add(report.nodeid)
+    sys.settrace(None)
+    lasted[report.nodeid] = lasted.get(report.nodeid, 0.0) + report.duration
+    if not report.passed:
+        (failed if report.failed else skipped).add(report.nodeid)
 
 def pytest_sessionfinish():
-    found = {{name: sorted({{(file[len(ROOT) + 1:], line) for file, line in reached[name]}}) for name in passed}}
-    json.dump({{"reached": found, "lasted": lasted}}, open(OUT, "w"))
+    found = {{name: sorted({{(file[len(ROOT) + 1:], line) for file, line in reached[name]}})
+             for name in reached if name not in failed | skipped}}
+    others = [name for name, module in list(sys.modules.items())
+              if getattr(module, "__spec__", None) and not str(getattr(module, "__file__", None)).startswith(ROOT)]
+    json.dump({{"reached": found, "lasted": lasted, "failed": sorted(failed), "modules": others}}, open(OUT, "w"))
 """
-"""A plug-in of pytest, made for one room."""
+"""A plug-in of pytest, made for one room; what sets up a test is the test's."""
+SERVER = """
+import atexit, gc, importlib, json, os, signal, sys, time, warnings
+from importlib.metadata import entry_points
+own = {one.module.partition(".")[0] for one in entry_points(group="pytest11")}
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    for name in json.load(open(sys.argv[1])):
+        if name.partition(".")[0] not in own:
+            try:
+                importlib.import_module(name)
+            except BaseException:
+                pass
+import pytest
+gc.freeze()
+for line in sys.stdin:
+    arguments, limit = json.loads(line)
+    child = os.fork()
+    if not child:
+        os.setsid()
+        for place, flags in enumerate((os.O_RDONLY, os.O_WRONLY, os.O_WRONLY)):
+            os.dup2(os.open(sys.argv[2] if place else os.devnull, flags | os.O_CREAT), place)
+        os.truncate(sys.argv[2], 0)
+        code = pytest.main(arguments)
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        os._exit(code)
+    end, done = time.monotonic() + limit, 0
+    while not done and time.monotonic() < end:
+        time.sleep(0.02)
+        done, status = os.waitpid(child, os.WNOHANG)
+    try:
+        os.killpg(child, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+    if not done:
+        os.waitpid(child, 0)
+    print(json.dumps(os.waitstatus_to_exitcode(status) if done else None), flush=True)
+os._exit(0)  # what was imported has nothing to say at the end
+"""
+"""A process that has imported what is not under test, and runs tests in a fork of itself."""
 
 
 @dataclass(frozen=True)
@@ -149,13 +209,20 @@ def mutations_of(file: str, text: str) -> Iterator[Mutation]:
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             start = at(node.lineno, node.col_offset)
             yield found(node, start, at(node.operand.lineno, node.operand.col_offset), "", inside)
+        elif isinstance(node, ast.keyword) and node.arg in TOLERANCES and _slack(node.value):
+            return
         elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
             start, end = at(node.lineno, node.col_offset), at(node.end_lineno or 0, node.end_col_offset or 0)
             new = repr(node.value + 1) if isinstance(node.value, int) else repr(1.5 * node.value or 0.1)
             yield found(node, start, end, new, inside)
+        if isinstance(node, ast.FunctionDef):  # a default is that of whoever enters
+            for default in (*node.args.defaults, *filter(None, node.args.kw_defaults)):
+                yield from (replace(one, first=node.lineno, last=node.end_lineno or 0) for one in walk(default, True))
         inside = inside or isinstance(node, ast.FunctionDef | ast.Lambda)
         for name, value in ast.iter_fields(node):
-            if name in ("annotation", "returns", "decorator_list", "op", "ops") or isinstance(node, ast.JoinedStr):
+            if name in LEFT_ALONE or isinstance(node, ast.JoinedStr):
+                continue
+            if name == "args" and isinstance(node, ast.FunctionDef):
                 continue
             for child in value if isinstance(value, list) else [value]:
                 if isinstance(child, ast.AST) and not isinstance(child, ast.Raise | ast.Import | ast.ImportFrom):
@@ -181,48 +248,91 @@ def chosen_of(room: str, count: int, seed: int) -> list[Mutation]:
     return sorted(every, key=lambda one: one.rank(seed))[:count]
 
 
-def traced(room: str, folder: Path) -> tuple[dict[str, set[tuple[str, int]]], dict[str, float]]:
-    """Return the lines that each test of a room reaches, and how long it takes."""
-    out = folder / "reached.json"
-    place, _, tests = ROOMS[room]
-    text = TRACER.format(root=str(folder), files=str(folder / place), out=str(out))
-    (folder / "reached.py").write_text(text, encoding="utf-8")
-    code, line = run_tests(folder, [place, *tests, "-p", "reached"], most=FAILING)
-    told = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {"reached": {}, "lasted": {}}
-    failing = sorted(set(told["lasted"]) - set(told["reached"]))
-    if code is None or not told["reached"] or len(failing) >= FAILING:
-        raise SystemExit(f"{room}: its tests do not pass unharmed: {code} {line}")
-    if failing:  # one that interrupts something at its time may fail beneath the tracer
-        print(f"{room}: left out, as they fail unharmed: {', '.join(failing)}", flush=True)
-    out.unlink()
-    return {name: set(map(tuple, lines)) for name, lines in told["reached"].items()}, told["lasted"]
+@dataclass(frozen=True)
+class Room:
+    """The tests of a room in a copy of the tree, and the process that runs them."""
+
+    folder: Path
+    reached: dict[str, set[tuple[str, int]]]
+    lasted: Mapping[str, float]
+    server: subprocess.Popen[str]
+    sound: dict[str, bool] = field(default_factory=dict)
+    """Which tests pass unharmed beside what was imported before them, as far as it was asked."""
+
+    def run(self, tests: Sequence[str]) -> tuple[int | None, list[str]]:
+        """Return the exit code of pytest (None: it took too long) and the tests that failed: one, where any did."""
+        arguments = [*tests, "--maxfail=1", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not slow", "-rfE"]
+        arguments += ["--no-header", "--tb", "no", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+        limit = SECONDS + PATIENCE * sum(self.lasted[name] for name in tests)
+        assert self.server.stdin is not None
+        assert self.server.stdout is not None
+        print(json.dumps([arguments, limit]), file=self.server.stdin, flush=True)
+        code = json.loads(self.server.stdout.readline())
+        said = (self.folder / "said").read_text(encoding="utf-8", errors="replace").splitlines()
+        told = [line.split(" ", 1)[1] for line in said if line.startswith(("FAILED ", "ERROR "))]
+        return code, [name for name in tests if any(line == name or line.startswith(f"{name} - ") for line in told)]
+
+    def tried(self, one: Mutation) -> dict[str, str]:
+        """Plant a fault, run the tests that reach it, and take it out again."""
+        lines = {(one.file, line) for line in range(one.first, one.last + 1)}
+        near = [name for name, own in self.reached.items() if own & lines]
+        if not near and not one.inside:  # it runs when the file is imported
+            near = [name for name, own in self.reached.items() if any(file == one.file for file, _ in own)]
+        slow = not near  # perhaps a worker process of one of the longer tests reaches it, which nothing traces
+        near = near or [name for name in self.reached if name.startswith("tests/")]
+        picked: list[str] = []
+        time = 0.0
+        for name in sorted(near, key=lambda name: -self.lasted[name] if slow else self.lasted[name]):
+            time += self.lasted[name]
+            if picked and time > SECONDS:
+                break
+            picked.append(name)
+        path = self.folder / one.file
+        sound = path.read_bytes()
+        while picked:
+            path.write_bytes(sound[: one.start] + one.new.encode() + sound[one.end :])
+            try:
+                code, failed = self.run(picked)
+            finally:
+                path.write_bytes(sound)
+            if code == 0:
+                break
+            for name in failed:
+                if name not in self.sound:
+                    self.sound[name] = self.run([name])[0] == 0
+            if all(self.sound[name] for name in failed):
+                return {"result": "noticed", "by": failed[0] if failed else f"pytest ended with {code}"}
+            for name in failed:
+                picked.remove(name)
+                del self.reached[name]
+        return {"result": "not reached" if slow else "unnoticed", "by": f"{len(picked)} tests"}
 
 
-def tried(one: Mutation, folder: Path, reached: Mapping[str, set[tuple[str, int]]], lasted: Mapping[str, float]) -> Any:
-    """Plant a fault, run the tests that reach it, and take it out again."""
-    lines = {(one.file, line) for line in range(one.first, one.last + 1)}
-    near = [name for name, own in reached.items() if own & lines]
-    if not near and not one.inside:  # it runs when the file is imported
-        near = [name for name, own in reached.items() if any(file == one.file for file, _ in own)]
-    slow = not near  # perhaps a worker process of one of the longer tests reaches it, which nothing traces
-    near = near or [name for name in reached if name.startswith("tests/")]
-    picked: list[str] = []
-    time = 0.0
-    for name in sorted(near, key=lambda name: -lasted[name] if slow else lasted[name]):
-        time += lasted[name]
-        if picked and time > SECONDS:
-            break
-        picked.append(name)
-    path = folder / one.file
-    sound = path.read_bytes()
-    path.write_bytes(sound[: one.start] + one.new.encode() + sound[one.end :])
-    try:
-        code, line = run_tests(folder, picked)
-    finally:
-        path.write_bytes(sound)
-    if code != 0:
-        return {"result": "noticed", "by": line}
-    return {"result": "not reached" if slow else "unnoticed", "by": f"{len(picked)} tests"}
+@contextlib.contextmanager
+def opened(room: str) -> Iterator[Room]:
+    """Copy the tree, find the lines that each test of a room reaches and how long it takes, and start the server."""
+    with tempfile.TemporaryDirectory(prefix="mutations-") as scratch:
+        folder = Path(scratch)
+        copied(folder)
+        out = folder / "reached.json"
+        place, _, tests = ROOMS[room]
+        text = TRACER.format(root=str(folder), files=str(folder / place), out=str(out))
+        (folder / "reached.py").write_text(text, encoding="utf-8")
+        code, line = run_tests(folder, [place, *tests, "-p", "reached"], most=FAILING)
+        told = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {"reached": {}, "failed": []}
+        if code is None or not told["reached"] or len(told["failed"]) >= FAILING:
+            raise SystemExit(f"{room}: its tests do not pass unharmed: {code} {line}")
+        if told["failed"]:  # one that interrupts something at its time may fail beneath the tracer
+            print(f"{room}: left out, as they fail unharmed: {', '.join(told['failed'])}", flush=True)
+        modules = folder / "modules.json"
+        modules.write_text(json.dumps(told["modules"]), encoding="utf-8")
+        environment = dict(os.environ, PYTHONPATH=str(folder), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+        command = [sys.executable, "-c", SERVER, str(modules), str(folder / "said")]
+        with subprocess.Popen(
+            command, cwd=folder, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as server:
+            reached = {name: set(map(tuple, lines)) for name, lines in told["reached"].items()}
+            yield Room(folder, reached, told["lasted"], server)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -239,18 +349,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         faults = chosen_of(room, asked.count, asked.seed)
         identities = {one: one.identity((ROOT / one.file).read_text(encoding="utf-8")) for one in faults}
         left = [one for one in faults if known.get(identities[one], {}).get("result") != "noticed"]
-        with tempfile.TemporaryDirectory(prefix="mutations-") as scratch:
-            folder = Path(scratch)
-            if left:
-                copied(folder)
-                reached, lasted = traced(room, folder)
+        with opened(room) if left else contextlib.nullcontext() as tests:
             for one in left:
-                row = {
-                    "identity": identities[one],
-                    "room": room,
-                    "fault": str(one),
-                    **tried(one, folder, reached, lasted),
-                }
+                assert tests is not None
+                row = {"identity": identities[one], "room": room, "fault": str(one), **tests.tried(one)}
                 known[identities[one]] = row
                 with asked.out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from harness.errors import InputError
-from harness.units import convert
+from harness.units import convert, told
 
 VERDICTS = ("effects_found", "nothing_missing", "unexplained", "model_does_not_fit")
 """What ``verdict`` of report.json may say (harness/schemas/report.json)."""
@@ -154,7 +154,10 @@ class Demands:
                 except InputError as error:
                     raise error.located(place=f"--max-error {output}") from error
                 limit -= zero  # an error is a difference: 2 degC are 2 K
-            said = "diverges" if value is None or not math.isfinite(value) else f"{value:.4g} {unit}"
+            said = "diverges"
+            if value is not None and math.isfinite(value):
+                size, own = told(value, unit, stated or unit)
+                said = f"{size:.4g} {own}"
             passed = value is not None and value <= limit
             found.append(
                 Check(

@@ -20,6 +20,9 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 _FIRST = 50
 
 
+SAME_CLOCK = 1e-3
+"""Part of a sample time by which that of data may differ from a model's: as between the runs of one data set."""
+
 DIVERGED = 1e6
 """NRMSE from which a prediction counts as diverged: it shows how fast the model grows, and nothing of the plant."""
 
@@ -86,6 +89,11 @@ def same_language(spec: PlantSpec, data: Trajectory, what: str = "model") -> Non
     InputError
         If names or units of inputs or outputs, or the sample time, differ.
     """
+    if not isinstance(data, Trajectory):
+        raise InputError(
+            "data", expected="a Trajectory, as load_dataset(...).dataset.runs hold", got=type(data).__name__,
+            remedy="use the methods of harness.load_model(...), which read files and tables",
+        )  # fmt: skip
     other = data.spec
     for side in ("inputs", "outputs"):
         mine = [(channel.name, channel.unit) for channel in getattr(spec, side)]
@@ -97,11 +105,11 @@ def same_language(spec: PlantSpec, data: Trajectory, what: str = "model") -> Non
                 got=", ".join(f"{n} [{u}]" for n, u in theirs) or "none",
                 remedy="rename or convert the signals, or fit a model to data of this kind",
             )
-    if abs(spec.sample_time - other.sample_time) > 1e-9 * spec.sample_time:
+    if abs(spec.sample_time - other.sample_time) > SAME_CLOCK * spec.sample_time:
         raise InputError(
             "sample time of the data",
-            expected=f"{spec.sample_time:g} s, that of the {what}",
-            got=f"{other.sample_time:g} s",
+            expected=f"{spec.sample_time:.9g} s, that of the {what}",
+            got=f"{other.sample_time:.9g} s",
             remedy="resample the data, or discretize the model anew",
         )
 
@@ -153,7 +161,7 @@ def predict(
     return predictions
 
 
-def states_ahead(model: Model, data: Trajectory, horizon: int = 1, *, initial_samples: int | None = None) -> FloatArray:
+def states_ahead(model: Model, data: Trajectory, horizon: int, *, initial_samples: int | None = None) -> FloatArray:
     """Return the states from which :func:`predict` reads its predictions.
 
     Parameters
@@ -329,8 +337,7 @@ def free_runs(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
     outputs = np.empty((m, n, model.spec.ny))
     for k in range(n):
         outputs[:, k] = model.output(x, u[:, k])
-        if k + 1 < n:
-            x = model.step(x, u[:, k])
+        x = model.step(x, u[:, k])
     return outputs
 
 
@@ -343,8 +350,7 @@ def filtered(model: Model, x: FloatArray, data: Trajectory) -> FloatArray:
     states = np.empty((n, x.shape[-1]))
     for k in range(n):
         states[k] = x = model.correct(x, data.u[k], data.y[k])
-        if k + 1 < n:
-            x = model.step(x, data.u[k])
+        x = model.step(x, data.u[k])
     return states
 
 

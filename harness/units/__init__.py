@@ -1,7 +1,11 @@
-"""Units as text: read in bounded time (``grammar``), and converted once, at the border, with pint (``conversion``)."""
+"""Units as text: read in bounded time (``grammar``), converted once, at the border, with pint (``conversion``).
+
+What a person is shown goes back into the units in which it was recorded (``own``).
+"""
 
 from harness.units.conversion import base_units, convert, factors_of, fits, is_unit, refuse_two_readings, told
 from harness.units.grammar import behind, product, quotient
+from harness.units.own import own_record, own_unit, own_values
 
 __all__ = [
     "base_units",
@@ -10,6 +14,9 @@ __all__ = [
     "factors_of",
     "fits",
     "is_unit",
+    "own_record",
+    "own_unit",
+    "own_values",
     "product",
     "quotient",
     "refuse_two_readings",

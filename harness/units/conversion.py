@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from harness.units.known import is_known, is_with_seconds
 
 if TYPE_CHECKING:
     import pint
+
+T = TypeVar("T", float, FloatArray)
 
 
 WRITTEN = {
@@ -401,19 +403,31 @@ def convert(values: FloatArray, unit: str, target: str) -> FloatArray:
     return np.asarray(_registry().Quantity(values, source).to(goal).magnitude, dtype=float)
 
 
-def told(size: float, unit: str, own: str) -> tuple[float, str]:
-    """Return a size, as of an error, in the user's own unit, and that unit; as it is where that has another zero.
+def told(values: T, unit: str, own: str, *, reading: bool = False) -> tuple[T, str]:
+    """Return values in the user's own unit, and that unit; as they are where it is another quantity.
+
+    Parameters
+    ----------
+    values : float or array
+        Any shape, in ``unit``.
+    unit, own : str
+        Unit of the values, and that of the user.
+    reading : bool
+        True for what a sensor reads, which has the zero of its unit; a difference, an error or a noise has none.
 
     Examples
     --------
-    >>> told(0.25, "m", "mm"), told(0.1, "K", "degC")
-    ((250.0, 'mm'), (0.1, 'K'))
+    >>> told(0.25, "m", "mm"), told(0.5, "K", "degC"), told(293.15, "K", "degC", reading=True)
+    ((250.0, 'mm'), (0.5, 'degC'), (20.0, 'degC'))
     """
     try:
-        zero, found = convert(np.array([0.0, size]), unit, own).tolist()
-    except InputError:  # a count that was taken for an angle
-        return size, unit
-    return (found, own) if zero == 0.0 else (size, unit)
+        meant = next(text for text in _readings(own) if fits(text, unit))
+        found = convert(np.asarray(values, dtype=float), unit, meant)
+        if not reading:
+            found = found - convert(np.zeros(()), unit, meant)
+    except (InputError, StopIteration):  # a count that was taken for an angle
+        return values, unit
+    return (found if isinstance(values, np.ndarray) else float(found)), own
 
 
 def _misfit(unit: str, target: str) -> InputError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from harness import registry
+from harness.benchmark import BenchResult, bench
 
 sys.path.insert(0, str(Path(__file__).parent))  # made rows are a module beside the tests
 
@@ -212,11 +214,40 @@ def plugin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def plugins(plugin_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+@contextlib.contextmanager
+def found(folder: Path) -> Iterator[Path]:
     """Let the registry find the plug-ins, here and in the workers (which take over sys.path)."""
-    monkeypatch.syspath_prepend(str(plugin_folder))
-    registry._all.cache_clear()
-    yield plugin_folder
-    registry._all.cache_clear()
-    sys.modules.pop("bench_plugins", None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        registry._all.cache_clear()
+        try:
+            yield folder
+        finally:
+            registry._all.cache_clear()
+            sys.modules.pop("bench_plugins", None)
+
+
+@pytest.fixture
+def plugins(plugin_folder: Path) -> Iterator[Path]:
+    """Let the registry find the plug-ins in a test."""
+    with found(plugin_folder) as folder:
+        yield folder
+
+
+GOOD = """
+name = "trial"
+seeds = [0, 1]
+[[groups]]
+plants = [{id = "test-lag"}, {id = "test-lag", label = "slow lag", options = {pole = 0.98}}]
+scenarios = [{id = "prbs", options = {samples = 200, noise = 0.01}}]
+identifiers = [{id = "test-fit"}, {id = "test-online"}]
+"""
+
+
+@pytest.fixture(scope="session")
+def good(plugin_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> BenchResult:
+    """Return a benchmark of ordinary plug-ins, run once by two workers; its suite lies above its folder."""
+    folder = tmp_path_factory.mktemp("good")
+    (folder / "trial.toml").write_text(GOOD)
+    with found(plugin_folder):
+        return bench(folder / "trial.toml", out=folder / "out", workers=2)

@@ -14,7 +14,7 @@ from scipy import stats
 
 from harness.benchmark.control import _point, _regret
 from harness.benchmark.parts import Part, Score, Task
-from harness.benchmark.statistics import Ranking, _median_ratio, ranking, replicates, standings
+from harness.benchmark.statistics import Ranking, Standing, _median_ratio, ranking, replicates, standings
 from harness.benchmark.summary import figure, pairs_in_words, summarise
 from harness.benchmark.work import _do_cell, _score_distributions
 from harness.scoring.control import LinearPlantModel, control_regret
@@ -178,6 +178,7 @@ def test_a_standing_has_its_chance_from_the_signs_and_its_marks_from_five_pairs_
     assert {name: (one.state, one.chance, one.marked) for name, one in even.items()} == {
         "a": ("best", 1.0, True), "b": ("undecided", 1.0, False)
     }  # fmt: skip
+    assert even["a"] == Standing("best", 1.0, (1.0, 1.0), 5, 1)
     assert not standings({"a": [1.0] * 4, "b": [1.0] * 4})["a"].marked
     failing = standings({"a": [1.0] * 9, "b": [None] * 4 + [1.5] * 5, "c": [None] * 5 + [1.0] * 4})
     assert set(failing) == {"a", "b"}
@@ -280,6 +281,15 @@ def test_control_is_scored_at_the_equilibrium_next_to_the_mean_of_the_records() 
     assert far == "the records do not move about an equilibrium"
     blind = [Trajectory(runs[0].t, runs[0].u, runs[0].y, runs[0].spec)]
     assert _point(made, blind) == "the plant does not tell its states"
+
+
+def test_an_input_that_stands_still_has_the_size_one() -> None:
+    made, (run,) = about(0.0, 0.7)
+    still = Trajectory(run.t, np.full_like(run.u, 2.0), run.y, run.spec, run.x)
+    point = _point(made, [still])
+    assert not isinstance(point, str)
+    assert point.spread == pytest.approx([*run.x.std(axis=0), 1.0])  # type: ignore[union-attr]
+    assert point.hold == pytest.approx([2.0])
 
 
 def test_the_regret_of_control_is_in_samples_of_the_optimal_cost() -> None:

@@ -21,8 +21,8 @@ from harness.benchmark.page.tables import _Column, _folded, _reasons, _status
 from harness.benchmark.parts import Part, Score, Suite, Task
 from harness.benchmark.planning import Plan, plan_of
 from harness.benchmark.row import STATUSES, Row, blank, encoded, one_line, read_row, sound
-from harness.benchmark.running import _batches, _logged, _missing, plan
-from harness.benchmark.store import BATCH, Store
+from harness.benchmark.running import _batches, _logged, _missing, _result, plan
+from harness.benchmark.store import BATCH, Store, versions
 from harness.benchmark.suite import _job, cells_of, load_suite, tasks_of
 from harness.benchmark.summary import figure, summarise
 from harness.errors import InputError, PlantError
@@ -291,6 +291,9 @@ def test_a_store_batches_shards_and_gives_rows_in_the_order_of_the_suite(
     assert not store.shards.exists()
     assert not store.waiting()
     assert list(store.open(suite, pairs, resume=True)) == list(jobs[:4])
+    read = _result(store, [full("d")])
+    assert (read.suite, read.planned, read.cells, read.description) == ("name", 5, (("p", "s", "hold"),), "told")
+    assert (read.rows, read.folder, read.versions) == ((full("d"),), store.folder, versions())
     manifest = store.read_manifest()
     assert (manifest["suite"], manifest["description"], manifest["planned"]) == ("name", "told", None)
     assert [cell[0] for cell in manifest["cells"]] == list(jobs)

@@ -18,7 +18,7 @@ from harness.benchmark.columns import columns_of_files, rows_of, write_rows
 from harness.benchmark.control import _point, _regret
 from harness.benchmark.page.exports import render
 from harness.benchmark.parts import Part, Score, Task
-from harness.benchmark.planning import read_shard
+from harness.benchmark.planning import read_shard, share
 from harness.benchmark.records import _recorded
 from harness.benchmark.row import Row
 from harness.benchmark.suite import load_suite
@@ -71,6 +71,19 @@ WIDE = """\
 6 unfit: kern on p x s: expected more, got less
 1 timeout: rls on q x s: rls took more than 60 s
 """
+HEADED = """\
+
+p, s, best 0.1
+                 equation  simulation
+identifier   ok  error     error           x best  regret
+────────────────────────────────────────────────────────────────
+arx         6/6  0.113     0.122           1.23
+deep        6/6  0.113     0.66 [.64 .68]  6.6
+kern        0/6  unfit
+
+q, s
+rls         6/7                                    4.5 [3.2 5.8]
+"""
 NARROW = """\
 
 
@@ -100,6 +113,7 @@ than 60 s
 def test_a_table_is_printed_to_the_letter() -> None:
     wide = printed(110)
     assert wide[wide.index("\n\n") : wide.index("Marked: ")] == WIDE
+    assert HEADED in printed(90)
     narrow = printed(40)
     assert narrow[narrow.index("\n\n") : narrow.index("Marked: ")] == NARROW
     assert wide.endswith("below 2.\n18 ok of 25 run, 25 planned")
@@ -137,6 +151,8 @@ def test_what_a_suite_does_not_say(tmp_path: Path) -> None:
         with pytest.raises(InputError):
             load_suite(tmp_path / "axes.toml")
     assert [read_shard(text) for text in (None, "1/1", " 2 / 3 ", "3/3")] == [None, (1, 1), (2, 3), (3, 3)]
+    dealt = [share("abcdefg", (number, 3)) for number in (1, 2, 3)]
+    assert [share("abc", None), *dealt] == [("a", "b", "c"), ("a", "d", "g"), ("b", "e"), ("c", "f")]
     for text in ("0/3", "4/3", "/3", "1/", "1", "1/x", "-1/3", "0/0"):
         with pytest.raises(InputError, match="1 <= i <= n"):
             read_shard(text)
@@ -212,8 +228,8 @@ def test_a_plant_is_held_where_a_sample_moves_no_state_by_more_than_a_fiftieth_o
     x -= x.mean(axis=0)
     u = np.sin(t)[:, None]
     u -= u.mean()
-    for share, fits in ((0.019, True), (0.021, False), (0.026, False)):
-        off = x + 2.0 * share * x.std(axis=0)  # one sample goes half way to rest
+    for part, fits in ((0.019, True), (0.021, False), (0.026, False)):
+        off = x + 2.0 * part * x.std(axis=0)  # one sample goes half way to rest
         found = _point(made, [Trajectory(t, u, off, spec, off)])
         assert isinstance(found, str) is not fits, share
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
@@ -43,8 +42,8 @@ def by_label(result: BenchResult) -> dict[str, Any]:
     return {row.identifier: row for row in result.rows if row.seed == 0}
 
 
-def test_good_cells_are_scored(plugins: Path, tmp_path: Path) -> None:
-    result = bench(write_suite(tmp_path, GOOD), out=tmp_path / "out", workers=2)
+def test_good_cells_are_scored(good: BenchResult) -> None:
+    result = good
     assert len(result.rows) == result.planned == 8
     assert {row.status for row in result.rows} == {"ok"}
     fit = next(row for row in result.rows if row.identifier == "test-fit")
@@ -59,7 +58,8 @@ def test_good_cells_are_scored(plugins: Path, tmp_path: Path) -> None:
     assert [(r.plant, r.seed) for r in result.rows if r.identifier == "test-fit"] == [
         ("test-lag", 0), ("test-lag", 1), ("slow lag", 0), ("slow lag", 1),
     ]  # fmt: skip
-    assert not (tmp_path / "out" / "shards").exists()
+    assert result.folder is not None
+    assert not (result.folder / "shards").exists()
 
 
 def test_every_way_to_break_is_a_row_and_costs_no_other_row(plugins: Path, tmp_path: Path) -> None:
@@ -109,33 +109,29 @@ def test_a_plant_that_breaks_is_a_row_for_each_identifier(plugins: Path, tmp_pat
     assert result.folder is None
 
 
-def test_results_are_identical_for_any_number_of_workers_and_after_resume(plugins: Path, tmp_path: Path) -> None:
-    suite = write_suite(tmp_path, GOOD)
-    digests = set()
-    for name, workers in (("one", 1), ("two", 2)):
-        bench(suite, out=tmp_path / name, workers=workers)
-        digests.add(hashlib.sha256((tmp_path / name / "results.parquet").read_bytes()).hexdigest())
-    bench(suite, out=tmp_path / "three", workers=2, seeds=(0, 0))
-    bench(suite, out=tmp_path / "three", workers=2, resume=True)
-    digests.add(hashlib.sha256((tmp_path / "three" / "results.parquet").read_bytes()).hexdigest())
-    assert len(digests) == 1
+def test_results_are_identical_for_any_number_of_workers_and_after_resume(
+    plugins: Path, tmp_path: Path, good: BenchResult
+) -> None:
+    assert good.folder is not None
+    suite, one, two = good.folder.parent / "trial.toml", tmp_path / "one", good.folder
+    bench(suite, out=one, workers=1, seeds=(0, 0))
+    bench(suite, out=one, workers=1, resume=True)
+    assert (one / "results.parquet").read_bytes() == (two / "results.parquet").read_bytes()
 
 
-def test_changing_the_identifiers_never_changes_the_data(plugins: Path, tmp_path: Path) -> None:
-    alone = GOOD.replace(', {id = "test-online"}', "")
-    first = bench(write_suite(tmp_path, GOOD), workers=1)
-    second = bench(write_suite(tmp_path, alone), workers=1)
-    fits = [[row.simulation_error for row in r.rows if row.identifier == "test-fit"] for r in (first, second)]
+def test_changing_the_identifiers_never_changes_the_data(plugins: Path, tmp_path: Path, good: BenchResult) -> None:
+    alone = bench(write_suite(tmp_path, GOOD.replace(', {id = "test-online"}', "")), workers=1)
+    fits = [[row.simulation_error for row in r.rows if row.identifier == "test-fit"] for r in (good, alone)]
     assert fits[0] == fits[1]
 
 
-def test_a_folder_with_results_is_refused_unless_resumed(plugins: Path, tmp_path: Path) -> None:
-    suite = write_suite(tmp_path, GOOD)
-    bench(suite, out=tmp_path / "out", workers=1, seeds=(0, 0))
+def test_a_folder_with_results_is_refused_unless_resumed(plugins: Path, good: BenchResult) -> None:
+    assert good.folder is not None
+    suite, out = good.folder.parent / "trial.toml", good.folder
     with pytest.raises(InputError, match="--resume"):
-        bench(suite, out=tmp_path / "out", workers=1)
+        bench(suite, out=out, workers=1)
     with pytest.raises(InputError, match="rows of other cells"):
-        bench(suite, out=tmp_path / "out", workers=1, seeds=(5, 5), resume=True)
+        bench(suite, out=out, workers=1, seeds=(5, 5), resume=True)
 
 
 SCRIPT = """
@@ -152,7 +148,7 @@ def test_an_interrupted_run_keeps_its_rows_and_resumes(plugins: Path, tmp_path: 
     suite, out = write_suite(tmp_path, groups, seeds=list(range(8))), tmp_path / "out"
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
-    environment = {**os.environ, "PYTHONPATH": str(plugins)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(plugins), os.environ.get("PYTHONPATH", "")])}
     process = subprocess.Popen(
         [sys.executable, str(script), str(suite), str(out)], env=environment, stderr=subprocess.PIPE, text=True
     )
@@ -175,11 +171,12 @@ def test_an_interrupted_run_keeps_its_rows_and_resumes(plugins: Path, tmp_path: 
     assert result.ok == 32, [row.reason for row in result.rows if row.status != "ok"]
 
 
-def test_table_and_query_read_a_folder_back(plugins: Path, tmp_path: Path) -> None:
+def test_table_and_query_read_a_folder_back(tmp_path: Path, good: BenchResult) -> None:
     from rich.console import Console
 
-    made = bench(write_suite(tmp_path, GOOD), out=tmp_path / "out", workers=2)
-    read = table(tmp_path / "out")
+    made = good
+    assert made.folder is not None
+    read = table(made.folder)
     assert read.rows == made.rows
     console = Console(width=160, record=True, file=io.StringIO())
     console.print(rich_table(read))

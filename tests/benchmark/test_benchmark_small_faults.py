@@ -3,56 +3,32 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_rows import row
 
 from harness.benchmark.control import _regret
 from harness.benchmark.page.tables import _shown
 from harness.benchmark.records import _recorded
 from harness.benchmark.running import _seed_list
 from harness.benchmark.summary import Quartiles
-from harness.benchmark.work import _pooled
-from harness.errors import InputError
+from harness.benchmark.work import _pooled, _score_regret
+from harness.errors import InputError, PlantError
+from harness.protocols import Growth, Hindsight
 from harness.scoring import Score
 from harness.scoring.control import LinearPlantModel
-from harness.signals import FloatArray
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.linear.least_squares import StateLeastSquares
 
 
-def plant(a: list[list[float]]) -> LinearPlantModel:
-    """Return a plant whose states are measured."""
-    return LinearPlantModel(np.array(a), np.array([[0.0], [1.0]]), np.eye(2), np.zeros((2, 1)))
-
-
-def cost(truth: LinearPlantModel, model: object, size: FloatArray | None = None) -> float | None:
-    """Return the regret of learning to control a plant, its states and inputs of one size unless given."""
-    return _regret(StateLeastSquares(), model, truth, np.ones(3) if size is None else size, np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("a", [[[0.9, 0.1], [0.0, 0.8]], [[1.1, 0.1], [0.0, 0.8]]])
-def test_whoever_learns_pays_the_same_in_any_unit_whether_the_plant_is_stable_or_not(a: list[list[float]]) -> None:
-    truth = plant(a)
-    paid = cost(truth, truth)
-    assert paid is not None
-    assert paid > 0.0
-    # the unit of a state is none of the learner's business
-    size, change = np.array([10.0, 0.1, 5.0]), np.array([10.0, 0.1])
-    scaled = LinearPlantModel(
-        truth.a_matrix * change[:, None] / change, truth.b_matrix * change[:, None] / 5.0, np.eye(2), np.zeros((2, 1))
-    )
-    assert cost(scaled, scaled, size) == pytest.approx(paid, rel=1e-6)
-
-
 def test_where_states_are_not_measured_there_is_no_regret() -> None:
-    truth = plant([[0.9, 0.1], [0.0, 0.8]])
-    seen = LinearPlantModel(truth.a_matrix, truth.b_matrix, np.eye(2)[:1], np.zeros((1, 1)))
-    assert cost(truth, seen) is None
-    smaller = SimpleNamespace(
-        a_matrix=np.eye(1), b_matrix=np.ones((1, 1)), c_matrix=np.eye(1), d_matrix=np.zeros((1, 1))
-    )
-    assert cost(truth, smaller) is None
+    a, b = np.array([[0.9, 0.1], [0.0, 0.8]]), np.array([[0.0], [1.0]])
+    truth = LinearPlantModel(a, b, np.eye(2), np.zeros((2, 1)))
+    one_output = LinearPlantModel(a, b, np.eye(2)[:1], np.zeros((1, 1)))
+    smaller = LinearPlantModel(np.eye(1), np.ones((1, 1)), np.eye(1), np.zeros((1, 1)))
+    for model in (one_output, smaller):
+        assert _regret(StateLeastSquares(), model, truth, np.ones(3), np.random.default_rng(0)) is None
 
 
 def test_a_narrow_column_shows_quartiles_with_two_digits_where_they_differ() -> None:
@@ -72,6 +48,47 @@ def test_scores_are_pooled_in_the_mean_square_without_outputs_that_stand_still()
     assert each == pytest.approx((np.sqrt((100 * 0.09 + 300 * 0.01) / 400), 0.1))
     with pytest.raises(InputError, match="an output that moves"):
         _pooled([score([0.1], [np.inf], 10)])
+
+
+class Learner:
+    """Foretells ``gain`` times the last output; the best in hindsight foretells half of it."""
+
+    def __init__(self, gain: float) -> None:
+        self.gain = gain
+
+    def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> FloatArray:
+        return np.zeros(1)
+
+    def start(self, state: FloatArray, y: FloatArray) -> FloatArray:
+        return y
+
+    def predict(self, state: FloatArray, u: FloatArray) -> FloatArray:
+        return self.gain * state
+
+    def update(self, state: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        return y
+
+    def hindsight(self, records: list[Trajectory]) -> Hindsight:
+        losses = np.concatenate([np.sum((one.y[1:] - 0.5 * one.y[:-1]) ** 2, axis=1) for one in records])
+        return Hindsight(losses, False, growth=Growth("log", 2.0))
+
+
+def test_a_learner_is_scored_over_all_its_records_and_one_that_overflows_has_diverged() -> None:
+    spec, rng = PlantSpec((), (Channel("y"),), 1.0), np.random.default_rng(0)
+    shown = [Trajectory(np.arange(float(n)), np.zeros((n, 0)), rng.normal(size=(n, 1)), spec) for n in (40, 25)]
+    found = row()
+    _score_regret(Learner(0.8), shown, found, rng, 9)
+    variance = np.var(np.concatenate([one.y for one in shown]))
+    each = np.concatenate([(o.y[1:] - 0.8 * o.y[:-1]) ** 2 - (o.y[1:] - 0.5 * o.y[:-1]) ** 2 for o in shown])[:, 0]
+    assert found.regret == pytest.approx(each.sum() / variance)
+    assert found.average_regret == pytest.approx(each.mean() / variance)
+    assert (found.regret_exact, found.regret_law, found.curve_steps[0], found.curve_steps[-1]) == (False, "log", 1, 63)
+    assert found.curve_regret == pytest.approx([each[:n].sum() / variance for n in found.curve_steps])
+    assert len(found.curve_theory) == len(found.curve_steps) <= 9
+    assert found.regret_over_theory is not None
+    with np.errstate(over="ignore"), pytest.raises(PlantError, match="not finite") as told:
+        _score_regret(Learner(1e200), shown, row(), rng, 9)
+    assert told.value.status == "diverged"
 
 
 def test_seeds_are_a_range_or_a_list() -> None:

@@ -54,6 +54,8 @@ def test_quick_has_every_family() -> None:
         ("name = \n", "not TOML"),
         ('name = "x"\ngroups = []\n', "at least one group"),
         (GROUP, "name"),
+        ('name = "x"\n' + GROUP.replace('"linear-ode"', '"recording:emps"'), "groups[0].scenarios"),
+        ('name = "x"\n' + GROUP.replace('"prbs"', '"recorded"'), "groups[0].scenarios"),
     ],
 )
 def test_bad_suites_are_refused_with_file_and_key(tmp_path: Path, text: str, says: str) -> None:
@@ -66,6 +68,12 @@ def test_bad_suites_are_refused_with_file_and_key(tmp_path: Path, text: str, say
     assert "bad.toml" in message
     assert "remedy" in message
     assert "\n" not in message
+
+
+def test_a_recording_goes_with_the_scenario_of_recordings(tmp_path: Path) -> None:
+    path = tmp_path / "recorded.toml"
+    path.write_text('name = "x"\n' + GROUP.replace('"linear-ode"', '"recording:emps"').replace('"prbs"', '"recorded"'))
+    assert load_suite(path).groups[0].plants[0].id == "recording:emps"
 
 
 def test_missing_suites() -> None:
@@ -110,6 +118,31 @@ fmu = "arm.fmu"
 from = "u"
 to = "arm.u"
 """
+
+
+def test_a_plant_in_a_file_lies_beside_its_suite_goes_by_its_name_and_is_another_with_its_content(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "plants").mkdir()
+    file, path = tmp_path / "plants" / "arm.fmu", tmp_path / "suite.toml"
+    plants = [
+        '{id = "plants/arm.fmu"}',
+        '{id = "plants/arm.fmu", label = "own"}',
+        '{id = "plants/arm.fmu", label = "x", streams = "y"}',
+    ]
+    path.write_text('name = "x"\n' + GROUP.replace('{id = "linear-ode"}', ", ".join(plants)))
+    jobs, streams = set(), set()
+    for content in (b"one", b"two"):
+        file.write_bytes(content)
+        with trusting(tmp_path):
+            suite = load_suite(path)
+            jobs |= {cell.job for _, cell in cells_of(tasks_of(suite, [0]))}
+        found = suite.groups[0].plants
+        assert [part.id for part in found] == [str(file.resolve())] * 3
+        assert [part.name for part in found] == ["arm.fmu", "own", "x"]
+        assert [part.stream for part in found[1:]] == ["own", "y"]
+        streams.add(found[0].stream)
+    assert (len(jobs), len(streams)) == (12, 2)
 
 
 def test_a_coupling_and_an_fmu_are_plants_of_a_suite(tmp_path: Path) -> None:

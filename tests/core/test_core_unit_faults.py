@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.units import base_units, convert
+from harness.units import base_units, convert, told
 from harness.units.grammar import DEEPEST, HIGHEST, LONGEST, factors
 
 
@@ -52,3 +52,23 @@ def test_a_plain_number_is_an_angle_in_radians(unit: str, target: str) -> None:
 def test_a_share_a_count_or_a_frequency_is_no_angle(unit: str, target: str) -> None:
     with pytest.raises(InputError, match=r"unit does not fit|two readings"):
         convert(np.ones(1), unit, target)
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "own", "found"),
+    [
+        (3.0, "N m", "NM", (3.0, "NM")),
+        (3e-9, "m", "NM", (3.0, "NM")),
+        (3.0, "V", "NM", (3.0, "V")),
+        (3.0, "m", "K", (3.0, "m")),
+        (3.0, "K", "degF", (5.4, "degF")),
+    ],
+)
+def test_a_user_is_told_a_size_in_the_reading_of_his_unit_that_fits(
+    size: float, unit: str, own: str, found: tuple[float, str]
+) -> None:
+    value, shown = told(size, unit, own)
+    assert (value, shown) == (pytest.approx(found[0]), found[1])
+    values, shown = told(np.array([[size, 0.0]]), unit, own)
+    assert values == pytest.approx(np.array([[found[0], 0.0]]))
+    assert shown == found[1]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from harness.errors import InputError
 from harness.units import base_units, convert, fits
 from harness.units.conversion import COMMON, SECONDS
-from harness.units.grammar import DEEPEST, factors
+from harness.units.grammar import DEEPEST, factors, product
 
 SOUND = (
     "N m",
@@ -135,6 +135,9 @@ def test_letters_of_which_a_library_would_make_an_odd_unit_are_none(text: str) -
 def test_what_is_known_as_a_unit_before_it_is_read_is_one() -> None:
     assert all(fits(text, text) for text in COMMON)
     assert {unit: base_units(unit)[1] for unit in SECONDS} == pytest.approx(SECONDS, rel=1e-15)
+    for unit, size in SECONDS.items():
+        for target, factor in (("s", size), ("min", size / 60.0), ("ms", size * 1e3)):
+            assert convert(np.array([7.0]), unit, target)[0] == pytest.approx(7.0 * factor)
 
 
 def test_two_readings_go_by_what_is_expected_or_are_refused() -> None:
@@ -177,3 +180,23 @@ def test_a_logarithm_is_refused_as_its_reference_is_open(unit: str, use: Callabl
 def test_a_unit_with_another_zero_is_no_logarithm() -> None:
     assert convert(np.array([20.0]), "degC", "K") == pytest.approx([293.15])
     assert base_units("degF")[1:] == pytest.approx((5 / 9, 459.67 * 5 / 9))
+
+
+@pytest.mark.parametrize(
+    ("parts", "text"),
+    [
+        ([("N*m", 1)], "N*m"),
+        ([("N*m", 1), ("1", 2), ("s", 0)], "N*m"),
+        ([("m/s", 2)], "m^2/s^2"),
+        ([("m/s", -1)], "s/m"),
+        ([("m", 1), ("m", -1)], "1"),
+        ([], "1"),
+        ([("m?", 2), ("s", -3)], "(m?)^2/(s)^3"),
+        ([("m?", -2)], "1/(m?)^2"),
+        ([("m?", 1), ("s", 1)], "(m?) (s)"),
+    ],
+)
+def test_a_product_of_units_is_reckoned_and_one_alone_stays_as_it_was_written(
+    parts: list[tuple[str, int]], text: str
+) -> None:
+    assert product(parts) == text

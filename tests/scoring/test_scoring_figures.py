@@ -11,7 +11,7 @@ from scipy import linalg
 
 from harness.errors import FitError, InputError
 from harness.protocols import Growth, Hindsight
-from harness.scoring.bound import LinearTruth, _white, least_errors, linear_truth
+from harness.scoring.bound import LinearTruth, _root_covariance, _white, _without, least_errors, linear_truth
 from harness.scoring.control import LinearPlantModel, control_regret, control_score, linearise
 from harness.scoring.predictive import ProbabilityScore, reliability
 from harness.scoring.regret import Regret, regret
@@ -116,6 +116,10 @@ def test_rounds_carry_gain_and_cost_over_what_is_refused_or_does_not_hold() -> N
     assert [one.cost.ratio for one in found] == pytest.approx([np.nan, ratio, np.inf, np.inf, 1.0], nan_ok=True)
     assert [bool(one.refused) for one in found] == [True, False, False, True, False]
     assert [len(shown) for shown in identifier.shown] == [1, 2, 3, 4, 5]
+    for number, one in enumerate(found, start=1):
+        so_far = np.concatenate([np.hstack([each.y, each.u]) for each in data[:number]])
+        alike = so_far / np.sqrt(np.mean(so_far**2, axis=0))
+        assert one.coverage == pytest.approx(np.sqrt(np.linalg.eigvalsh(alike.T @ alike / len(alike))[0]))
 
 
 def test_coverage_leaves_out_a_channel_that_stands_still() -> None:
@@ -255,6 +259,34 @@ def test_noise_is_white_up_to_five_deviations_at_each_of_eight_lags_and_in_its_m
     assert not _white(np.column_stack([np.zeros(n), np.cumsum(base[9:])]))
 
 
+@pytest.mark.parametrize("place", ["state", "output"])
+def test_what_is_left_of_a_plant_counts_from_a_millionth_of_its_scatter_on(place: str) -> None:
+    with LinearPlant(**MATRICES) as plant:
+        made = driven(plant, np.zeros((400, 1)), 0.0)
+        assert made.x is not None
+        for share, linear in ((0.7e-6, True), (1.5e-6, False)):
+            x, y = made.x.copy(), made.y.copy()
+            if place == "state":  # pushed to one side at each sample: no white noise
+                for k in range(399):
+                    x[k + 1] = plant.A @ x[k] + plant.B @ made.u[k] + share * made.x.std(axis=0)
+                y = x @ plant.C.T
+            else:
+                y += share * y.std(axis=0)
+            truth = linear_truth(plant, [Trajectory(made.t, made.u, y, made.spec, x)], [None])
+            assert (truth is not None) == linear
+            assert truth is None or not (truth.q.any() or truth.r.any())
+
+
+def test_a_direction_that_is_seen_a_billion_times_less_is_not_seen() -> None:
+    one, other = np.eye(9)[:2]
+    truth = LinearTruth(*(np.zeros((0, 0)) for _ in range(6)), own=0, start=np.zeros((0, 0)))
+    for share, kept in ((0.7e-9, 1), (1.5e-9, 2)):
+        assert _root_covariance(truth, np.column_stack([one, one + 2 * share * other])).shape == (2, kept)
+        start = np.column_stack([one, share * other])
+        left = _without(start, np.column_stack([one, other]))
+        assert np.abs(left).max(axis=0).round(9).tolist() == [0.0, 2.0 - kept]
+
+
 def test_what_answers_at_once_is_part_of_the_truth_s_free_run() -> None:
     with LinearPlant(**{**MATRICES, "C": [[1.0, 0.0], [0.5, 2.0]]}, D=[[3.0], [0.0]]) as plant:
         data = driven(plant, np.zeros((200, 1)), 0.1)
@@ -309,6 +341,7 @@ def test_a_plant_is_linearised_about_a_point_as_its_equation_says() -> None:
         assert np.prod(slow).real == pytest.approx(-np.prod(fast).real, rel=1e-3)  # g/l changes its sign
         assert np.sum(slow).real == pytest.approx(np.sum(fast).real, rel=1e-3)  # damping does not
         assert linearise(plant).a_matrix == pytest.approx(hanging.a_matrix)
+        assert linearise(plant, size=1e-5).a_matrix == pytest.approx(hanging.a_matrix, abs=1e-6)
 
 
 def test_a_regulator_that_just_does_not_settle_is_unstable() -> None:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.scoring.control import LinearPlantModel, linearise, pulse_sizes
+from harness.scoring.control import linearise, pulse_sizes
 from harness.scoring.model_predictive import HORIZON, ModelPredictive, _Informed, predictive_score
 from harness.signals import Channel, FloatArray, PlantSpec
+from identifiers.linear.least_squares import LinearModel
 from plants.equations.linear import LinearPlant
 
 A, B = np.array([[0.9, 0.3], [-0.2, 0.8]]), np.array([[0.1], [0.5]])
@@ -88,12 +89,13 @@ def test_a_move_keeps_to_the_range_of_the_input_and_an_input_without_effect_is_t
     assert not controller.responds
 
 
-def test_a_plan_goes_on_where_the_one_before_left_off_and_never_does_worse() -> None:
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_a_plan_goes_on_where_the_one_before_left_off_and_never_does_worse(size: float) -> None:
     """One Gauss-Newton step a sample from the plan of the sample before, a third of a move later (``HELD`` samples)."""
     model: Any = Seen()
     model.bend = 0.3
-    controller = ModelPredictive(model, TARGET, HOLD, Q, R, np.ones(1))
-    moves, nudge, y = HORIZON // HELD, 0.05, TARGET + np.array([1.0, -0.5])
+    controller = ModelPredictive(model, TARGET, HOLD, Q, R, np.array([size]))
+    moves, nudge, y = HORIZON // HELD, 0.05 * size, TARGET + np.array([1.0, -0.5])
     plan = np.full(moves, HOLD[0])
     for _ in range(6):
         now = rows(model, y, plan)
@@ -105,6 +107,24 @@ def test_a_plan_goes_on_where_the_one_before_left_off_and_never_does_worse() -> 
         assert u == pytest.approx(plan[:1], abs=1e-9)
         plan = plan + (np.append(plan[1:], plan[-1]) - plan) / HELD
         y = model.step(y, u)
+
+
+def test_a_model_is_told_the_input_that_acts_at_the_sample_that_it_sees() -> None:
+    told = list[FloatArray]()
+
+    class Watches(Seen):
+        def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+            told.append(u.copy())
+            return y
+
+    model: Any = Watches()
+    controller = ModelPredictive(model, TARGET, HOLD, Q, R, np.ones(1))
+    plan, y = np.full(HORIZON // HELD, HOLD[0]), TARGET + 1.0
+    for _ in range(3):
+        controller.act(y)
+        assert told[-1] == pytest.approx(plan[:1])
+        plan = best_plan(model, y)
+        plan = plan + (np.append(plan[1:], plan[-1]) - plan) / HELD
 
 
 def held(plant: LinearPlant, b: FloatArray, size: float, seed: int) -> float:
@@ -145,6 +165,26 @@ def test_the_score_is_the_cost_with_the_model_over_that_with_the_plant() -> None
     push = 0.1 * 2.0 * np.random.default_rng(3).normal()  # at rest a controller does nothing of its own
     assert [steps[-480], steps[-240]] == pytest.approx([HOLD[0] + push] * 2)
     assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_a_model_says_of_an_output_that_no_input_moves_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("harness.scoring.model_predictive.STEPS", 40)
+    scores = []
+    for outputs in (2, 3):
+        c = np.eye(3)[:outputs, :2]
+        with LinearPlant(A=A, B=B, C=c, sample_time=0.1) as plant:
+            seen = c + np.array([[0.0, 0.0], [0.0, 0.0], [0.8, -0.6]])[:outputs]
+            watch, still = np.hstack([0.5 * A, np.zeros((2, 1))])[:, :outputs], np.zeros(2)
+            model = LinearModel(
+                plant.spec, A, 1.5 * B, seen, np.zeros((outputs, 1)), watch, still, np.zeros(outputs)
+            )  # fmt: skip
+            scores.append(predictive_score(
+                model, plant, linearise(plant), centre={"x1": 0.0, "x2": 0.0}, target=np.zeros(outputs),
+                hold=np.zeros(1), size=np.ones(1), rng=np.random.default_rng(0),
+            ))  # fmt: skip
+    assert scores[0] is not None
+    assert scores[0] > 1.0
+    assert scores[1] == pytest.approx(scores[0], rel=1e-6)
 
 
 def test_a_model_that_loses_the_plant_has_no_score_and_one_that_cannot_act_is_refused(
@@ -191,9 +231,3 @@ def test_whoever_knows_the_plant_foretells_it_about_the_point() -> None:
                 start = A @ start + B @ now
         plant.reset(rng=np.random.default_rng(0), x0={"x1": 0.3, "x2": -0.4})
         assert informed.correct(x[0], u[0, 0], found[0, 0]).tolist() == [0.3, -0.4]
-
-
-def test_pulse_sizes_are_those_of_a_simulated_pulse() -> None:
-    plant = LinearPlantModel(A, B, np.eye(2), np.array([[0.5], [0.0]]))
-    response = [plant.d_matrix, B, A @ B, A @ A @ B]
-    assert pulse_sizes(plant) == pytest.approx(np.sqrt(sum(one[:, 0] ** 2 for one in response)))

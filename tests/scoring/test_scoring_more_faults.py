@@ -49,6 +49,17 @@ def test_a_share_is_a_number_from_nought_to_one(share: float, fits: bool) -> Non
             Demands(max_share=share)
 
 
+def test_an_error_or_a_share_at_its_limit_passes() -> None:
+    asked = Demands(max_error={"T": "2 degC", "y": "3 cm"}, max_share=0.25)
+    for more, passed in ((0.0, True), (1e-3, False)):
+        errors = {"T": (2.0 + more, "K"), "y": (0.03 + more, "m")}
+        assert [one.passed for one in asked.of_errors("run", errors)] == [passed, passed]
+        (*_, share) = Demands(max_share=0.25).of_report("run", {"explained_share": 0.75 - more})
+        assert share.passed == passed
+    (unknown,) = Demands(max_share=1.0).of_report("run", {})
+    assert not unknown.passed
+
+
 def test_the_distribution_that_forgets_the_order_has_each_outputs_own_spread() -> None:
     spec = PlantSpec((), (Channel("a"), Channel("b")), 1.0)
     y = np.random.default_rng(0).normal(size=(500, 2)) * [1.0, 20.0] + [3.0, -2.0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.scoring import equation_error, errors, predict, simulation_error
+from harness.scoring import Score, equation_error, errors, predict, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.finite.mdp import MdpModel
 from identifiers.linear.least_squares import LinearModel
@@ -200,6 +200,29 @@ def test_a_run_that_only_grows_has_diverged_though_it_is_a_number():
     assert not grows.finite
     assert drifts.nrmse[0] > 1
     assert drifts.finite
+
+
+def test_a_miss_of_a_million_times_the_scatter_has_diverged():
+    for nrmse, finite in ((0.99e6, True), (1.01e6, False), (np.inf, True)):  # an output that stands still has none
+        assert Score(np.ones(1), np.array([nrmse]), None, 0, "", 9).finite == finite
+    assert not Score(np.array([np.inf]), np.ones(1), None, 0, "", 9).finite
+
+
+def test_a_start_is_estimated_from_fifty_samples_where_more_come_later():
+    seen = []
+
+    class Watches(Scalar):
+        def initial_state(self, data: Trajectory) -> FloatArray:
+            seen.append(len(data))
+            return super().initial_state(data)
+
+    data = record(np.ones(120))
+    score = equation_error(Watches(1.0), data)
+    errors(Watches(1.0, burn_in=1), data, 10.0)
+    errors(Watches(1.0), data, 20.0)
+    simulation_error(Watches(1.0), data)
+    assert seen == [50, 50, 40, 40, 40, 120]
+    assert score.initial_state == "estimated from the first 50 samples, corrected at each sample"
 
 
 def test_windows_that_diverge_are_infinity_too():

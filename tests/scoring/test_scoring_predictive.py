@@ -110,6 +110,31 @@ def test_regret_in_log_loss_of_counting_keeps_the_known_bound():
         bound = np.sum(np.log(np.maximum(visits, 1)) * (3 - 1) / 2 + np.log(3))  # Cesa-Bianchi, Lugosi 2006, sec. 9.7
         assert 0 < found.total <= bound
         assert found.exact
+        assert (found.steps.size, found.curve.size, found.scale.tolist()) == (0, 0, [1.0])
+
+
+class Says(HoldModel):
+    """Foretells the last outputs with deviations of 1 and 3, and wants two samples first."""
+
+    burn_in = 2
+
+    def predictive(self, x, u):
+        return normal(x, np.array([1.0, 3.0]), self.spec.outputs)
+
+
+def test_scores_of_two_real_outputs_are_counted_apart_behind_the_burn_in():
+    spec = PlantSpec((), (Channel("a"), Channel("b")), 1.0)
+    y = np.random.default_rng(0).normal(size=(40, 2)) * [1.0, 4.0]
+    found = probability_score(Says(spec), Trajectory(np.arange(40.0), np.zeros((40, 0)), y, spec), levels=(0.5, 0.9))
+    later, miss = y[2:], y[2:] - y[1:-1]
+    said = stats.norm(0.0, [1.0, 3.0]).logpdf(miss).mean(axis=0)
+    own = stats.norm(later.mean(axis=0), later.std(axis=0)).logpdf(later).mean(axis=0)
+    assert found.log_score == pytest.approx(said)
+    assert found.skill == pytest.approx(said - own)
+    for level, share in zip((0.5, 0.9), found.coverage, strict=True):
+        width = stats.norm.ppf(0.5 + level / 2) * np.array([1.0, 3.0])
+        assert share == pytest.approx((np.abs(miss) <= width).mean(axis=0))
+    assert (found.horizon, found.burn_in, found.samples, found.impossible) == (1, 2, 38, 0)
 
 
 def test_models_without_distributions_are_refused_in_words():

@@ -12,6 +12,7 @@ import pytest
 from harness.errors import InputError
 from harness.protocols import Hindsight
 from harness.scoring import ControlRegret, linear_truth, linearise, regret
+from harness.scoring.regret import _first
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from plants.equations.linear import LinearPlant
 
@@ -96,3 +97,10 @@ def test_what_tracks_a_record_in_one_go_scores_as_it_does_sample_by_sample() -> 
     np.testing.assert_array_equal(one.losses, other.losses)
     expected = [(r.y[k + 1, 0] - r.y[k, 0] - r.u[k, 0]) ** 2 for r in stream for k in range(4)]
     np.testing.assert_allclose(regret(Swift(), stream, rng=rng, scaled=False).losses, expected)
+
+
+def test_the_first_samples_of_a_stream_end_where_a_record_does() -> None:
+    spec = PlantSpec((), (Channel("y"),), 1.0)
+    stream = [Trajectory(np.arange(float(n)), np.zeros((n, 0)), np.zeros((n, 1)), spec) for n in (5, 4)]
+    sizes = {n: [len(one) for one in _first(stream, n)] for n in (1, 3, 4, 5, 7)}
+    assert sizes == {1: [2], 3: [4], 4: [5], 5: [5, 2], 7: [5, 4]}
