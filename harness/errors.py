@@ -144,8 +144,9 @@ def unknown_name(what: str, name: str, known: Iterable[str]) -> InputError:
     >>> print(unknown_name("unknown parameter", "mas", ["m", "k"]))
     unknown parameter: expected one of m, k, got 'mas'; remedy: correct the name
     """
-    expected = f"one of {', '.join(known) or '(none)'}"
-    return InputError(what, expected=expected, got=repr(name), remedy="correct the name")
+    names = list(known)
+    expected = f"one of {', '.join(names) or '(none)'}"
+    return InputError(what, expected=expected, got=repr(name), remedy=did_you_mean(name, names, "correct the name"))
 
 
 def as_described(what: str, *, remedy: str = "write the model anew") -> AbstractContextManager[None]:
@@ -202,15 +203,25 @@ ALIKE = 0.65
 """Likeness of names from which one is proposed for the other: order and model have 0.6, sesnor and sensor 0.83."""
 
 
+PART = 2
+"""Letters of a word that stands in many names by chance."""
+
+
 def nearest(name: str, known: Iterable[str], most: int = 3) -> list[str]:
-    """Return the known names that a wrong one is near to, the nearest first.
+    """Return the known names that a wrong one is near to or a part of, in letters of any size, the nearest first.
 
     Examples
     --------
     >>> nearest("frction", ["mass", "friction"]), nearest("order", ["model"])
     (['friction'], [])
+    >>> nearest("ARX", ["arx", "narx"]), nearest("coulomb", ["coulomb_friction", "cogging"])
+    (['arx', 'narx'], ['coulomb_friction'])
     """
-    return difflib.get_close_matches(name, list(known), n=most, cutoff=ALIKE)
+    names = {one.lower(): one for one in known}
+    word = name.lower()
+    near = difflib.get_close_matches(word, names, n=most, cutoff=ALIKE)
+    near += [one for one in names if len(word) > PART and word in one and one not in near]
+    return [names[one] for one in near[:most]]
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str, most: int = 3) -> str:

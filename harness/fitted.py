@@ -362,8 +362,8 @@ class Usable:
             raise InputError(
                 "inputs",
                 expected=f"finite numbers (N, {self.spec.nu}): {names}, one row each {self.spec.sample_time:g} s",
-                got=f"shape {np.shape(u)}",
-                remedy="put time on the first axis and one channel in each column",
+                got=f"shape {np.shape(u)}" + ("" if np.isfinite(array).all() else ", with values that are not finite"),
+                remedy="put time on the first axis and one channel in each column, and a number in every cell",
             )
         return array
 

@@ -33,6 +33,25 @@ _NEVER: tuple[tuple[Any, tuple[Any, ...]], ...] = (
 """Plain types that a value certainly is not, by its own; true and false first, which Python calls numbers."""
 
 
+def as_options(options: Any) -> dict[str, Any]:
+    """Return options as a dictionary of one's own.
+
+    Raises
+    ------
+    InputError
+        If they are no mapping.
+
+    Examples
+    --------
+    >>> as_options({"order": 2}), as_options(None)
+    ({'order': 2}, {})
+    """
+    if options is not None and not isinstance(options, Mapping):
+        remedy = 'write {"NAME": value}'
+        raise InputError("options", expected="a mapping from their names", got=repr(options), remedy=remedy)
+    return dict(options or {})
+
+
 def meant_options(owner: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """Return options as they are meant, and refuse those of a wrong type where the declaration leaves no doubt.
 
@@ -161,7 +180,8 @@ def instead(unknown: Sequence[str], known: Iterable[str]) -> str:
     """
     names = list(known)
     meant = [f"did you mean {found} for {name}?" for name in unknown for found in nearest(name, names, 1)]
-    return " ".join(meant) if meant else f"remove {', '.join(unknown)}"
+    table = "parameters" in names and f" (parameters of the model: sysid: -O parameters.{unknown[0]}=...)"
+    return " ".join(meant) if meant else f"remove {', '.join(unknown)}{table or ''}"
 
 
 def _hints(factory: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:

@@ -153,7 +153,7 @@ def entry(kind: str, id: str) -> Entry:
         If no part of that kind has this id; the message lists the nearest ids, or says that there is no such file of a
         plant.
     """
-    known = _all(kind)
+    known, id = _all(kind), str(id)
     if id in known:
         return known[id]
     if kind == "plants":  # the only parts that may be files

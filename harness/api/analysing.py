@@ -11,6 +11,7 @@ from harness.api.records import load_dataset, named_columns
 from harness.api.written import PICTURES, draw, refuse_overwrite
 from harness.errors import InputError
 from harness.fitted import load_model
+from harness.options import as_options
 from harness.parts.files import make_plant
 from harness.rng import stream
 
@@ -64,10 +65,10 @@ def analyse(
     from harness.models.analysis import Analysis
 
     refuse_overwrite(out, force=force, endings=PICTURES)
-    made = cast(Analysis, registry.create("analyses", name, **dict(options or {})))
+    made = cast(Analysis, registry.create("analyses", name, **as_options(options)))
     if made.takes == "data" and hasattr(made, "channels") and signals.get("output") is None:
         signals = {**signals, **named_columns(made, subject)}
-    seen = _subject(made.takes, subject, dict(subject_options or {}), signals)
+    seen = _subject(made.takes, subject, as_options(subject_options), signals)
     try:
         found = made.of(seen, rng=stream("analysis", name, seed))
     finally:

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from harness.vetting import Agreement, Vetting
 
 
-def check(name: str, *, limit: float | None = None) -> list[CheckResult]:
+def check(name: str | Path, *, limit: float | None = None) -> list[CheckResult]:
     """Hold a plug-in to its contract, in a process of its own; see :func:`harness.conformance.check`.
 
     Parameters
     ----------
-    name : str
+    name : str or path
     limit : float, optional
         Longest time for one check [s]; by default :data:`harness.supervision.guarded.SILENCE`.
 
@@ -31,7 +31,7 @@ def check(name: str, *, limit: float | None = None) -> list[CheckResult]:
     """
     from harness.supervision.guarded import guarded
 
-    return cast("list[CheckResult]", guarded(_checked, name, what=name, silence=limit))
+    return cast("list[CheckResult]", guarded(_checked, str(name), what=str(name), silence=limit))
 
 
 def vet(

@@ -58,6 +58,7 @@ def compare(
     if not models:
         raise InputError("what to compare", expected="one model or more", got="none", remedy="give a model")
     refuse_overwrite(out, force=force)
+    models = [models] if isinstance(models, str | Path) else models
     given = models if isinstance(models, Mapping) else dict(zip(_names(models), models, strict=True))
     found = {name: read_model(one) if isinstance(one, str | Path) else _bare(one) for name, one in given.items()}
     spec = next(iter(found.values())).spec

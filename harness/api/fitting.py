@@ -13,6 +13,7 @@ from harness.api.records import load_dataset, named_columns
 from harness.api.written import refuse_overwrite
 from harness.data.whole_files import write_json
 from harness.errors import HarnessError, InputError, PluginError
+from harness.options import as_options
 from harness.parts.files import is_system
 from harness.protocols import Identifier, Model, Predictive
 from harness.rng import stream
@@ -127,12 +128,12 @@ def identify(
         and records.get("output") is None
         and hasattr(registry.load("identifiers", identifier), "channels")
     ):
-        unfitted = registry.create("identifiers", identifier, **dict(options or {}))
+        unfitted = registry.create("identifiers", identifier, **as_options(options))
         records = {**records, **named_columns(unfitted, dataset)}
     loaded = load_dataset(dataset, model=model, **records)
     data = loaded.dataset
     identifier = default_identifier(data.spec) if identifier is None else identifier
-    made = registry.create("identifiers", identifier, **_with_model(identifier, dict(options or {}), loaded.nominal))
+    made = registry.create("identifiers", identifier, **_with_model(identifier, as_options(options), loaded.nominal))
     if not isinstance(made, Identifier):
         raise InputError(
             f"identifier {identifier!r} cannot be fitted to a record",
@@ -225,7 +226,7 @@ def identify_response(
         data = read_response(data, units=units)
     if low > 0 or high < float("inf"):
         data = data.between(low, high)
-    made = registry.create("identifiers", identifier, **dict(options or {}))
+    made = registry.create("identifiers", identifier, **as_options(options))
     if not hasattr(made, "fit_response"):
         raise InputError(
             f"identifier {identifier!r} fits records, not frequency responses",

@@ -12,7 +12,7 @@ from harness.errors import InputError
 from harness.fitted import Usable
 from harness.protocols import Model
 from harness.signals import Channel, Trajectory, Use
-from harness.units import behind, told
+from harness.units import behind, own_record, own_values, told
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,8 +57,9 @@ class Identified(Usable):
 
         if self.judged is None:
             raise InputError("no record to plot", expected="what identify returned", got="none", remedy="plot a record")
-        figure: Figure = self.judged.plot()
-        run = np.asarray(predict(self.model, self.judged, horizon=None))
+        figure: Figure = own_record(self.judged, self.recorded).plot()
+        free = np.asarray(predict(self.model, self.judged, horizon=None))
+        run = own_values(free, self.judged.spec.outputs, self.recorded)
         for axis, values in zip(figure.axes[self.judged.spec.nu :], run.T, strict=True):
             low, high = axis.get_ylim()
             axis.plot(self.judged.t, values, "--", color="#cc6677", linewidth=0.9, label="free run")

@@ -10,6 +10,7 @@ from harness import registry
 from harness.api.records import load_dataset
 from harness.api.written import refuse_overwrite
 from harness.errors import InputError
+from harness.options import as_options
 from harness.protocols import Plant, Scenario
 from harness.rng import stream
 from harness.trust import names_fmu
@@ -125,7 +126,7 @@ def isolability(
     """
     from harness.diagnosis.planned import isolability_of
 
-    made = cast(Scenario, registry.create("scenarios", scenario, **dict(scenario_options or {})))
+    made = cast(Scenario, registry.create("scenarios", scenario, **as_options(scenario_options)))
     chosen: Any = model
     if any(entry.id == model for entry in registry.entries("plants")):
         with cast(Plant, registry.create("plants", model)) as plant:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 from harness import registry
 from harness.api.written import PICTURES, draw, refuse_overwrite, write_record
 from harness.errors import InputError, PlantError
-from harness.options import say_beyond
+from harness.options import as_options, say_beyond
 from harness.parts.as_is import run_as_is
 from harness.parts.files import is_plant_file, make_hiding, stream_key
 from harness.protocols import Experiment, Scenario
@@ -97,13 +97,15 @@ def simulate(
         (which gets the sentence otherwise). The run goes on with that value.
     """
     refuse_overwrite(out, force=force, endings=(".csv", ".parquet"))
-    options = dict(options or {})
+    options = as_options(options)
     if exchange is not None:
         if names_fmu(plant) or not is_plant_file(plant):
             raise InputError(
                 "exchange", expected="a coupling or a system of FMUs", got=plant, remedy="leave --exchange out"
             )
         options["order"] = exchange
+    if not is_plant_file(plant):
+        registry.entry("plants", plant)  # a wrong name is said before a scenario is asked for
     if scenario is None:
         asked = {"start": start, "stop": stop, "step": step, "tolerance": tolerance}
         trajectory = run_as_is(plant, asked, options, bool(hide or scenario_options), progress, note, broke)
@@ -116,7 +118,7 @@ def simulate(
             got=f"the scenario {scenario}",
             remedy="give --scenario-option duration=... and --option sample_time=..., tolerance=..., start_time=...",
         )
-    made_scenario = cast(Scenario, registry.create("scenarios", scenario, **dict(scenario_options or {})))
+    made_scenario = cast(Scenario, registry.create("scenarios", scenario, **as_options(scenario_options)))
     with make_hiding(plant, options, hide) as made:
         from harness.rollout import perform
 

@@ -17,6 +17,7 @@ from harness.calibration.slopes import OwnSlopes
 from harness.calibration.variables import Contents, contents_of, free_parameters, start_values
 from harness.errors import InputError, PlantError
 from harness.models.estimate import null_words
+from harness.options import as_options
 from harness.parts.files import make_plant
 from harness.physics.definition.parameters import Parameter
 from harness.physics.fitting.fit_result import OutputErrorFit
@@ -113,7 +114,7 @@ def calibrate(
     tell = progress or (lambda share, what: None)
     records = _by_use(data)
     fixed = {contents.variables[n].key: v for n, v in given.items() if n not in free}
-    chosen, finer = _settled(contents, data, dict(options or {}), fixed)
+    chosen, finer = _settled(contents, data, as_options(options), fixed)
     with _plant(contents, data, chosen) as plant:
         runs, told, notes = _runs(contents, plant, data, parameters, fixed, initial, records["estimation"])
         x0 = {use: _first_starts(told, own) for use, own in records.items()}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -211,6 +212,17 @@ def _interrupted() -> int:
     return fail(text, INTERRUPTED)
 
 
+def _misused(error: Any) -> str:
+    """Return what is wrong with the words of a command line, what came, and what to do."""
+    text, command = error.format_message(), getattr(getattr(error, "ctx", None), "command_path", None) or "sysid"
+    if callable(found := getattr(error.__cause__, "errors", None)):  # of pydantic, which keeps what came
+        text = f"{text.partition(', unable')[0]}, got {found()[0].get('input')!r}"
+    if (unknown := re.match("No such command '(.+?)'", text)) and (part := api.describe_part(unknown[1])) is not None:
+        asked = "analyse WORD SUBJECT" if part["kind"] == "analyses" else "list WORD"
+        return f"{text} It is one of the {part['kind']}; remedy: sysid {asked.replace('WORD', unknown[1])}"
+    return f"{text}; remedy: {command} --help"
+
+
 def _failed(error: Exception) -> int:
     """Say what went wrong, and whose it is."""
     if isinstance(error, OSError):
@@ -223,8 +235,7 @@ def _failed(error: Exception) -> int:
     if isinstance(error, HarnessError):
         return fail(" ".join(str(error).split()), 2)
     if hasattr(error, "format_message") and hasattr(error, "exit_code"):
-        command = getattr(getattr(error, "ctx", None), "command_path", None) or "sysid"
-        return fail(f"{error.format_message()}; remedy: {command} --help", 2)
+        return fail(_misused(error), 2)
     if debug:
         raise error
     return fail(

@@ -38,7 +38,11 @@ def text_pairs(texts: Sequence[str] | None, flag: str) -> dict[str, str]:
     for key, equals, value in pairs:
         if not (key and equals):
             raise InputError(
-                "pair", expected="NAME=VALUE", got=repr(key + equals + value), remedy="correct it", place=flag
+                "pair",
+                expected="NAME=VALUE",
+                got=repr(key + equals + value),
+                place=flag,
+                remedy=f"write the name of a signal before it: {flag} NAME={key or value}",
             )
     return {key.strip(): value.strip() for key, _, value in pairs}
 

@@ -19,6 +19,7 @@ from harness.plots import inlined
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, Use, residual
+from harness.units import own_record, own_values
 
 MOST_POLES, MOST_SAMPLES = 40, 3000
 """Poles in the table of a page, and samples in its picture over time."""
@@ -210,22 +211,24 @@ def _time_figure(found: Comparison) -> Any:
     from harness.plots import sheet
 
     record = (found.dataset.validation or found.dataset.estimation)[0].measured()
-    outputs = found.dataset.spec.outputs
+    channels, recorded = found.dataset.spec.outputs, found.dataset.recorded
+    own = own_record(record, recorded)
+    outputs = own.spec.outputs
     figure = sheet(figsize=(10, 1.9 * len(outputs) + 0.4), layout="constrained")
     axes = figure.subplots(len(outputs), 1, squeeze=False, sharex=True)[:, 0]
     shown = slice(0, min(len(record), MOST_SAMPLES))
-    for axis, channel, measured in zip(axes, outputs, record.y.T, strict=True):
+    for axis, channel, measured in zip(axes, outputs, own.y.T, strict=True):
         axis.plot(record.t[shown], measured[shown], color="#777777", linewidth=0.9, label="measured")
         axis.set_ylabel(f"{channel.name} [{channel.unit}]", fontsize=9)
     for compared in found.models:
         run = np.asarray(predict(compared.model, record, horizon=None))
-        own = compared.free_run.get("estimation") or next(iter(compared.free_run.values()))
-        miss = np.sqrt(np.mean([np.square(score.rms) for score in own], axis=0))
-        for axis, path, size in zip(axes, run.T, np.atleast_1d(miss), strict=True):
+        scores = compared.free_run.get("estimation") or next(iter(compared.free_run.values()))
+        miss = 1.96 * np.sqrt(np.mean([np.square(score.rms) for score in scores], axis=0))
+        lines = (own_values(values, channels, recorded).T for values in (run, run - miss, run + miss))
+        for axis, path, low, high in zip(axes, *lines, strict=True):
             (line,) = axis.plot(record.t[shown], path[shown], linewidth=1.0, label=compared.name)
-            low, high = path[shown] - 1.96 * size, path[shown] + 1.96 * size
-            axis.fill_between(record.t[shown], low, high, color=line.get_color(), alpha=0.18, linewidth=0)
-    for axis, measured in zip(axes, record.y[shown].T, strict=True):
+            axis.fill_between(record.t[shown], low[shown], high[shown], color=line.get_color(), alpha=0.18, linewidth=0)
+    for axis, measured in zip(axes, own.y[shown].T, strict=True):
         low, high = np.nanmin(measured), np.nanmax(measured)
         room = 0.4 * (high - low) or 1.0
         axis.set_ylim(low - room, high + room)  # a free run that leaves the data does not shrink them to a line

@@ -12,6 +12,7 @@ from harness import registry
 from harness.display import table
 from harness.errors import FitError, InputError
 from harness.models.arx_orders import ArxGrid, arx_order_grid
+from harness.options import as_options
 from harness.protocols import Identifier
 from harness.rng import stream
 from harness.scoring import predict
@@ -233,7 +234,7 @@ def order_selection(
     tried: list[OrderError] = []
     singular: dict[str, FloatArray] = {}
     for name in identifiers:
-        fits = _fits(name, wanted, dict(options or {}), records, seed)
+        fits = _fits(name, wanted, as_options(options), records, seed)
         skip = max((fit.burn_in for fit in fits.values() if not isinstance(fit, str)), default=0) + 1
         for order, model in fits.items():
             if isinstance(model, str):

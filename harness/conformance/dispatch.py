@@ -66,7 +66,9 @@ def check(name: str) -> list[CheckResult]:
             "no part has this name",
             expected=expected,
             got=repr(name),
-            remedy=did_you_mean(name, everything, "see sysid list"),
+            remedy="name what the run must agree with: --reference FILE"
+            if Path(name).is_file()
+            else did_you_mean(name, everything, "see sysid list"),
         )
     if len(found) == 1:
         return _check_registered(found[0], name)

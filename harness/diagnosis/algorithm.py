@@ -94,11 +94,11 @@ def diagnose(
         laws = laws_of(dictionary)
         thinned = kind.thinned(dataset)
         form, cut = form_of(kind, system, thinned.dataset, policy, laws.dictionary)
+        candidates, faults = candidates_of(form, laws)
+        given, candidates = (wanted or Wanted()).chosen(candidates)  # a wrong name is refused before anything is kept
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = nominal_fit(remembered, form, doubts)
-        candidates, faults = candidates_of(form, laws)
-        given, candidates = (wanted or Wanted()).chosen(candidates)
         simple = simple_fits_of(kind, form, nominal, candidates, say)
         nominal = at_optimum(remembered, form, nominal, simple, policy)
         # search, unless the records are wrong

@@ -85,7 +85,9 @@ def port_of(system: System, placed: Placed) -> Port:
         + "".join(f" ({reason})" for reason in reasons),
         expected=f"one of {', '.join(dict.fromkeys(where))}" if where else "a model with such a port",
         got=repr(placed.at),
-        remedy=f"this effect acts on: {', '.join(placed.effect.kinds)}",
+        remedy=f"write {placed.effect.name}@{where[0]}"
+        if where
+        else f"choose another effect: this one acts on {', '.join(placed.effect.kinds)}",
     )
 
 

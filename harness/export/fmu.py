@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from harness.errors import InputError
+from harness.errors import InputError, no_file
 from harness.export.c_model import description, model_source
 from harness.export.linear import Linear, linear_description, linear_source
 from harness.export.packed import packed
@@ -170,7 +170,7 @@ def _load(source: str | Path) -> Callable[..., Path]:
         raise InputError(
             "nothing to export",
             expected="a folder of sysid close-loop, a model.json, or the name of a model",
-            got="no such file",
+            got=f"a folder without {MODEL}" if Path(source).is_dir() else no_file(source),
             remedy="run sysid close-loop or sysid identify first",
             file=source,
         )

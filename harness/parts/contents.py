@@ -123,16 +123,18 @@ def _described_model(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
-            "a model.json", expected="JSON that sysid wrote", got=str(error)[:120], remedy="check the file", file=path
+            "no model", expected="JSON that sysid wrote", got=str(error)[:120], remedy="check the file", file=path
         ) from error
     if isinstance(content, dict) and "verdict" in content:
         return _described_report(path, content)
     if not isinstance(content, dict) or "kind" not in content:
         raise InputError(
-            "a model.json",
-            expected="an object with a kind",
-            got=type(content).__name__,
-            remedy="check the file",
+            "no model and no report",
+            expected="what sysid identify -o or close-loop wrote, with a kind or a verdict",
+            got=f"JSON with {', '.join(map(repr, list(content)[:6])) or 'nothing'}"
+            if isinstance(content, dict)
+            else "JSON that holds no names",
+            remedy="give such a file; data are listed as CSV, Parquet and the like",
             file=path,
         )
     with as_written(path, "model.json"):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from harness import registry
-from harness.errors import InputError, refuse_no_file
+from harness.errors import InputError, did_you_mean, refuse_no_file
 
 LISTED = ("plants", "identifiers", "scenarios", "effects", "models", "analyses", "suites", "recordings")
 """Kinds of parts that a person chooses among."""
@@ -45,7 +46,11 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
             "nothing to list",
             expected=expected,
             got=repr(kind),
-            remedy="correct the word",
+            remedy="put a dataset.toml, a log or a report into it, or name a file"
+            if Path(kind).is_dir()
+            else did_you_mean(
+                kind, (*LISTED, *(one.id for place in DESCRIBED for one in registry.entries(place))), "correct the word"
+            ),
         )
     return {
         name: [

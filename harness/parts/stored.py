@@ -17,6 +17,7 @@ from harness.trust import registered_only
 
 MODEL = "model.json"
 """The model in a folder of ``sysid close-loop``."""
+REMEDY = "give the file that sysid identify -o wrote"
 LARGEST = 1e150
 """Size above which the square of a number overflows, and with it whatever is computed from it."""
 
@@ -46,15 +47,19 @@ def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read"
         raise InputError("no such file", expected=wanted, got=no_file(path), remedy="check the path", file=path)
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
-        kind = content["kind"]
-    except (OSError, ValueError, KeyError, TypeError, ArithmeticError) as error:
+    except (OSError, ValueError, RecursionError) as error:
+        from harness.data.tables.table import FORMATS
+
         raise InputError(
             "not a model",
             expected=wanted,
-            got=unread(path, error),
-            remedy="give the file that sysid identify -o wrote",
+            got=f"no JSON ({error})" if isinstance(error, json.JSONDecodeError) else unread(path, error),
+            remedy="name models first and the data set last" if path.suffix.lower() in FORMATS else REMEDY,
             file=path,
         ) from error
+    if not isinstance(content, dict) or "kind" not in content:
+        raise InputError("not a model", expected=wanted, got="JSON without a 'kind'", remedy=REMEDY, file=path)
+    kind = content["kind"]
     registered_only(content, file=path)
     beside = path.parent / str(content.get("model", ""))
     if beside.suffix == ".eqs" and beside.is_file():  # equations lie where the model does

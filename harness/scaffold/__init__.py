@@ -94,7 +94,8 @@ def new(kind: str, name: str, *, folder: str | Path = ".") -> list[Path]:
     ['pyproject.toml', 'README.md', '__init__.py', 'py.typed', 'test_contract.py']
     """
     if kind not in SOURCES:
-        raise InputError("kind of plug-in", expected=", ".join(KINDS), got=repr(kind), remedy="choose one of these")
+        raise InputError("kind of plug-in", expected=", ".join((*KINDS, "dataset (of files)")), got=repr(kind),
+                         remedy="choose one of these")  # fmt: skip
     plain = name.replace("-", "_")
     if not re.fullmatch(r"[a-z][a-z0-9]*(?:[-_][a-z0-9]+)*", name) or keyword.iskeyword(plain):
         raise InputError(

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import HarnessError, InputError, printable
+from harness.options import as_options
 from harness.parts.files import describe_fmu, make_plant
 from harness.scoring.acceptance import Check
 from harness.signals import FloatArray
@@ -252,7 +253,7 @@ def agreement(
         # inputs drive and are not compared
         driving = frozenset(row["name"] for row in describe_fmu(Path(run))["variables"] if row["causality"] == "input")
         own, times, values, lacking, notes = _simulated(
-            Path(run), (names, t, rows), window, inputs, dict(options or {}), limit
+            Path(run), (names, t, rows), window, inputs, as_options(options), limit
         )
     else:
         if inputs is not None or options:

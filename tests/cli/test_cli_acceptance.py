@@ -138,7 +138,7 @@ def test_models_are_held_against_limits_too(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    ("rms", "said"), [(1e-3, "0.001 rad"), (None, "diverges"), (float("inf"), "diverges"), (float("nan"), "diverges")]
+    ("rms", "said"), [(1e-3, "1 mrad"), (None, "diverges"), (float("inf"), "diverges"), (float("nan"), "diverges")]
 )
 def test_an_error_that_is_no_number_is_said_to_diverge(rms: float | None, said: str) -> None:
     (check,) = Demands(max_error={"theta": "2mrad"}).of_errors("run", {"theta": (rms, "rad")})

@@ -7,9 +7,12 @@ import shlex
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from harness import api
 from harness.command import main
+from harness.errors import InputError
 
 ESTIMATION = "u [N m],theta [rad],time [s]\n" + "".join(
     f"{0.1 * (-1) ** (k // 7)},{0.01 * k * (40 - k)},{0.01 * k:.2f}\n" for k in range(60)
@@ -260,3 +263,60 @@ def test_nothing_is_overwritten_unasked(folder: Path, capsys: pytest.CaptureFixt
     line = refused(["simulate", "pendulum-ode", "--scenario", "multisine", "-o", str(out)], capsys)
     assert "--force" in line
     assert out.read_text() == "mine"
+
+
+@pytest.mark.parametrize(("words", "remedy"), [
+    ("simulate pendulum", "did you mean pendulum-ode"),  # before a scenario is asked for
+    ("simulate pendulum-ode --scenario steps -O J=2", "-O parameters.J="),
+    ("simulate pendulum-ode --scenario steps --hide coulomb@theta:Fc=1", "did you mean coulomb_friction"),
+    ("simulate pendulum-ode --scenario steps --hide coulomb_friction@hinge:Fc=1", "write coulomb_friction@theta"),
+    ("simulate pendulum-ode --scenario steps --seed 1..5", "got '1..5'; remedy: sysid simulate --help"),
+    ("identify estimation.csv --input u,theta --output theta", "name each by itself"),
+    ("identify estimation.csv --input u --output theta --identifier ARX", "did you mean arx"),
+    ("identify estimation.csv --input u --output theta --column theta", "--column NAME=theta"),
+    ("identify estimation.csv --input u --output theta --run valid=validation.csv", "did you mean validation?"),
+    ("compare estimation.csv other.json", "name models first and the data set last"),
+    ("compare other.json estimation.csv", "got JSON without a 'kind'"),
+    ("export empty -o x.fmu", "got a folder without model.json"),
+    ("check estimation.csv", "--reference FILE"),
+    ("list pendlum", "did you mean pendulum"),
+    ("list empty", "name a file"),
+    ("list other.json", "got JSON with 'a'"),
+    ("list words.txt", "got words alone"),
+    ("record-length estimation.csv", "sysid analyse record-length SUBJECT"),
+    ("new robot arm", "dataset (of files)"),
+])  # fmt: skip
+def test_a_newcomer_is_told_what_came_and_what_to_write(
+    folder: Path, words: str, remedy: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    (folder / "empty").mkdir()
+    (folder / "other.json").write_text('{"a": 1}')
+    (folder / "words.txt").write_text("hello\nthis is a note\n")
+    assert remedy in refused(shlex.split(words), capsys)
+
+
+def test_a_refused_dictionary_leaves_nothing_that_looks_like_an_interrupted_run(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, seed in (("estimation", 0), ("validation", 1)):
+        u, noise = np.random.default_rng(seed).standard_normal((2, 160))
+        theta = np.convolve(u, 0.02 * 0.9 ** np.arange(60))[:160] + 1e-3 * noise
+        table = np.c_[u, theta, 0.01 * np.arange(160)]
+        np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=ESTIMATION.split("\n")[0], comments="")
+    words = ["close-loop", str(folder / "dataset.toml"), "--out", str(folder / "out"), "--dictionary", "coulomb"]
+    for _ in range(2):
+        assert "did you mean coulomb_friction" in refused(words, capsys)
+
+
+@pytest.mark.parametrize(("how", "remedy"), [
+    ({"options": "order=2"}, 'write {"NAME": value}'),
+    ({"unit": "m"}, "unit={NAME: 'm'}"),
+    ({"column": "theta"}, "column={NAME: 'theta'}"),
+    ({"sample_time": "0.05"}, "a number of seconds"),
+    ({"model": 3, "identifier": "output-error"}, "FILE.py:NAME"),
+])  # fmt: skip
+def test_arguments_of_another_kind_are_refused_in_python(folder: Path, how: dict, remedy: str) -> None:
+    with pytest.raises(InputError) as caught:
+        api.identify(folder / "estimation.csv", **{"input": "u", "output": "theta", "identifier": "arx", **how})
+    assert remedy in str(caught.value)

@@ -324,18 +324,18 @@ def test_ordinals() -> None:
 def test_odd_readings_are_told_with_their_rows_sizes_and_units() -> None:
     t = 0.5 * np.arange(99.0)
     one, rows = np.array([7]), np.arange(3, 50, 4)
-    assert _reads(THETA, None, one, np.array([2.5]), np.array([0.125]), t) == (
+    assert _reads(THETA, False, one, np.array([2.5]), np.array([0.125]), t) == (
         "theta reads 2.5 rad in row 7 (t = 3.5 s), where its neighbours foretell 0.125 rad"
     )
-    assert _reads(Channel("n", "1"), 9999.0, one, np.array([9999.0]), np.array([0.125]), t) == (
+    assert _reads(Channel("n", "1"), True, one, np.array([9999.0]), np.array([0.125]), t) == (
         "n reads 9999 in row 7, where its neighbours foretell 0.125"
     )
     read, told = np.linspace(1.0, 2.0, 12), np.linspace(0.5, 0.25, 12)
     for count in (2, 12):
-        said = _reads(THETA, None, rows[:count], read[:count], told[:count], t)
+        said = _reads(THETA, False, rows[:count], read[:count], told[:count], t)
         assert f"theta has {count} spikes of up to {max(read[:count] - told[:count]):.3g} rad (rows 3, 7" in said
         assert (", ...)" in said) == (count == 12)
-        word = _reads(THETA, 1.5, rows[:count], read[:count], told[:count], t)
+        word = _reads(THETA, True, rows[:count], np.full(count, 1.5), told[:count], t)
         assert word.startswith(f"theta reads 1.5 rad in {count} rows (3, 7")
 
 

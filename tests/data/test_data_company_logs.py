@@ -184,7 +184,7 @@ def test_errors_are_shown_in_the_unit_in_which_the_log_came(capsys: pytest.Captu
     shown = {row[2]: row[-1] for row in found._rows() if row[0] == "validation"}
     rms = dict(zip("yTnc", found.simulation_error["validation"][0].rms, strict=True))
     assert shown["y"] == f"{1e3 * rms['y']:.3g} mm"
-    assert shown["T"] == f"{rms['T']:.3g} K"  # a difference of temperatures has no zero elsewhere
+    assert shown["T"] == f"{rms['T']:.3g} degC"  # a difference, which has no zero
     assert shown["n"] == f"{rms['n'] * 30 / np.pi:.3g} rpm"
     assert shown["c"] == f"{rms['c']:.3g}"
     print_identified(found, "hold")

@@ -14,12 +14,15 @@ from harness.data import read_trajectory
 from harness.data.conditioning.clock import TimeRules
 from harness.data.conditioning.timebase import pieces_of
 from harness.data.recipe.contents import contents_of
+from harness.data.recipe.ports import nearest
 from harness.data.sections import ResampleSection
-from harness.data.tables.table import Table, _is_element, nearest, open_table
+from harness.data.tables.table import Table, _is_element, open_table
 from harness.data.views import from_fmpy
 from harness.data.whole_files import refused_by_system, whole_file, write_json, write_text
 from harness.errors import InputError
 from harness.signals import Channel
+
+UNLIKE = "correct the name, or say which column it is (sysid: --column NAME=TITLE)"
 
 
 def written(folder: Path, text: str, name: str = "log.csv") -> Path:
@@ -84,7 +87,7 @@ def test_a_column_that_is_not_there_is_refused_with_what_may_be_meant(tmp_path: 
     table = Table(written(tmp_path, csv(*([0.0, 1.0] for _ in titles), titles=",".join(titles))))
     for asked, remedy in (
         ("thetta", "did you mean 'theta [rad]'?"), ("current", "did you mean 'motor_current [A]'?"),
-        ("the_motor_current_of_it", "did you mean 'motor_current [A]'?"), ("qqq", "correct the name"),
+        ("the_motor_current_of_it", "did you mean 'motor_current [A]'?"), ("qqq", UNLIKE),
         (99, "give a number from 0 to 14"), (-1, "give a number from 0 to 14"),
     ):  # fmt: skip
         with pytest.raises(InputError) as refused:

@@ -201,6 +201,7 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
         ),
         ({"further": 6.84}, "free runs err 6.8 times as far on the validation records as on the others"),
         ({}, "the force that nobody measured is too large for a disturbance"),
+        ({"lasting": 0.4}, "an error of free runs that lasts (of theta, 40 % of its motion) is left"),
     ],
 )
 def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict[str, Any], words: str) -> None:
@@ -218,7 +219,10 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
         shaken="jumps" in more,
         jumps=tuple(Jump("theta", use, 0, time, 20.0, 0.2) for use, time in more.get("jumps", ())),
         astray="further" in more,
-        runs=SimpleNamespace(further=more.get("further")),
+        runs=SimpleNamespace(further=more.get("further"), worst=0),
+        form=SimpleNamespace(latent="lasting" not in more),
+        lasting=more.get("lasting"),
+        dataset=SimpleNamespace(spec=SimpleNamespace(outputs=(SimpleNamespace(name="theta"),))),
     )
     assert words in evidence_json._cause(found)  # type: ignore[arg-type]
 

@@ -24,11 +24,12 @@ from harness.diagnosis.report.words import shown
 from harness.effects import builtin
 from harness.physics import load_model
 from harness.schemas import report_schema
+from harness.signals import Channel, PlantSpec
 
 pytestmark = pytest.mark.slow  # whole loops
 
 EFFECT = {
-    "name": "input_compression", "at": "u", "may_be_part_of": "", "given": False, "formula": "F",
+    "name": "input_compression", "at": "u", "may_be_part_of": "", "given": False, "rounds": False, "formula": "F",
     "summary": "A drive that tires.",
     "parameters": {"c": {"value": 0.6, "low": 0.58, "high": 0.62, "unit": "1/N", "state": "determined",
                          "meaning": "share"}},
@@ -250,12 +251,13 @@ def test_the_band_lies_around_the_smoothed_force(monkeypatch: pytest.MonkeyPatch
 
 
 def test_an_input_that_does_not_move_has_no_panel() -> None:
-    spec = SimpleNamespace(inputs=[SimpleNamespace(name="u", unit="N")])
-    found: Any = SimpleNamespace(dataset=SimpleNamespace(spec=spec))
+    spec = PlantSpec((Channel("u", "N"),), (Channel("x", "m"),), 1.0)
+    found: Any = SimpleNamespace(dataset=SimpleNamespace(spec=spec, recorded={"u": "mN"}))
     still: Any = SimpleNamespace(u=np.full((10, 1), 0.3))
     moving: Any = SimpleNamespace(u=np.arange(10.0)[:, None])
     assert _driven(found, still) == []
-    assert [one[0] for one in _driven(found, moving)] == ["u"]
+    ((name, unit, values),) = _driven(found, moving)
+    assert (name, unit, values[-1]) == ("u", "mN", 9000.0)
 
 
 def test_the_deciding_numbers_are_grouped() -> None:
@@ -324,7 +326,7 @@ def test_cards_of_an_arm_are_the_joints_that_got_an_effect_unless_the_whole_arm_
     ],
 )
 def test_the_summary_of_an_arm_says_what_its_residual_did(after: float, flagged: bool, words: str) -> None:
-    data = arm_report("effects_found", effects=[EFFECT])
+    data = arm_report("effects_found", effects=[EFFECT], tie_sets=[[EFFECT]])
     data["joints"][1]["after"]["validation"] = after
     data["stand_in"] = {"flagged": flagged, "reasons": ["two laws of friction"] if flagged else []}
     assert words in _summary(data, [])

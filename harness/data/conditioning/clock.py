@@ -71,7 +71,11 @@ def sample_time_of(time: FloatArray) -> float:
     found = float(steady.mean() if steady.size else steps.mean())
     if steady.size and float(steady.std()) > ROUGH * typical > 0.0:
         found = _counted(time, (found, typical, float(steps.mean())))
-    return float(f"{found:.9g}")
+    # rounded stamps tell their mean step to the resolution over the rows: records of one clock then have one step
+    rounding = float(np.ptp(steady)) / steady.size if steady.size else 0.0
+    known = rounding if rounding * steady.size <= 2 * JITTER_UNNOTICED * typical else 0.0
+    texts = (f"{found:.{digits}g}" for digits in range(1, 9))
+    return next((float(text) for text in texts if abs(float(text) - found) <= known), float(f"{found:.9g}"))
 
 
 def _counted(time: FloatArray, starts: tuple[float, ...]) -> float:

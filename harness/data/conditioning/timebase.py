@@ -222,7 +222,7 @@ def _jumps(
                 if rough and rules.sample_time is None and _is_clock(stamps, float(f"{dt:.6g}"))
                 else "declare "
             )
-            + f"{_remedy(inputs, rules, True)} in a dataset.toml (of a bare table: --gaps split), or cut the run by "
+            + f"{_remedy(inputs, rules, True)}, or cut the run by "
             "rows = [start, stop]",
             place=where(k + 1),
         )
@@ -316,11 +316,8 @@ def _renamed(where: Callable[[int], str], rows: npt.NDArray[np.int64]) -> Callab
 
 def _remedy(inputs: tuple[bool, ...], rules: TimeRules, lost: bool) -> str:
     """Return what may be declared for holes: a held input that is not recorded in one cannot be made up."""
-    return (
-        'gaps = "split"'
-        if lost and any(inputs) and rules.intersample in (None, "zoh")
-        else 'gaps = "split" or [resample]'
-    )
+    made_up = "" if lost and any(inputs) and rules.intersample in (None, "zoh") else " or [resample]"
+    return f'gaps = "split"{made_up} in a dataset.toml (of a bare table: --gaps split)'
 
 
 def _check_finite(time: FloatArray, where: Callable[[int], str]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from harness.data.oddities.pace import band_of, trend_of
 from harness.data.oddities.spikes import Spikes, alike, spikes_of, unfelt
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, Oddity, Trajectory
-from harness.units import behind
+from harness.units import behind, own_unit, own_values, told
 
 _SHOWN = 4
 """Rows that a sentence names."""
@@ -59,7 +59,7 @@ def examined(dataset: Dataset) -> Dataset:
         return dataset
     runs, found = [], []
     for number, run in enumerate(dataset.runs):
-        looked = _Look(number, run.trajectory)
+        looked = _Look(number, run.trajectory, dataset.recorded)
         looked.look()
         runs.append(replace(run, trajectory=looked.mended()))
         found += looked.oddities
@@ -96,6 +96,7 @@ class _Look:
 
     run: int
     record: Trajectory
+    recorded: Mapping[str, str] = field(default_factory=dict)
     oddities: list[Oddity] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -141,6 +142,16 @@ class _Look:
             return self.record
         return replace(self.record, u=self.u, y=self.y, missing=self.missing)
 
+    def _own(self, channel: Channel, *values: FloatArray) -> tuple[Channel, list[FloatArray]]:
+        """Return a channel and readings of it (N,) in the unit in which it was recorded: what sentences tell."""
+        shown = [own_values(one[:, None], (channel,), self.recorded)[:, 0] for one in values]
+        return Channel(channel.name, own_unit(channel, self.recorded)), shown
+
+    def _size(self, channel: Channel, size: float, digits: str) -> str:
+        """Return a difference of readings in the unit in which the channel was recorded, as text."""
+        own, unit = told(float(size), channel.unit, self.recorded.get(channel.name, channel.unit))
+        return f"{own:{digits}}{behind(unit)}"
+
     def _add(self, kind: str, channel: Channel, rows: npt.NDArray[np.intp], words: str, **how: bool) -> None:
         self.oddities.append(Oddity(kind, self.run, channel.name, tuple(map(int, rows)), words, **how))
 
@@ -151,8 +162,9 @@ class _Look:
         y = self.record.y[:, column]
         plain = y if channel.period is None else _unwrapped(y, channel.period)
         self._stands(column, channel, plain)
-        for limit, words in saturated(channel, y).items():
-            limits = np.flatnonzero(y == limit)
+        own, (shown,) = self._own(channel, y)
+        for limit, words in saturated(own, shown).items():
+            limits = np.flatnonzero(shown == limit)
             self.resting[limits, column] = True
             self._add("rail", channel, limits, words)
         if self.n < ODD.fewest:
@@ -163,7 +175,7 @@ class _Look:
         step = coarse_step(y[fresh])
         if step:
             turn = f", {2 * np.pi / step:.4g} a turn" if channel.unit == "rad" else ""
-            words = f"{channel.name} is read in steps of {step:.4g} {channel.unit}{turn}, more than its noise"
+            words = f"{channel.name} is read in steps of {self._size(channel, step, '.4g')}{turn}, more than its noise"
             self._add("step", channel, np.zeros(0, dtype=np.intp), words, fault=False)
         self._pace(column, channel)
 
@@ -195,7 +207,8 @@ class _Look:
         if not fresh.all():
             self._leave(column, fresh, plain)
         rows = np.concatenate([np.arange(first, first + length) for first, length in found])
-        for words in stuck(channel, self.record.y[:, column], self.spec.sample_time):
+        own, (shown,) = self._own(channel, self.record.y[:, column])
+        for words in stuck(own, shown, self.spec.sample_time):
             self._add("stuck", channel, rows, words, used=not fresh.all())
 
     def _spikes(self, column: int, channel: Channel, plain: FloatArray, fresh: npt.NDArray[np.bool_]) -> None:
@@ -212,7 +225,7 @@ class _Look:
         found = Spikes(kept, np.where(np.isin(np.arange(len(values)), kept), found.mended, values))
         for value, places in alike(self.record.y[where, column], found.rows):
             rows = where[places]
-            words = _reads(channel, value, rows, self.record.y[rows, column], found.mended[places], self.record.t)
+            words = self._reads(channel, value, rows, self.record.y[rows, column], found.mended[places])
             self._add("spike" if value is None else "word", channel, rows, f"{words}: counted as missing", used=True)
         if found.rows.size:
             good = fresh.copy()
@@ -234,9 +247,9 @@ class _Look:
         for row, size in zip(rows, sizes, strict=True):
             when = f"row {row} (t = {self.record.t[row]:g} s)"
             words = (
-                f"{channel.name} leaps by {size:.3g} {channel.unit} before {when}, where the motion before and after "
-                "would have to meet: rows were lost, or the sensor slipped; close-loop takes what follows as a record "
-                "of its own"
+                f"{channel.name} leaps by {self._size(channel, size, '.3g')} before {when}, where the motion before "
+                "and after would have to meet: rows were lost, or the sensor slipped; close-loop takes what follows as "
+                "a record of its own"
             )
             self._add("leap", channel, np.array([row]), words)
 
@@ -272,6 +285,13 @@ class _Look:
             words = f"{channel.name} drifts: a straight line is {share:.0%} of its motion, and no input has one"
             self._add("trend", channel, nothing, words, fault=False)
 
+    def _reads(
+        self, channel: Channel, value: float | None, rows: npt.NDArray[np.intp], read: FloatArray, foretold: FloatArray
+    ) -> str:
+        """Return the sentence about odd readings of a channel."""
+        own, (read, foretold) = self._own(channel, read, foretold)
+        return _reads(own, value is not None, rows, read, foretold, self.record.t)
+
     # ---- inputs ----------------------------------------------------------------------------------------------------
 
     def _input(self, column: int, channel: Channel) -> None:
@@ -290,7 +310,7 @@ class _Look:
     ) -> None:
         """Add what is to be said of odd rows of an input."""
         for value, places in alike(u, rows) if rows.size else ():
-            words = _reads(channel, value, places, u[places], found.mended[places], self.record.t)
+            words = self._reads(channel, value, places, u[places], found.mended[places])
             self._add("spike" if value is None else "word", channel, places, f"{words}: {remark}", **how)
 
 
@@ -314,18 +334,21 @@ def _unwrapped(y: FloatArray, period: float) -> FloatArray:
 
 
 def _reads(
-    channel: Channel, value: float | None, rows: npt.NDArray[np.intp], read: FloatArray, told: FloatArray, t: FloatArray
+    channel: Channel, word: bool, rows: npt.NDArray[np.intp], read: FloatArray, foretold: FloatArray, t: FloatArray
 ) -> str:
-    """Return the sentence about odd readings."""
+    """Return the sentence about odd readings, each different or all one ``word``."""
     unit = behind(channel.unit)
     if len(rows) == 1:
-        when = f"row {rows[0]}" + ("" if value is not None else f" (t = {t[rows[0]]:g} s)")
-        return f"{channel.name} reads {read[0]:.6g}{unit} in {when}, where its neighbours foretell {told[0]:.3g}{unit}"
+        when = f"row {rows[0]}" + ("" if word else f" (t = {t[rows[0]]:g} s)")
+        near = f"where its neighbours foretell {foretold[0]:.3g}{unit}"
+        return f"{channel.name} reads {read[0]:.6g}{unit} in {when}, {near}"
     named = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
-    if value is not None:
-        return f"{channel.name} reads {value:.6g}{unit} in {len(rows)} rows ({named}) that their neighbours contradict"
+    if word:
+        return (
+            f"{channel.name} reads {read[0]:.6g}{unit} in {len(rows)} rows ({named}) that their neighbours contradict"
+        )
     return (
-        f"{channel.name} has {len(rows)} spikes of up to {np.abs(read - told).max():.3g}{unit} (rows {named}), "
+        f"{channel.name} has {len(rows)} spikes of up to {np.abs(read - foretold).max():.3g}{unit} (rows {named}), "
         "which their neighbours contradict"
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 from harness.data.oddities.examine import lines
 from harness.display import STYLE, drawing, page, table
 from harness.signals import Dataset, Oddity
+from harness.units import own_record
 
 _MOST = 1000
 """Rows that are listed by number."""
@@ -96,7 +97,7 @@ def odd_pictures(dataset: Dataset) -> list[str]:
             marked.setdefault((odd.run, odd.channel), set()).update(odd.rows)
     pictures = []
     for (run, name), rows in sorted(marked.items()):
-        record = dataset.runs[run].trajectory
+        record = own_record(dataset.runs[run].trajectory, dataset.recorded)
         for channels, values in ((record.spec.inputs, record.u), (record.spec.outputs, record.y)):
             for column, channel in enumerate(channels):
                 if channel.name == name:

@@ -11,7 +11,7 @@ from harness.data.recipe.ports import Ports
 from harness.data.sections import Gaps, SignalSection
 from harness.data.tables.headers import REFERENCE
 from harness.data.tables.table import Table
-from harness.errors import InputError
+from harness.errors import InputError, did_you_mean
 from harness.signals import Use
 
 TIME = "time"
@@ -120,9 +120,9 @@ class Chosen:
         inputs, outputs = _names(signals.get("input")), _names(signals.get("output"))
         inputs = () if inputs == (NOTHING,) else inputs
         step = signals.get("sample_time")
-        if step is not None and not 0.0 < step < float("inf"):
+        if step is not None and not (isinstance(step, float | int) and 0.0 < step < float("inf")):
             raise InputError(
-                "sample time", expected="seconds, more than 0", got=repr(step), remedy="correct it",
+                "sample time", expected="a number of seconds, more than 0", got=repr(step), remedy="correct it",
                 place="--sample-time",
             )  # fmt: skip
         gaps = signals.get("gaps") or "refuse"
@@ -136,8 +136,8 @@ class Chosen:
         return cls(
             inputs,
             outputs,
-            dict(signals.get("column") or {}),
-            dict(signals.get("unit") or {}),
+            _by_name("column", signals.get("column")),
+            _by_name("unit", signals.get("unit")),
             step,
             gaps,
             signals.get("sheet"),
@@ -305,6 +305,16 @@ def _names(given: str | Sequence[str] | None) -> tuple[str, ...] | None:
     return None if given is None else (given,) if isinstance(given, str) else tuple(map(str, given))
 
 
+def _by_name(word: str, given: Any) -> dict[str, Any]:
+    """Return what was said of signals by their names."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(
+            word, expected="a mapping from names of signals", got=repr(given), place=f"--{word}",
+            remedy=f"say of which signal: {word}={{NAME: {given!r}}}",
+        )  # fmt: skip
+    return dict(given or {})
+
+
 def _run(given: Any) -> tuple[Use, Any]:
     """Return use and file of a further record."""
     uses = get_args(Use)
@@ -319,4 +329,10 @@ def _run(given: Any) -> tuple[Use, Any]:
     for use in uses if isinstance(given, str) and not Path(given).exists() else ():
         if given.startswith(f"{use}="):
             return use, given.removeprefix(f"{use}=")
+    word, equals, file = given.partition("=") if isinstance(given, str) else ("", "", "")
+    if equals and not Path(given).exists() and Path(file).exists():
+        raise InputError(
+            "use of a record", expected=f"one of {', '.join(uses)}", got=repr(word), place="--run",
+            remedy=did_you_mean(word, uses, "correct it"),
+        )  # fmt: skip
     return "estimation", given

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from harness.data.tables.headers import split_header
 from harness.errors import InputError, did_you_mean
 from harness.signals import Channel
 from harness.trust import names_fmu
+from harness.units import fits
 
 ANY_PORTS = "linear"
 """The built-in model that takes its ports from the data."""
@@ -138,7 +141,7 @@ def ports_of(model: str, options: Mapping[str, Any], *, analogy: bool = False) -
     return Ports(system.inputs, tuple(outputs[name] for name in ordered), model, not analogy, joints)
 
 
-def located_model(model: str, folder: Path) -> str:
+def located_model(model: str | Path, folder: Path) -> str:
     """Return a model's name with its file made findable from any folder (relative to the data set first).
 
     Examples
@@ -146,6 +149,14 @@ def located_model(model: str, folder: Path) -> str:
     >>> located_model("pendulum", Path("."))
     'pendulum'
     """
+    if not isinstance(model, str | Path):
+        raise InputError(
+            "model",
+            expected="the name of a model, or a file",
+            got=type(model).__name__,
+            remedy="give FILE.py:NAME of the function that makes it; harness.diagnosis.close_loop takes it as it is",
+        )
+    model = str(model)
     name, colon, attribute = model.rpartition(":") if ".py:" in model else (model, "", "")
     if Path(name).suffix.lower() not in (".py", ".fmu", ".urdf", ".xml", ".mjcf", ".eqs"):
         return model
@@ -192,3 +203,25 @@ def _fmu_ports(path: str, *, analogy: bool) -> Ports:
         for kind in ("input", "output", "local")
     }
     return Ports(groups["input"], (*groups["output"], *groups["local"]), Path(path).name, units_fixed=not analogy)
+
+
+def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:
+    """Return the titles that may be meant by a channel: of like name first, then of like unit, at most six.
+
+    Examples
+    --------
+    >>> nearest(Channel("u", "N m"), ["temperature [K]", "u_motor [V]", "torque [N mm]"])
+    ['u_motor [V]', 'torque [N mm]', 'temperature [K]']
+    """
+
+    def distance(title: str) -> tuple[float, bool]:
+        name, unit = split_header(title)
+        alike = difflib.SequenceMatcher(None, name.lower(), channel.name.lower()).ratio()
+        starts = name.lower().startswith(channel.name.lower())
+        try:
+            other = unit is None or not fits(unit, channel.unit)
+        except InputError:
+            other = True
+        return -alike - 0.5 * starts - 0.3 * (not other), other
+
+    return sorted(titles, key=distance)[:6]

@@ -17,12 +17,13 @@ from harness.data.conditioning.unstated import refuse_unlikely_seconds
 from harness.data.recipe.in_memory import examined_data
 from harness.data.recipe.loaded import LoadedDataset
 from harness.data.recipe.plan import Plan
+from harness.data.recipe.ports import nearest
 from harness.data.recipe.sanity import check_run, check_runs
 from harness.data.recipe.second_clock import refuse_other_pace
 from harness.data.sections import Description, RunSection
 from harness.data.tables.bags import is_bag_folder
 from harness.data.tables.merging import in_turn, merged, one_clock
-from harness.data.tables.table import Table, nearest, open_table
+from harness.data.tables.table import Table, open_table
 from harness.errors import InputError
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
@@ -85,7 +86,9 @@ class Reader:
                     spec = spec or self._spec(piece.sample_time)
                     trajectory, extra = self._trajectory(piece, spec)
                     whole = len(piece.values) == longest
-                    notes += check_run(trajectory, measured, inverse_dynamics=arm, fitted=fitted, whole=whole)
+                    notes += check_run(
+                        trajectory, measured, recorded=self.recorded, inverse_dynamics=arm, fitted=fitted, whole=whole
+                    )
                     label = section.label + (f"/{order}" if len(pieces) > 1 else "")
                     runs.append(Run(trajectory, section.use, label.lstrip("/")))
                     references.append(extra)
@@ -103,7 +106,9 @@ class Reader:
         between = self.description.intersample or "zoh"
         # readings that are brought onto another clock no longer lie on the grid on which they were read
         steps = {name: min(found) for name, found in self.steps.items() if min(found) > 0.0}
-        found = Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes), steps)
+        found = Dataset(
+            self.description.name, tuple(runs), between, plan.noise(), tuple(dict.fromkeys(self.notes)), steps
+        )
         dataset = examined_data(replace(found, recorded=self.recorded), names)
         dataset = replace(
             dataset,
@@ -366,8 +371,10 @@ class Reader:
             raise InputError(
                 "no time",
                 expected="sample_time = ... (s), or a time in every row",
-                got=f"one number of {column!r}",
-                remedy=f"declare sample_time = {time[:1].sum():g} if that is it (sysid: --sample-time)",
+                got=f"{'nothing in' if np.isnan(time[0]) else 'one number of'} {column!r}",
+                remedy="declare sample_time"
+                + ("" if np.isnan(time[0]) else f" = {time[0]:g} if that is it")
+                + " (sysid: --sample-time)",
                 place="sample_time",
             )
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from harness.data.recipe.ports import Ports, rate_unit
 from harness.data.recipe.si import SI_UNITS
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Run, Trajectory
+from harness.units import own_record, told
 
 _FACTORS = (
     (180.0 / np.pi, "one is in degrees and the other in radians"),
@@ -36,6 +37,7 @@ def check_run(
     trajectory: Trajectory,
     measured: Sequence[tuple[str, int]],
     *,
+    recorded: Mapping[str, str] | None = None,
     inverse_dynamics: bool = False,
     fitted: bool = True,
     whole: bool = True,
@@ -48,6 +50,8 @@ def check_run(
         Any length.
     measured : sequence of (port, derivative)
         What each output is; ``theta_rate`` in rad/s beside ``theta`` in rad is its derivative.
+    recorded : mapping
+        Unit by channel in which the data came: warnings tell values in it.
     inverse_dynamics : bool
         The model gives the inputs of a motion (an arm): where a controller holds the motion, the torque follows it.
     fitted : bool
@@ -62,7 +66,8 @@ def check_run(
         If the run has one sample, no output ever moves, or a measured rate contradicts its position.
     """
     notes: list[str] = []
-    spec = trajectory.spec
+    recorded = recorded or {}
+    spec, own = trajectory.spec, own_record(trajectory, recorded)
     if fitted and len(trajectory) < SHORTEST:
         raise InputError(
             f"a record of {len(trajectory)} row{'s' if len(trajectory) > 1 else ''}",
@@ -81,21 +86,20 @@ def check_run(
         raise InputError(
             "the input and the outputs never move" if idle else "the outputs never move",
             expected="outputs that change",
-            got=", ".join(f"{c.name} = {v:g} {c.unit}" for c, v in zip(spec.outputs, trajectory.y[0], strict=True))
+            got=", ".join(f"{c.name} = {v:g} {c.unit}" for c, v in zip(own.spec.outputs, own.y[0], strict=True))
             + f" in all {len(trajectory)} samples",
             remedy="check the columns, the sensor and whether anything was switched on",
         )
     for i, channel in enumerate(spec.outputs):
         if still[i]:
-            notes.append(f"output {channel.name} never moves ({trajectory.y[0, i]:g} {channel.unit})")
+            notes.append(f"output {channel.name} never moves ({own.y[0, i]:g} {own.spec.outputs[i].unit})")
         elif channel.kind != "category":
-            notes += _out_of_range(channel, trajectory.y[:, i]) + _raw(channel, trajectory.y[:, i])
+            notes += _out_of_range(channel, trajectory.y[:, i], recorded) + _raw(channel, trajectory.y[:, i])
     for i, channel in enumerate(spec.inputs):
         if not np.ptp(trajectory.u[:, i]):
-            notes.append(
-                f"input {channel.name} is constant ({trajectory.u[0, i]:g} {channel.unit}): it excites nothing"
-            )
-        notes += _out_of_range(channel, trajectory.u[:, i]) + _raw(channel, trajectory.u[:, i])
+            constant = f"{own.u[0, i]:g} {own.spec.inputs[i].unit}"
+            notes.append(f"input {channel.name} is constant ({constant}): it excites nothing")
+        notes += _out_of_range(channel, trajectory.u[:, i], recorded) + _raw(channel, trajectory.u[:, i])
     said, sure = _rates(trajectory, measured)
     notes += said
     for i, channel in enumerate(spec.outputs):
@@ -172,15 +176,14 @@ def _refuse_whirling(channel: Channel, values: FloatArray) -> None:
         )
 
 
-def _out_of_range(channel: Channel, values: FloatArray) -> list[str]:
+def _out_of_range(channel: Channel, values: FloatArray, recorded: Mapping[str, str]) -> list[str]:
     """Say that values leave the range that the model declares."""
     low, high = float(values.min()), float(values.max())
     if channel.minimum <= low and high <= channel.maximum:
         return []
-    return [
-        f"{channel.name} leaves its declared range [{channel.minimum:g}, {channel.maximum:g}] {channel.unit}: "
-        f"{low:g} to {high:g}"
-    ]
+    ends = np.array([channel.minimum, channel.maximum, low, high])
+    (least, most, low, high), unit = told(ends, channel.unit, recorded.get(channel.name, channel.unit), reading=True)
+    return [f"{channel.name} leaves its declared range [{least:g}, {most:g}] {unit}: {low:g} to {high:g}"]
 
 
 def _raw(channel: Channel, values: FloatArray) -> list[str]:

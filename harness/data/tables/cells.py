@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -74,6 +75,10 @@ def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None
     (['t [s]', 'u [Nm]', 'theta [°]'], None)
     """
     bare = [cell.strip().strip("[](){}<>").strip() for cell in cells]
+    if len(bare) == len(titles):  # NO. below Number, time below Date&Time say nothing
+        words = " ".join(titles).lower().replace("&", " ").split()
+        idle = {"no", "no.", "nr", "nr.", "#", *words}
+        bare = ["" if cell.lower() in idle and not is_unit(cell) else cell for cell in bare]
     if len(bare) != len(titles) or not any(bare) or any(is_number(cell) and cell != "1" for cell in bare):
         return None
     if not any(cell and cell != "1" for cell in bare) or not all(is_unit_cell(cell) for cell in bare if cell):
@@ -91,6 +96,16 @@ def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None
         f"{title} [{cell}]" if cell and split_header(title)[1] is None else title
         for title, cell in zip(titles, bare, strict=True)
     ]
+
+
+def arrow_values(array: Any) -> FloatArray:
+    """Return an Arrow array of floats with NaN for what is missing, by its buffers: ``to_numpy`` imports pandas."""
+    valid, data = array.buffers()
+    found = np.frombuffer(data, np.float64, len(array), 8 * array.offset).copy()
+    if valid is not None:
+        bits = np.unpackbits(np.frombuffer(valid, np.uint8), bitorder="little")
+        found[bits[array.offset : array.offset + len(array)] == 0] = np.nan
+    return found
 
 
 def _spaced(unit: str) -> str:

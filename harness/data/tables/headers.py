@@ -238,10 +238,23 @@ def fraction_of(title: str, titles: Sequence[str]) -> str | None:
 
 
 _WHOLE = {
-    "sec": ("nsec", "nanosec", "usec"), "secs": ("nsecs", "nanosecs", "usecs"),
-    "s": ("ns", "us"), "seconds": ("nanoseconds", "microseconds"), "second": ("nanosecond", "microsecond"),
+    "sec": ("nsec", "nanosec", "usec", "msec"), "secs": ("nsecs", "nanosecs", "usecs", "msecs"),
+    "s": ("ns", "us"), "seconds": ("nanoseconds", "microseconds", "milliseconds"),
+    "second": ("nanosecond", "microsecond", "millisecond"),
 }  # fmt: skip
 """Words for whole seconds, and those for their fraction beside them (``timespec``, ``timeval``, stamps of ROS)."""
+
+
+def part_unit(name: str) -> str | None:
+    """Return the unit of a column that is called by a part of a second alone; None for any other.
+
+    Examples
+    --------
+    >>> part_unit("ms"), part_unit("millis()"), part_unit("s"), part_unit("latency_ms")
+    ('ms', 'ms', None, None)
+    """
+    unit = TIME_UNITS.get(name.strip(" ()").lower())
+    return unit if unit in ("ms", "us", "ns") else None
 
 
 def _last_word(title: str) -> tuple[str, str]:
@@ -347,6 +360,24 @@ def remarked_unit(lines: Sequence[str]) -> tuple[str, str] | None:
             if _spoken(found["word"].lower()) and unit not in (None, "s"):
                 return unit, line.strip()
     return None
+
+
+def unlike_remark(title: str, unit: str, remark: str) -> InputError:
+    """Return the refusal of a time column without a unit where a remark above the table states another than the second.
+
+    Examples
+    --------
+    >>> unlike_remark("time", "min", "# time in minutes").got
+    "'# time in minutes'"
+    """
+    return InputError(
+        f"the time column {title!r} states no unit",
+        expected="the unit in its title, as a remark above the table states another than the second",
+        got=repr(remark[:60]),
+        remedy=f'title it "{title} [{unit}]", or declare [time] unit = "{unit}" in a dataset.toml '
+        f"(sysid: --unit time={unit})",
+        place="time.unit",
+    )
 
 
 def _is_clock(title: str, *, compounds: bool = False) -> bool:

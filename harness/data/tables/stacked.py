@@ -108,6 +108,25 @@ def logger_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | None
     ], 4
 
 
+def siglent_titles(lines: Sequence[str]) -> tuple[str, int] | None:
+    """Return the line of titles that the settings of a Siglent scope give, and how many lines stand for it.
+
+    Channels and their units stand in rows of their own, above ``Second,Value,Value``.
+
+    Examples
+    --------
+    >>> siglent_titles(["Record Length,Analog:9", "Vertical Units,CH1:V,CH2:A", "Source,CH1,CH2", "Second,Value,Value"])
+    ('time [s],CH1 [V],CH2 [A]', 4)
+    """
+    rows = {line.split(",")[0]: [cell.strip() for cell in line.split(",")[1:]] for line in lines}
+    end = next((row for row, line in enumerate(lines, start=1) if line.startswith("Second,Value")), None)
+    if end is None or not lines[0].startswith("Record Length,") or "Source" not in rows:
+        return None
+    units = dict(cell.partition(":")[::2] for cell in rows.get("Vertical Units", []))
+    names = [f"{name} [{units[name]}]" if units.get(name) else name for name in rows["Source"] if name]
+    return ",".join(("time [s]", *names)), end
+
+
 Cells = Callable[[list[str]], list[str]]
 
 

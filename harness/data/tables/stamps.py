@@ -189,6 +189,36 @@ def with_dates(times: Sequence[str], dates: Sequence[str], where: Callable[[int]
     return clock([f"{day} {plain_time(time)}" for day, time in zip(days, times, strict=True)], where=where)
 
 
+def with_part(times: FloatArray, part: FloatArray) -> FloatArray | None:
+    """Return stamps that stand still with what another column counts between them; None if it does not fit them.
+
+    Parameters
+    ----------
+    times : array (N,)
+        Stamps [s], such as whole seconds.
+    part : array (N,)
+        Part of the step of these [s], which begins anew with each; or the time from any instant, at the same pace.
+
+    Examples
+    --------
+    >>> with_part(np.array([0.0, 0.0, 1.0]), np.array([0.25, 0.75, 0.25])).tolist()
+    [0.0, 0.5, 1.0]
+    >>> with_part(np.array([0.0, 0.0, 1.0]), np.array([7.5, 8.0, 8.5])).tolist()
+    [0.0, 0.5, 1.0]
+    >>> with_part(np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 0.0])) is None
+    True
+    """
+    if len(part) != len(times) or not np.isfinite(part).all():
+        return None
+    steps = np.diff(times)
+    step = max(1.0, float(steps[steps > 0].min(initial=np.inf))) if (steps > 0).any() else 1.0
+    for whole in (times + part, part):
+        within = (whole is part or (0 <= part).all()) and (np.abs(whole - whole[0] - times + times[0]) < step).all()
+        if within and (np.diff(whole) > 0).all():
+            return np.asarray(whole - whole[0])
+    return None
+
+
 def _of_day(stamp: re.Match[str]) -> int | None:
     """Return the seconds of a time since midnight; None where there is no such time."""
     if stamp["compact"] is not None:

@@ -17,19 +17,25 @@ from harness.data.tables.headers import (
     clock_of,
     clock_unit,
     fraction_of,
+    part_unit,
     split_header,
     stated_unit,
     unit_of_time,
+    unlike_remark,
 )
-from harness.data.tables.stamps import clock, is_date, is_time_of_day, with_dates
+from harness.data.tables.stamps import clock, is_date, is_time, is_time_of_day, with_dates, with_part
 from harness.errors import InputError, no_file
-from harness.signals import Channel, FloatArray
-from harness.units import convert, fits
+from harness.signals import FloatArray
+from harness.units import convert
 
 _TEXT = (".csv", ".tsv", ".txt", ".lvm", ".log", ".asc", ".prn", ".tab")
 _PACKED = (".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
 BARE = (*_TEXT, ".dat", *_PACKED, ".parquet", ".pq", ".feather", ".arrow", ".xlsx", ".xlsm")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""
+
+
+EPOCH = (6e17, 4.2e18)
+"""Nanoseconds from 1970 to 1989 and 2103: so large a stamp counts nothing else."""
 
 
 class Source(Protocol):
@@ -348,8 +354,10 @@ class Table:
             If the column is not there, or its title states something that is no unit of time.
         """
         title = self.find(column)
+        if title is not None and (dated := self._dates_of(title)) is not None:
+            title = column = dated
         if title is not None and (dates := self._with_dates(title)) is not None:
-            return dates, True
+            return self._with_part(title, dates), True
         values, unit = self.read(column if title is None else title)
         own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
         spelt = title if title is not None else str(column)
@@ -359,12 +367,16 @@ class Table:
                 return dates, True
             if title is not None and (part := fraction_of(title, self.titles)) is not None:
                 values, unit = self._with_fraction(title, values, part), "s"
+            if unit is None and values.size and EPOCH[0] < values.min() <= values.max() < EPOCH[1]:
+                unit = "ns"
             if unit is None:
                 self._refuse_remark(spelt)
         values, period, times = unwrapped(values, of_day=own is not None)
         if times:
             kind = "clock of twelve hours" if period == HALF_DAY and own is not None else "counter"
             self._say(f"{spelt} is a {kind} that begins anew after {period:.10g} ({times}x): it is taken to go on")
+        if own is not None:
+            values = self._with_part(spelt, values)
         unit = own or unit
         return convert(values, unit or "s", "s"), unit is not None
 
@@ -378,7 +390,8 @@ class Table:
                 raise error.located(file=self.path) from error
             stated = None
         declared = declared if declared is None else unit_of_time(declared)
-        if declared is not None and stated is not None and not _same_scale(stated, declared):
+        scales = [convert(np.ones(1), one, "s") for one in (stated, declared) if one is not None]
+        if scales and not np.isclose(scales[0], scales[-1]).all():
             self._say(f"the title {spelt!r} says {stated}; {declared}, as declared, counts")
         return declared or stated
 
@@ -412,15 +425,7 @@ class Table:
         """Refuse a time column without a unit where a remark above the table states one that is not the second."""
         said: tuple[str, str] | None = getattr(self._source, "remarked", None)
         if said is not None:
-            raise InputError(
-                f"the time column {title!r} states no unit",
-                expected="the unit in its title, as a remark above the table states another than the second",
-                got=repr(said[1][:60]),
-                remedy=f'title it "{title} [{said[0]}]", or declare [time] unit = "{said[0]}" in a dataset.toml '
-                f"(sysid: --unit time={said[0]})",
-                place="time.unit",
-                file=self.path,
-            )
+            raise unlike_remark(title, *said).located(file=self.path)
 
     def _say(self, note: str) -> None:
         """Keep what was noticed, once."""
@@ -466,6 +471,24 @@ class Table:
             return None
         beside = [other for other in self.titles if other not in ("", title) and all(map(is_date, texts(other, 1)))]
         return with_dates(texts(title), texts(beside[0]), self.where) if beside else None
+
+    def _dates_of(self, title: str) -> str | None:
+        """Return the column of dates or times to which parts of a second belong that begin anew; else None."""
+        texts = getattr(self._source, "texts", None)
+        if texts is None or part_unit(self.split(title)[0]) is None or not (np.diff(self.read(title)[0]) < 0).any():
+            return None
+        return next((one for one in self.titles if one not in ("", title) and all(map(is_time, texts(one, 1)))), None)
+
+    def _with_part(self, title: str, times: FloatArray) -> FloatArray:
+        """Return dates or times [s] that stand still with the parts of a second that another column counts."""
+        for other in self.titles if (np.diff(times) == 0).any() else ():
+            unit = part_unit(self.split(other)[0])
+            if other != title and unit is not None:
+                found = with_part(times, convert(self.read(other)[0], unit, "s"))
+                if found is not None:
+                    self._say(f"time: {title!r}, and between its stamps {other!r}")
+                    return found
+        return times
 
     def read(self, column: str | int, like: str | None = None) -> tuple[FloatArray, str | None]:
         """Return one column (N,) and the unit that its title states, or None.
@@ -522,9 +545,16 @@ class Table:
         else:
             names = {split_header(title)[0].lower(): title for title in titles}
             near = difflib.get_close_matches(column.lower(), list(names), n=2, cutoff=0.5)
-            near = near or [name for name in names if _holds(name, column.lower()) or _holds(column.lower(), name)][:2]
+            word = column.lower()
+            near = near or [one for one in names if min(len(one), len(word)) > 2 and (one in word or word in one)][:2]
             said = " or ".join(repr(names[name]) for name in near)
-            remedy = f"did you mean {said}?" if near else "correct the name"
+            remedy = (
+                f"did you mean {said}?"
+                if near
+                else "correct the name, or say which column it is (sysid: --column NAME=TITLE)"
+            )
+            if len(several := [self.find(part.strip()) for part in column.split(",")]) > 1 and None not in several:
+                remedy = "name each by itself (sysid: repeat the option; Python: a list)"
         return InputError(
             f"no column {column!r}",
             expected=f"one of {shown or '(none)'}",
@@ -532,17 +562,6 @@ class Table:
             remedy=remedy,
             file=self.path,
         )
-
-
-def _same_scale(unit: str, other: str) -> bool:
-    """Return True if two units of time are the same."""
-    one = np.ones(1)
-    return bool(np.isclose(convert(one, unit, "s"), convert(one, other, "s"))[0])
-
-
-def _holds(name: str, part: str) -> bool:
-    """Return True if a name holds another that is long enough not to stand in any."""
-    return len(part) > 2 and part in name
 
 
 def _is_element(title: str, name: str) -> bool:
@@ -573,25 +592,3 @@ def _sheet(path: Path, sheet: str) -> Source | None:
     from harness.data.tables.excel import ExcelFile
 
     return ExcelFile(path, sheet)
-
-
-def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:
-    """Return the titles that may be meant by a channel: of like name first, then of like unit, at most six.
-
-    Examples
-    --------
-    >>> nearest(Channel("u", "N m"), ["temperature [K]", "u_motor [V]", "torque [N mm]"])
-    ['u_motor [V]', 'torque [N mm]', 'temperature [K]']
-    """
-
-    def distance(title: str) -> tuple[float, bool]:
-        name, unit = split_header(title)
-        alike = difflib.SequenceMatcher(None, name.lower(), channel.name.lower()).ratio()
-        starts = name.lower().startswith(channel.name.lower())
-        try:
-            other = unit is None or not fits(unit, channel.unit)
-        except InputError:
-            other = True
-        return -alike - 0.5 * starts - 0.3 * (not other), other
-
-    return sorted(titles, key=distance)[:6]

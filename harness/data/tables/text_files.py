@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from harness.data.tables.cells import (
     EMPTY,
+    arrow_values,
     is_number,
     is_unit_cell,
     numbers_of,
@@ -23,7 +24,7 @@ from harness.data.tables.cells import (
     with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
-from harness.data.tables.stacked import MOST_ROWS, are_counted, logger_titles, scope_of, stacked_titles
+from harness.data.tables.stacked import MOST_ROWS, are_counted, logger_titles, scope_of, siglent_titles, stacked_titles
 from harness.data.tables.stamps import is_time
 from harness.data.tables.texts import CODINGS, closed_lines, text_of
 from harness.errors import InputError
@@ -88,6 +89,8 @@ class TextFile:
         if not self._lines:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
         self._leave_out_comments()
+        if (scope := siglent_titles([line for _, line in self._lines[:SETTINGS]])) is not None:
+            self._lines = [(self._lines[scope[1] - 1][0], scope[0]), *self._lines[scope[1] :]]
         self._leave_out_above(hint)
         self._leave_out_settings()
         above = self._lines
@@ -426,7 +429,7 @@ class TextFile:
         table = self._arrow(column, "float64")
         if table is None:
             return None
-        return np.concatenate([_values(chunk) for chunk in table.chunks] or [np.zeros(0)])
+        return np.concatenate([arrow_values(chunk) for chunk in table.chunks] or [np.zeros(0)])
 
     def _arrow(self, column: int, kind: str) -> Any:
         """Return a column of Arrow, of numbers or of texts; None where its reader cannot."""
@@ -504,6 +507,10 @@ class TextFile:
         number, line = self._lines[row]
         cells = [cell for cell in self._cells(line) if cell]
         if len(cells) > 1 and all(cell[:1].isalpha() and cell.lower() not in EMPTY for cell in cells):
+            if not any(is_number(cell) for _, one in self._lines for cell in self._cells(one)):
+                raise InputError(
+                    "no table", expected="a header and rows of numbers", got="words alone", remedy="give the log itself"
+                )
             raise InputError(
                 "another header among the rows" if row else "two rows of titles",
                 expected=f"one table, under {', '.join(map(repr, self.titles[:6]))}",
@@ -582,13 +589,3 @@ def _delimiter_of(line: str) -> str:
 def _are_numbers(cells: list[str]) -> bool:
     """Return True if all cells are numbers, perhaps with decimal commas."""
     return all(is_number(cell) or is_number(cell.replace(",", ".", 1)) for cell in cells)
-
-
-def _values(array: Any) -> FloatArray:
-    """Return an Arrow array of floats with NaN for what is missing, by its buffers: ``to_numpy`` imports pandas."""
-    valid, data = array.buffers()
-    found = np.frombuffer(data, np.float64, len(array), 8 * array.offset).copy()
-    if valid is not None:
-        bits = np.unpackbits(np.frombuffer(valid, np.uint8), bitorder="little")
-        found[bits[array.offset : array.offset + len(array)] == 0] = np.nan
-    return found

@@ -14,9 +14,11 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing, legend
 from harness.diagnosis.report.figures import draw as draw_pictures
 from harness.diagnosis.report.html import environment
+from harness.diagnosis.report.words import recorded_units, shown_in
 from harness.diagnosis.runs.equation import decimated
 from harness.diagnosis.store import write_atomic
 from harness.signals import FloatArray
+from harness.units import told
 
 
 def write_arm_html(data: dict[str, Any], figures: dict[str, str], path: Path) -> None:
@@ -103,10 +105,12 @@ def arm_figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
         )
         if alone and not own_effects:
             changed = False  # nothing was added here
+        unit = f"{channel.unit}/s" if speed else channel.unit
+        own = shown_in(unit, channel.name, recorded_units(found.dataset))
         views.append(
             ResidualView(
                 axis=f"{channel.name}'" if speed else channel.name,
-                unit=f"{channel.unit}/s" if speed else channel.unit, x=rate, before=before,
+                unit=own, x=told(rate, unit, own, reading=not speed)[0], before=before,
                 after=after if changed else None, fitted=fitted, residual_unit=found.arm.inputs[k].unit,
                 port=found.arm.inputs[k].name,
             )

@@ -41,7 +41,7 @@ from harness.diagnosis.report.estimates import effect_data, known
 from harness.diagnosis.report.experiments import separating
 from harness.diagnosis.report.keys import blank, numbers
 from harness.diagnosis.report.refusals import refusals_text
-from harness.diagnosis.report.words import change_text, named, standing_in
+from harness.diagnosis.report.words import change_text, named, recorded_units, standing_in
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.outcome import Outcome
@@ -80,6 +80,7 @@ def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
         "tie_sets": ties if effects else [],
         "separating_experiments": apart if effects else [],
         "separate_with": [[] for _ in effects],
+        "recorded": recorded_units(found.dataset),
         "parameters": {
             "before": {},
             "after": {

@@ -22,8 +22,8 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     ``before`` and ``after``: ``equation_error``, ``simulation_error`` (free runs over the horizon, by use and output),
     ``log_likelihood`` by use.
 ``recorded``
-    By output ``unit``, in which all figures here are, and ``recorded``, in which the data came and the summary and the
-    tables of the page are told, where it is another.
+    By channel ``unit``, in which all figures here are, and ``recorded``, in which the data came and the summary, the
+    tables and the pictures of the page are told, where it is another.
 ``parameters``
     ``before`` and ``after``: every parameter with its 95 % interval from the curvature of the likelihood; ``state`` is
     ``determined``, or where there are no limits ``fixed``, ``on_bound`` or ``not_determined``.
@@ -72,7 +72,7 @@ from harness.diagnosis.report.estimates import effect_data, estimate, known, rat
 from harness.diagnosis.report.experiments import Bench, separate_with, separating, undeclared_motion
 from harness.diagnosis.report.keys import blank, numbers
 from harness.diagnosis.report.refusals import refusal_text, refusals_text
-from harness.diagnosis.report.words import as_recorded, change_text, named, standing_in
+from harness.diagnosis.report.words import as_recorded, change_text, named, recorded_units, standing_in
 from harness.diagnosis.runs import residual_tests
 from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
 from harness.diagnosis.runs.equation_form import EquationForm
@@ -84,7 +84,7 @@ from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import by_equations
 from harness.effects.effect import Placed
-from harness.signals import Dataset, FloatArray
+from harness.signals import FloatArray
 from harness.units import behind
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "tie_sets": [[_named(member) for member in effect.tie] for effect in accepted],
         "separating_experiments": [separating([p for member in effect.tie for p in member]) for effect in accepted],
         "separate_with": [separate_with(bench, effect.tie) for effect in accepted],
-        "recorded": _recorded(found.dataset),
+        "recorded": recorded_units(found.dataset),
         "errors": {
             "before": errors,
             "after": deepcopy(errors) if unchanged else _errors(found, answer.fit, answer.runs),
@@ -181,14 +181,6 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
     advice = undeclared_motion(found.system) if cause else ""
     data["summary"] = "; ".join(filter(None, [_summary(data, found.policy.least, cause, _lasting(found)), advice]))
     return data
-
-
-def _recorded(data: Dataset) -> dict[str, dict[str, str]]:
-    """Return by output its unit and that in which it was recorded, where this is another."""
-    units = {
-        channel.name: (channel.unit, data.recorded.get(channel.name, channel.unit)) for channel in data.spec.outputs
-    }
-    return {name: {"unit": unit, "recorded": own} for name, (unit, own) in units.items() if own != unit}
 
 
 def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
@@ -483,7 +475,8 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
     forces = [
         f"a force at {port} that nobody measured ({_short(math.hypot(force['s'], force['w']))} {force['unit']}, "
         f"{_short(100 * force['share'])} % of what moves it)"
-        for port, force in data["noise"]["after"]["forces"].items()
+        for port, plain in data["noise"]["after"]["forces"].items()
+        for force in [as_recorded(plain, port, data)]
         if force["share"] is not None and force["share"] > least
     ]
     beside = f" beside {' and '.join([*forces, *lasting])}" if forces or lasting else ""
@@ -528,7 +521,7 @@ def _step(step: Mapping[str, Any]) -> str:
 
 def _cause(found: Diagnosis) -> str:
     """Return why something is said to be missing that has no name, in words; what speaks for it most clearly."""
-    best = found.leftover.best
+    best = found.left
     if best is not None:
         return f"a force at {best.name} would"
     if found.outcome.withdrawn:
@@ -549,6 +542,8 @@ def _cause(found: Diagnosis) -> str:
         return _happened(found)
     if found.astray:
         return f"free runs err {found.runs.further:.2g} times as far on the validation records as on the others"
+    if not found.form.latent:
+        return f"{' and '.join(_lasting(found))} is left"
     return "the force that nobody measured is too large for a disturbance"
 
 

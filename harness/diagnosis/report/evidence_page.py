@@ -13,10 +13,12 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report.evidence_json import FREE, answer_of, innovations
 from harness.diagnosis.report.figures import Overlay, Pictures, ResidualView, draw
 from harness.diagnosis.report.html import environment, error_rows
+from harness.diagnosis.report.words import recorded_units, shown_in
 from harness.diagnosis.store import write_atomic
 from harness.diagnosis.systems import by_equations
 from harness.physics.definition.ports import Coordinate
 from harness.signals import FloatArray, Trajectory
+from harness.units import own_record, own_values, told
 
 if TYPE_CHECKING:
     from harness.diagnosis.diagnosis import Diagnosis
@@ -103,22 +105,34 @@ def _overlays(found: Diagnosis, changed: bool) -> list[Overlay]:
     if runs.before is None or last is None:
         return []
     number = int(np.argmax([len(run) for run in found.dataset.validation]))
-    record = found.dataset.validation[number]
-    errors = {
-        name: runs.output.simulated(fitted, "validation", runs.horizon.seconds)[0][number]
-        for name, fitted in (("before", runs.before), ("after", last))
-    }
-    return [
-        Overlay(
-            channel.name,
-            channel.unit,
-            record.t,
-            record.y[:, j],
-            record.y[:, j] - errors["before"][:, j],
-            record.y[:, j] - errors["after"][:, j] if changed else None,
+    record, recorded = found.dataset.validation[number], found.dataset.recorded
+    own = own_record(record, recorded)
+    before, after = (
+        own_values(
+            record.y - runs.output.simulated(fitted, "validation", runs.horizon.seconds)[0][number],
+            record.spec.outputs,
+            recorded,
         )
-        for j, channel in enumerate(found.dataset.spec.outputs)
+        for fitted in (runs.before, last)
+    )
+    return [
+        Overlay(channel.name, channel.unit, own.t, own.y[:, j], before[:, j], after[:, j] if changed else None)
+        for j, channel in enumerate(own.spec.outputs)
     ]
+
+
+def _own(
+    found: Diagnosis, at: str, unit: str, *values: FloatArray | None, reading: bool = False
+) -> tuple[str, list[Any]]:
+    """Return a unit and values at a port in the unit in which that was recorded."""
+    own = shown_in(unit, at, recorded_units(found.dataset))
+    return own, [None if one is None else told(one, unit, own, reading=reading)[0] for one in values]
+
+
+def _axis(found: Diagnosis, at: str, unit: str, values: FloatArray, mark: str = "") -> tuple[str, str, FloatArray]:
+    """Return name, unit and values of a port, or of its rate (``mark`` is a prime then), as they are drawn."""
+    own, (shown,) = _own(found, at, unit, values, reading=not mark)
+    return f"{at}{mark}", own, shown
 
 
 def _force(found: Diagnosis, fit: Fit, port: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -148,10 +162,11 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
         x, after, later = _force(found, final, port)
         coordinate = next(c for c in _coordinates(found) if c.name == force.port)
         axes = [
-            (coordinate.name, coordinate.unit, x[:, coordinate.q]),
-            (f"{coordinate.name}'", f"{coordinate.unit}/s", x[:, coordinate.v]),
+            _axis(found, coordinate.name, coordinate.unit, x[:, coordinate.q]),
+            _axis(found, coordinate.name, f"{coordinate.unit}/s", x[:, coordinate.v], "'"),
         ]
         axes += _driven(found, record)
+        residual_unit, (before, after, band, later) = _own(found, force.port, force.unit, before, after, band, later)
         axes.append(("time", "s", record.t))
         views += [
             ResidualView(
@@ -161,7 +176,7 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
                 before,
                 after if changed else None,
                 None,
-                force.unit,
+                residual_unit,
                 f"latent force at {force.port}",
                 bands=(band, later if changed else None),
             )
@@ -172,7 +187,7 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
 
 def _driven(found: Diagnosis, record: Trajectory) -> list[tuple[str, str, FloatArray]]:
     """Return name, unit and values of the first input, if it moves."""
-    return [(c.name, c.unit, record.u[:, k]) for k, c in enumerate(found.dataset.spec.inputs[:1])
+    return [_axis(found, c.name, c.unit, record.u[:, k]) for k, c in enumerate(found.dataset.spec.inputs[:1])
             if np.ptp(record.u[:, k]) > 0]  # fmt: skip
 
 
@@ -183,15 +198,15 @@ def _output_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
     before, after = (found.form.paths(fit, "estimation")[0][0].e for fit in (found.nominal, final))
     views = []
     for j, channel in enumerate(found.dataset.spec.outputs[:MOST_PORTS]):
-        axes = [(channel.name, channel.unit, record.y[:, j])]
+        axes = [_axis(found, channel.name, channel.unit, record.y[:, j])]
         axes += _driven(found, record)
         axes.append(("time", "s", record.t))
-        sd = float(reading_noise(final)[j])
-        told = np.isfinite(before[:, j])  # the others are missing readings
-        left = after[told, j] if changed else None
+        there = np.isfinite(before[:, j])  # the others are missing readings
+        errors = (before[there, j], after[there, j] if changed else None, reading_noise(final)[j : j + 1])
+        own, (left, later, sd) = _own(found, channel.name, channel.unit, *errors)
         views += [
-            ResidualView(name, unit, values[told], before[told, j], left, None, channel.unit,
-                         f"error of {channel.name}", deviation=sd)
+            ResidualView(name, unit, values[there], left, later, None, own,
+                         f"error of {channel.name}", deviation=float(sd[0]))
             for name, unit, values in axes
         ]  # fmt: skip
     return views
@@ -201,17 +216,12 @@ def _coverage(found: Diagnosis) -> list[tuple[str, str, FloatArray, FloatArray, 
     """Return where estimation and validation have been, coordinate by coordinate."""
     both = [np.concatenate([path.x for path in found.form.paths(answer_of(found).fit, use)[1]]) for use in
             ("estimation", "validation")]  # fmt: skip
-    return [
-        (
-            coordinate.name,
-            coordinate.unit,
-            both[0][:, coordinate.q],
-            both[0][:, coordinate.v],
-            both[1][:, coordinate.q],
-            both[1][:, coordinate.v],
-        )
-        for coordinate in _coordinates(found)
-    ]
+    shown = []
+    for place in _coordinates(found):
+        unit, (q, qv) = _own(found, place.name, place.unit, *(x[:, place.q] for x in both), reading=True)
+        _, (v, vv) = _own(found, place.name, f"{place.unit}/s", *(x[:, place.v] for x in both))
+        shown.append((place.name, unit, q, v, qv, vv))
+    return shown
 
 
 def _coordinates(found: Diagnosis) -> tuple[Coordinate, ...]:

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from harness.diagnosis.policy import POLICY
-from harness.units import told
+from harness.signals import Dataset
+from harness.units import own_unit, told
 
 SAID = 3
 """Rivals that a sentence names; a list below it names all."""
 NOTHING = 1e-11
 """A value on a bound below this is 0: what is fitted through its logarithm cannot be."""
-SIZES = ("rms", "value", "low", "high")
+SIZES = ("rms", "value", "low", "high", "r", "s", "w")
 """Keys of figures that have the unit of their entry."""
 
 
@@ -151,20 +152,46 @@ def shown(entry: Mapping[str, Any]) -> dict[str, str]:
     return {"value": texts[0], "interval": f"{texts[1]} … {texts[2]}"}
 
 
+def recorded_units(data: Dataset) -> dict[str, dict[str, str]]:
+    """Return by channel its unit and that in which it was recorded, where this is another."""
+    channels = (*data.spec.inputs, *data.spec.outputs)
+    units = {channel.name: (channel.unit, own_unit(channel, data.recorded)) for channel in channels}
+    return {name: {"unit": unit, "recorded": own} for name, (unit, own) in units.items() if own != unit}
+
+
+def shown_in(unit: str, channel: str, recorded: Mapping[str, Mapping[str, str]]) -> str:
+    """Return the unit in which a size at a channel is shown: as recorded if it is in the channel's unit, or its rate's.
+
+    Examples
+    --------
+    >>> recorded = {"x": {"unit": "m", "recorded": "mm"}}
+    >>> shown_in("m", "x", recorded), shown_in("m/s", "x", recorded), shown_in("N", "x", recorded)
+    ('mm', 'mm/s', 'N')
+    """
+    known = recorded.get(channel, {"unit": unit, "recorded": unit})
+    rate = unit.removeprefix(known["unit"])
+    return known["recorded"] + rate if unit.startswith(known["unit"]) and rate in ("", "/s") else unit
+
+
 def as_recorded(entry: Mapping[str, Any], channel: str, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return figures in the unit of a channel in the one in which it was recorded; others as they are.
+    """Return sizes in the unit of a channel, or of its rate, in the one in which it was recorded; others as they are.
+
+    An estimate stays as it is where the recorded unit has another zero: a limit is a reading, an offset a difference.
 
     Examples
     --------
     >>> data = {"recorded": {"x": {"unit": "m", "recorded": "mm"}}}
     >>> as_recorded({"rms": 0.002, "nrmse": 0.1, "unit": "m"}, "x", data)
     {'rms': 2.0, 'nrmse': 0.1, 'unit': 'mm'}
+    >>> as_recorded({"r": 0.002, "unit": "m/s"}, "x", data)
+    {'r': 2.0, 'unit': 'mm/s'}
     """
-    known = data.get("recorded", {}).get(channel)  # reports of earlier versions have none
-    if known is None or entry["unit"] != known["unit"]:
+    unit = entry["unit"]
+    own = shown_in(unit, channel, data.get("recorded", {}))  # reports of earlier versions have none
+    if own == unit or ("state" in entry and told(0.0, unit, own, reading=True)[0]):
         return dict(entry)
-    own = {key: told(entry[key], known["unit"], known["recorded"]) for key in SIZES if entry.get(key) is not None}
-    return {**entry, **{key: size for key, (size, _) in own.items()}, "unit": told(1.0, *known.values())[1]}
+    sizes = {key: told(float(entry[key]), unit, own)[0] for key in SIZES if entry.get(key) is not None}
+    return {**entry, **sizes, "unit": own}
 
 
 def _fixed(number: float, power: int, decimals: int) -> str:
