@@ -89,7 +89,7 @@ def score_control(
     except InputError as error:
         row.control_status = f"not for control: {type(model).__name__}: {error.got}"
         return
-    design = _for_control(model)
+    design = for_control(model)
     if design is None:
         failed = "" if row.predictive_cost is not None else ", which does not hold the plant"
         row.control_status = f"{type(model).__name__} is linear in no coordinates: predictive control alone{failed}"
@@ -106,7 +106,7 @@ def score_control(
     row.control_regret = _regret(identifier, design, point.around, point.spread, rng)
 
 
-def _for_control(model: Any) -> Any:
+def for_control(model: Any) -> Any:
     """Return what a regulator can be designed on: a linear model, or a lifted one in its lifted coordinates."""
     from harness.models.lifted import Lifted, deviations
     from harness.scoring.control import LinearPlantModel

@@ -36,7 +36,7 @@ _FINEST = 1e-5
 _ASKED = 50
 """Random points at which a symmetry is asked for."""
 
-_BATCH, _FIRST = 4096, 32
+_BATCH, _FIRST = 4096, 8
 """Cells that are bounded together, and in how many parts each edge of a face is cut at first."""
 
 
@@ -255,13 +255,17 @@ def certified(loop: Loop, ellipsoid: Ellipsoid, *, most: int = 2_000_000) -> Cer
                     seen += len(take)
                     if wide.min() < _FINEST:
                         return Certificate(False, seen)
-                    found = bounded(loop.face, take, wide, _exact(turn), *known, *pushed)
+                    with np.errstate(over="ignore", invalid="ignore"):  # what a large cell has no bound of is undecided
+                        found = bounded(loop.face, take, wide, _exact(turn), *known, *pushed)
                     if seen > most or np.any(found.constant - found.error >= 0):
                         return Certificate(False, seen)
                     undecided = ~(found.most() < 0)
                     if undecided.any():
                         change = np.abs(found.slope) + np.abs(found.bend).sum(axis=2)
-                        two = _halved(take[undecided], wide[undecided], np.argmax(change[undecided], axis=1))
+                        # where the remainder is what is large, no slope says which edge makes it so: the longest
+                        told = found.error < change.sum(axis=1)
+                        axes = np.argmax(np.where(told[:, None], change, wide), axis=1)
+                        two = _halved(take[undecided], wide[undecided], axes[undecided])
                         middle, half = np.vstack([middle, two[0]]), np.vstack([half, two[1]])
     return Certificate(True, seen)
 

@@ -1,9 +1,9 @@
-"""Hybrid automata from measured states: affine flows, a guard, and the jump that the state makes where it is met."""
+"""Hybrid automata from measured states: affine flows, guards, and the jump that the state makes where one is met."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -14,6 +14,7 @@ from harness.errors import FitError, InputError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.lag_state import LagModel
 from identifiers.common.records import real_signals, usable
+from identifiers.hybrid.facets import grouped
 from identifiers.hybrid.jumps import Jump, find_jumps
 from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel, affine
 
@@ -28,29 +29,33 @@ _TOLD = 0.02
 
 _RATE = "_rate"
 
+_MOST_JUMPS = 10
+"""In one sample: a state between walls that close in does not end."""
+
 
 @dataclass(frozen=True, eq=False)
 class HybridModel(LagModel):
-    """Affine flows between jumps; a jump where the guard is met from above.
+    """Affine flows between jumps; a jump where one of the guards is met from above.
 
     Parameters
     ----------
     flow : PiecewiseAffineModel
         One step between jumps.
-    guard : array (ny + 1,)
-        The state jumps when ``guard @ [y, 1]`` falls through 0; only positions have weights in it.
-    within : array (ny + 1,)
-        The part of the guard that counts, ``within @ [y, 1] >= 0``: legs are level in mid-swing as well.
-    reset : array (ny, ny + 1)
-        The state after a jump is ``reset @ [y, 1]`` of that before it.
+    guards : array (g, ny + 1)
+        The state jumps when ``guard @ [y, 1]`` falls through 0 for one of them, the first that does: where all are
+        above 0 is a polyhedron. Only positions have weights.
+    within : array (g, ny + 1)
+        The part of each guard that counts, ``within @ [y, 1] >= 0``: legs are level in mid-swing as well.
+    resets : array (g, ny, ny + 1)
+        The state after a jump at a guard is ``reset @ [y, 1]`` of that before it.
     jump_variance : array (ny,)
         Of the error of a step with a jump in it.
     """
 
     flow: PiecewiseAffineModel
-    guard: FloatArray
+    guards: FloatArray
     within: FloatArray
-    reset: FloatArray
+    resets: FloatArray
     jump_variance: FloatArray
     kind = "hybrid-automaton"
 
@@ -60,45 +65,48 @@ class HybridModel(LagModel):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Guard and reset as equations, and how well the guard tells the jumps."""
+        """Guards and resets as equations, and how well the guards tell the jumps."""
         flow = self.flow.findings if len(self.flow.coefficients) > 1 else ()
         if not self.notes.get("jumps"):
             return flow
-        names = [channel.name for channel in self.spec.outputs]
-        said = [f"jumps where {affine(self.guard, names)} falls through 0"]
-        if np.any(self.within[:-1]):
-            said[0] += f" while {affine(self.within, names)} >= 0"
-        said += [f"after a jump {name} = {affine(row, names)}" for name, row in zip(names, self.reset, strict=True)]
-        told = 100 * self.notes["jumps told by the guard"]
-        return (*said, f"{self.notes['jumps']} jumps, {told:.0f} % of them told by the guard to the sample", *flow)
+        names, said = [channel.name for channel in self.spec.outputs], []
+        for guard, within, reset in zip(self.guards, self.within, self.resets, strict=True):
+            where = f" while {affine(within, names)} >= 0" if np.any(within[:-1]) else ""
+            said.append(f"jumps where {affine(guard, names)} falls through 0{where}")
+            said += [f"after a jump {name} = {affine(row, names)}" for name, row in zip(names, reset, strict=True)]
+        told = 100 * self.notes["jumps told by the guards"]
+        return (*said, f"{self.notes['jumps']} jumps, {told:.0f} % of them told by the guards to the sample", *flow)
 
-    def height(self, y: FloatArray) -> FloatArray:
-        """Return how far states (..., ny) are above the guard."""
-        return np.asarray(np.asarray(y) @ self.guard[:-1] + self.guard[-1])
+    def heights(self, y: FloatArray) -> FloatArray:
+        """Return how far states (..., ny) are above the guards (..., g)."""
+        return np.asarray(np.asarray(y) @ self.guards[:, :-1].T + self.guards[:, -1])
 
     def jumps(self, rows: FloatArray) -> npt.NDArray[np.bool_]:
         """Return whether the step from regressors (..., p) has a jump in it."""
-        # Falling, and not yet above it: just after a jump noise may put the state on either side.
-        y = rows[..., : self.spec.ny]
-        meant = (y @ self._approach < 0.0) & (y @ self.within[:-1] + self.within[-1] >= 0.0)
-        return np.asarray(meant & (self.height(self.flow.ahead(rows)[0]) <= 0.0))
+        ahead = self.flow.ahead(rows)[0]
+        return np.asarray((self._armed(rows[..., : self.spec.ny]) & (self.heights(ahead) <= 0.0)).any(axis=-1))
 
     def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (..., ny) of the next output."""
         mean, variance = self.flow.ahead(rows)
         for place in np.argwhere(self.jumps(rows)):
             at = tuple(place)
-            mean[at] = self._over_a_jump(rows[at])
+            mean[at] = self._over_jumps(rows[at])
             variance[at] = self.jump_variance
         return mean, variance
 
+    def _armed(self, y: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return which guards (..., g) states (..., ny) move towards, on the part that counts."""
+        # Falling, and not yet above it: just after a jump noise may put the state on either side.
+        return np.asarray((y @ self._approach.T < 0.0) & (y @ self.within[:, :-1].T + self.within[:, -1] >= 0.0))
+
     @cached_property
     def _approach(self) -> FloatArray:
-        """Return the weights (ny,) of the outputs in the rate of the height above the guard."""
+        """Return the weights (g, ny) of the outputs in the rates of the heights above the guards."""
         names = [channel.name for channel in self.spec.outputs]
-        weights = np.zeros(len(names))
-        for i in np.flatnonzero(self.guard[:-1]):
-            weights[names.index(names[i] + _RATE)] = self.guard[i]
+        weights = np.zeros((len(self.guards), len(names)))
+        for g, i in np.argwhere(self.guards[:, :-1]):
+            weights[g, names.index(names[i] + _RATE)] = self.guards[g, i]
         return weights
 
     @cached_property
@@ -124,29 +132,38 @@ class HybridModel(LagModel):
             return np.asarray(row[:ny] + part * (self.flow.ahead(row)[0] - row[:ny]))
         return np.asarray((expm(part * generator)[:ny]) @ np.append(row, 1.0))
 
-    def _over_a_jump(self, row: FloatArray) -> FloatArray:
-        """Return the next state: flow to the guard, jump, flow on."""
-        low, high = 0.0, 1.0
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.height(self._part(row, middle)) > 0.0 else (low, middle)
-        after = self.reset @ np.append(self._part(row, high), 1.0)
-        return self._part(np.concatenate([after, row[self.spec.ny :]]), 1.0 - high)
+    def _over_jumps(self, row: FloatArray) -> FloatArray:
+        """Return the next state: flow to the first guard, jump, flow on, and so to the end of the sample."""
+        ny, left = self.spec.ny, 1.0
+        for _ in range(_MOST_JUMPS):
+            met = np.flatnonzero(self._armed(row[:ny]) & (self.heights(self._part(row, left)) <= 0.0))
+            if not met.size:
+                break
+            low, high = 0.0, left
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (low + high)
+                under = self.heights(self._part(row, middle))[met] <= 0.0
+                low, high, met = (low, middle, met[under]) if under.any() else (middle, high, met)
+            after = self.resets[met[0]] @ np.append(self._part(row, high), 1.0)
+            row, left = np.concatenate([after, row[ny:]]), left - high
+        return self._part(row, left)
 
 
 @dataclass(frozen=True)
 class HybridAutomaton:
-    """Flow, guard and reset of a plant whose state jumps, from records of the whole state.
+    """Flow, guards and resets of a plant whose state jumps, from records of the whole state.
 
     Jumps are found where the record does not continue smoothly, and timed within the sample by the positions, which do
-    not jump (:mod:`identifiers.hybrid.jumps`). Between jumps the flow is piecewise affine (``piecewise-affine``); the
-    guard is the plane on which the positions before the jumps lie (total least squares); the reset is an affine map,
-    by least squares from the states before and after. Positions keep their values through it.
+    not jump (:mod:`identifiers.hybrid.jumps`). Between jumps the flow is piecewise affine (``piecewise-affine``). The
+    guards are the planes on which the positions before the jumps lie (:mod:`identifiers.hybrid.facets`); the reset of
+    each is an affine map, by least squares from the states before and after. Positions keep their values through it.
 
     Parameters
     ----------
     modes : int, optional
         Of the flow between jumps; None chooses it.
+    guards : int, optional
+        Walls that are met; None chooses it, up to four.
     swaps : sequence of pairs of str
         Outputs that change roles in a jump, with their rates: legs at heel strike.
     width : int
@@ -159,7 +176,7 @@ class HybridAutomaton:
     Raises
     ------
     FitError
-        If there are jumps, but too few for the guard or the reset, or all alike.
+        If there are jumps, but too few for a guard or its reset, or all alike.
 
     Examples
     --------
@@ -169,11 +186,12 @@ class HybridAutomaton:
     >>> push = create("scenarios", "multisine", duration=12.0, amplitude=4.0, band=[0.1, 3.0])
     >>> data = run(create("plants", "bouncing-mass-pymunk"), push, streams=Streams("p", "s", 0))
     >>> model = HybridAutomaton(modes=1).fit([data.measured()], rng=np.random.default_rng(0))
-    >>> bool(abs(model.reset[1, 1] + 0.8) < 0.02)
+    >>> bool(abs(model.resets[0, 1, 1] + 0.8) < 0.02)
     True
     """
 
     modes: int | None = 1
+    guards: int | None = None
     swaps: Sequence[Sequence[str]] = ()
     width: int = 6
     starts: int = 2
@@ -182,8 +200,11 @@ class HybridAutomaton:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> HybridModel:
         """Return the model; jumps, and how well they fit guard and reset, stand in its notes."""
         what = "hybrid-automaton"
-        if self.width < 3:
-            raise InputError("option width", expected="at least 3", got=str(self.width), remedy="raise it")
+        if self.width < 3 or (self.guards is not None and self.guards < 1):
+            raise InputError(
+                "options width and guards", expected="at least 3 and 1", got=f"{self.width} and {self.guards}",
+                remedy="raise them",
+            )  # fmt: skip
         records, spec = usable(trajectories, samples=4 * self.width, what=what)
         real_signals(spec, what)
         positions = _positions(spec)
@@ -201,16 +222,19 @@ class HybridAutomaton:
             _between(records, jumps), rng=rng
         )
         if not jumps:
-            never = np.eye(spec.ny + 1)[-1]
+            never = np.eye(spec.ny + 1)[-1:]
             notes = {**flow.notes, "jumps": 0, "warning": "no jump was found: the model is the flow alone"}
-            still = np.eye(spec.ny, spec.ny + 1)
+            still = np.eye(spec.ny, spec.ny + 1)[None]
             return HybridModel(spec, 1, flow.scaling, flow, never, never, still, flow.variance[0], notes=notes)
-        before, after = np.array([jump.before for jump in jumps]), np.array([jump.after for jump in jumps])
-        guard, scatter = _guard(spec, before, positions, records, jumps, what)
-        within = _within(before, after, positions)
         size = np.concatenate([record.y for record in records]).std(axis=0)
-        reset, missed, rank = _reset(before, after, positions, roles, size)
-        model = HybridModel(spec, 1, flow.scaling, flow, guard, within, reset, np.zeros(spec.ny))
+        places = np.array([jump.before for jump in jumps])[:, positions] / np.where(size > 0, size, 1.0)[positions]
+        of = grouped(places, self.guards, least=least, reset=spec.ny * (spec.ny + 1), rng=rng)
+        found = [
+            _facet(spec, [one for one, g in zip(jumps, of, strict=True) if g == k], positions, roles, size, records)
+            for k in range(int(of.max()) + 1)
+        ]
+        guards, within, resets = (np.array([getattr(one, name) for one in found]) for name in _FACET)
+        model = HybridModel(spec, 1, flow.scaling, flow, guards, within, resets, np.zeros(spec.ny))
         rows = np.array([np.append(records[j.record].y[j.sample], records[j.record].u[j.sample]) for j in jumps])
         crossed = model.jumps(rows)
         wrong = model.ahead(rows)[0] - np.array([records[j.record].y[j.sample + 1] for j in jumps])
@@ -218,18 +242,46 @@ class HybridAutomaton:
         notes = {
             **flow.notes,
             "jumps": len(jumps),
-            "guard scatter": scatter,
-            "reset rms": missed.tolist(),
-            "reset rank": rank,
-            "jumps told by the guard": float(crossed.mean()),
+            "jumps of each guard": np.bincount(of).tolist(),
+            "guard scatter": [one.scatter for one in found],
+            "reset rms": [one.missed.tolist() for one in found],
+            "reset rank": [one.rank for one in found],
+            "jumps told by the guards": float(crossed.mean()),
         }
+        rank = min(one.rank for one in found)
         if rank < spec.ny:
             notes["warning"] = (
-                f"the states before the jumps span {rank} of the guard's {spec.ny} directions: the reset is known only "
+                f"the states before the jumps span {rank} of a guard's {spec.ny} directions: the reset is known only "
                 "along them (start from other states, or push harder)"
             )
         variance = np.maximum(np.mean(wrong**2, axis=0), flow.variance.min(axis=0))
-        return HybridModel(spec, 1, flow.scaling, flow, guard, within, reset, variance, notes=notes)
+        return replace(model, jump_variance=variance, notes=notes)
+
+
+_FACET = ("guard", "within", "reset")
+
+
+@dataclass(frozen=True, eq=False)
+class _Facet:
+    """A guard, the part of it that counts, its reset, and how well the jumps fit them."""
+
+    guard: FloatArray
+    within: FloatArray
+    reset: FloatArray
+    scatter: float
+    missed: FloatArray
+    rank: int
+
+
+def _facet(
+    spec: PlantSpec, jumps: Sequence[Jump], positions: npt.NDArray[np.intp], roles: npt.NDArray[np.intp],
+    size: FloatArray, records: Sequence[Trajectory],
+) -> _Facet:  # fmt: skip
+    """Return the guard and the reset of jumps that meet the same wall."""
+    before, after = np.array([jump.before for jump in jumps]), np.array([jump.after for jump in jumps])
+    guard, scatter = _guard(spec, before, positions, records, jumps, "hybrid-automaton")
+    reset, missed, rank = _reset(before, after, positions, roles, size)
+    return _Facet(guard, _within(before, after, positions), reset, scatter, missed, rank)
 
 
 def _positions(spec: PlantSpec) -> npt.NDArray[np.intp]:

@@ -79,9 +79,10 @@ class Lumped:
         Physical parameters that are known, by name.
     smoothing : {"auto", "local", "spline", "kalman", "forward", "causal", "none"}
         How rates and accelerations come of what was measured: local cubics with the width of least leave-one-out
-        error; an interpolating spline; a Kalman filter with its backward pass; forward differences; cubics through
-        past samples only (what a filter on the machine can do); by default local cubics, or the spline where there is
-        no noise to speak of. ``none`` takes rates and accelerations (``NAME_acceleration``) as they were recorded.
+        error; a spline, through all samples or, where noise would spoil its second derivative, as smooth as those
+        cubics; a Kalman filter with its backward pass; forward differences; cubics through past samples only (what a
+        filter on the machine can do); by default local cubics, or the spline where there is no noise to speak of.
+        ``none`` takes rates and accelerations (``NAME_acceleration``) as they were recorded.
     intersample : {"zoh", "smooth"}
         The input was held over each sample, or moved smoothly through the samples.
     tolerance : float

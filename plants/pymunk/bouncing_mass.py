@@ -22,7 +22,7 @@ class PymunkBouncingMass(PymunkPlant):
     """A mass on a spring that hits a rigid floor; the input is a force upwards.
 
     Above the floor ``m z'' = u - b z' - k (z - rest) - m g``; at ``z = 0`` the rate jumps from ``z'`` to ``-e z'``. The
-    contact is Chipmunk's.
+    contact is Chipmunk's. A ceiling, if there is one, is a second wall with a restitution of its own.
 
     Parameters
     ----------
@@ -36,6 +36,10 @@ class PymunkBouncingMass(PymunkPlant):
         Height at which the spring is relaxed [m].
     restitution : float
         e, 0 to 1.
+    ceiling : float, optional
+        Height at which the mass hits a ceiling [m].
+    ceiling_restitution : float
+        That of the ceiling, at most the floor's.
     outputs : sequence of str, optional
         States that are measured; default: z and z_rate.
     **engine
@@ -55,6 +59,8 @@ class PymunkBouncingMass(PymunkPlant):
         k: float = 20.0,
         rest: float = 0.5,
         restitution: float = 0.8,
+        ceiling: float | None = None,
+        ceiling_restitution: float = 0.5,
         sample_time: float = 0.01,
         substeps: int = 100,
         gravity: float = 9.81,
@@ -63,6 +69,14 @@ class PymunkBouncingMass(PymunkPlant):
     ) -> None:
         if not 0 <= restitution <= 1:
             raise InputError("option restitution", expected="0 to 1", got=repr(restitution), remedy="correct it")
+        if ceiling is not None and not (ceiling > 0.3 and 0 <= ceiling_restitution <= restitution):
+            raise InputError(
+                "options ceiling and ceiling_restitution",
+                expected=f"above the start at 0.3 m, and 0 to {restitution:g}, the floor's",
+                got=f"{ceiling!r}, {ceiling_restitution!r}",
+                remedy="correct them",
+            )
+        self._ceiling = None if ceiling is None else (float(ceiling), float(ceiling_restitution))
         self.true_parameters = {
             "m": positive("m", m),
             "b": positive("b", b, zero=True),
@@ -98,6 +112,11 @@ class PymunkBouncingMass(PymunkPlant):
         anchor = (0.0, self._rest + RADIUS + FAR)
         spring = pymunk.DampedSpring(ground, mass, anchor, (0.0, 0.0), FAR, p["k"], p["b"])
         space.add(mass, shape, floor, spring)
+        if self._ceiling is not None:
+            top = self._ceiling[0] + 2 * RADIUS + 1.0
+            above = pymunk.Segment(ground, (-1.0, top), (1.0, top), 1.0)
+            above.elasticity = self._ceiling[1] / (p["restitution"] or 1.0)
+            space.add(above)
         self._space, self._bodies = space, (mass,)
 
     def _advance(self, value: float) -> None:

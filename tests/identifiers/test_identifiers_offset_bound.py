@@ -99,6 +99,15 @@ def test_a_pendulum_on_its_head_bears_what_is_certified():
     assert bounds["certified, changing"] <= bounds["certified, constant"] <= bounds["simulated, constant"]
 
 
+@pytest.mark.slow
+def test_a_cart_pole_is_proved_on_few_pieces():
+    found = api.analyse("offset-bound", "cart-pole", options={"target": {"theta": float(np.pi)}, "duration": 10.0})
+    bounds = found.details["bounds"]
+    assert 0.005 < bounds["certified, changing"] <= bounds["simulated, changing"]
+    assert bounds["certified, changing"] < bounds["certified, constant"] <= bounds["simulated, constant"]
+    assert max(row["cells"] for row in found.rows) < 50_000  # 262144 where every face begins with 32 cells an edge
+
+
 def test_what_is_no_mechanism_or_no_state_is_refused():
     with pytest.raises(InputError, match="offset-bound"):
         api.analyse("offset-bound", "acrobot", options={"target": {"hip": 1.0}})

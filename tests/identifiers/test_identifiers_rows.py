@@ -22,9 +22,9 @@ def swing() -> Trajectory:
         return run(plant, scenario, streams=Streams("pendulum", "multisine", seed=0), role="estimation/0").measured()
 
 
-@pytest.mark.parametrize("smoothing", ["local", pytest.param("kalman", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("smoothing", ["local", "spline", pytest.param("kalman", marks=pytest.mark.slow)])
 def test_filtering_first_by_all_of_the_record_is_worth_much(swing, smoothing):
-    """Row 2: state first, dynamics after, by local cubics, or a Kalman filter with its backward pass."""
+    """Row 2: state first, dynamics after, by local cubics, splines, or a Kalman filter with its backward pass."""
     truth, errors = {"J": 0.1, "b": 0.05, "mgl": 1.0}, {}
     for way in ("forward", smoothing):
         model = lumped_torque("pendulum", smoothing=way).fit([swing], rng=np.random.default_rng(0))

@@ -50,6 +50,8 @@ def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
         "redesign",
         "learned-motion",
         "adaptive-balance",
+        "adaptive-tracking",
+        "control-worth",
         "offset-bound",
         "record-length",
         "finite-sample",

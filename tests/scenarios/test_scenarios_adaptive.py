@@ -1,8 +1,11 @@
 """Adaptive control: errors of tracking vanish whatever is believed, those of parameters under a rich reference."""
 
+import json
+
 import numpy as np
 import pytest
 
+from harness.command import main
 from harness.errors import InputError
 from harness.physics import load_model, lumped
 from harness.rng import Streams
@@ -125,3 +128,17 @@ def test_what_does_not_fit_is_refused():
     ):
         with pytest.raises(InputError, match=words):
             AdaptiveControl(**options).prepare(pendulum.spec, streams=Streams("a", "b", seed=0), role="r")
+
+
+def test_a_command_tells_what_was_tracked_and_what_was_learned(tmp_path, capsys):
+    given = 'scenario={duration=6, amplitude=1.0, band=[0.1, 1.0], lines=4, method="identifier"}'
+    asked = ["analyse", "adaptive-tracking", "pendulum-ode", "-P", "sample_time=0.02", "-O", given, "--json"]
+    with pytest.raises(SystemExit) as ended:
+        main([*asked, "-o", str(tmp_path / "learned.svg")])
+    assert ended.value.code == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["parameters off"][0] == pytest.approx(0.8)
+    assert found["parameters off"][1] < 0.02
+    assert max(found["rms"]) < 0.05
+    assert {row["lumped parameter"]: row["true"] for row in found["rows"]} == {"mgl": 1.0, "J": 0.1, "b": 0.05}
+    assert (tmp_path / "learned.svg").stat().st_size > 5000
