@@ -102,7 +102,9 @@ class Diagnosis:
     def incomplete(self) -> bool:
         """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.left is not None or self.latent_share > self.policy.large
-        refused = not self.found and self.promised is not None
+        # a process has no force that takes up what is left, and that a judge by free runs tells of
+        lasts = not self.system.coordinates and self.runs.left > self.policy.explained
+        refused = not self.found and (lasts or self.promised is not None)
         denied = bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
         return left or refused or denied or self.shaken
 

@@ -46,6 +46,11 @@ def misfit_reasons(
             return (_noisy(form, shares),)  # a fit to noise is none, and says nothing about the model
         share = "diverges" if not np.isfinite(runs.left) else f"leaves {100 * np.sqrt(runs.left):.0f} % of the motion"
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
+        if policy.further < runs.further < np.inf:
+            reasons.append(
+                f"it errs {runs.further:.2g} times as far there as on the estimation records: another machine, another "
+                "load, or something that changes between records"
+            )
     for port, size in overwhelmed(form, final, policy).items():
         least = "at least " if f"s@{port}" in final.on_bound else ""
         reasons.append(f"a force that nobody measured would have to be {least}{100 * size:.0f} % of what moves {port}")

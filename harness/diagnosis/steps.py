@@ -169,8 +169,8 @@ def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
         return outcome
     if any(impossible(whole, one, found) for one in fit.effects):
         return outcome
-    told = {name: getattr(found, name) for name in ("values", "deviations", "beside", "logarithmic", "on_bound", "own")}
-    model = replace(fit, **told)
+    told = ("system", "values", "deviations", "beside", "logarithmic", "on_bound", "own")  # the system has their bounds
+    model = replace(fit, **{name: getattr(found, name) for name in told})
     return replace(outcome, nominal=model if fit is outcome.nominal else outcome.nominal, model=model)
 
 

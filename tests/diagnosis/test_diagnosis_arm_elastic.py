@@ -7,10 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete
+from scipy.signal import cont2discrete, lsim
 
+from harness.diagnosis.arm.effects import wide_effects
 from harness.diagnosis.arm.motion import arm_runs
-from harness.diagnosis.arm.rotor import swinging
+from harness.diagnosis.arm.rotor import Swinging, swinging
 from harness.diagnosis.arm.wide import WideResult, wide_search
 from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import ArmModel, load_arm
@@ -116,3 +117,122 @@ def test_the_report_gives_the_stiffness_with_its_interval_and_no_friction(
     row = page[page.index("Joint by joint") :].partition("q1</td>")[2].partition("</tr>")[0]
     assert "joint elasticity" in row
     assert "rotor inertia" in row
+
+
+def test_springs_of_one_arm_swing_together() -> None:
+    """Each was solved as if the others were rigid: 12 % of a stiffness, and 70 % of the other."""
+    rng = np.random.default_rng(5)
+    t = np.arange(3000) * STEP
+    mass, pull = np.array([[0.6, 0.2], [0.2, 0.1]]), np.array([[5.0, 2.0], [2.0, 3.0]])
+    compliance, lag = np.array([1 / 4000, 1 / 900]), np.array([1e-3, 2e-3])
+    inner = np.linalg.inv(mass)
+    still, loss = np.diag(1 / compliance) + pull, np.diag(lag / compliance)
+    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-inner @ still, -inner @ loss]])
+    torque = np.cos(np.outer(t, 2 * np.pi * np.geomspace(0.5, 20, 9)) + rng.uniform(0, 6, 9)) @ rng.normal(size=(9, 2))
+    first = np.concatenate([np.linalg.solve(still, torque[0]), np.zeros(2)])
+    true = lsim((a, np.vstack([np.zeros((2, 2)), inner]), np.eye(4), np.zeros((4, 2))), torque, t, first)[1][:, :2]
+
+    def spring(k: int) -> Swinging:
+        inertia, drag, weight = (np.tile(part[:, [k]], (len(t), 1, 1)) for part in (mass, 0.0 * mass, pull))
+        return Swinging((k,), torque[:, [k]], inertia, drag, weight, STEP)
+
+    together = spring(0).beside(spring(1)).twist(compliance, lag)[300:]
+    assert np.abs(together - true[300:]).max() < 0.03 * np.abs(true).max()
+    alone = spring(1).twist(compliance[1:], lag[1:])[300:, 0]
+    assert np.abs(alone - true[300:, 1]).max() > 0.3 * np.abs(true[:, 1]).max()
+
+
+def test_a_spring_of_an_arm_that_folds_stays_finite() -> None:
+    """An arm folded to a sixth of its inertia: twists of 1e266 rad, and logs of two real arms ended in an error."""
+    dt = 0.01
+    t = np.arange(3000) * dt
+    mass = (3.5 + 2.5 * np.cos(2 * np.pi * 0.3 * t))[:, None, None]
+    torque = np.sin(2 * np.pi * 2.0 * t)[:, None]
+    spring = Swinging((0,), torque, mass, 0.0 * mass, 0.0 * mass, dt)
+    for start in spring.starts():
+        twist = spring.twist(np.array([start["compliance"]]), np.array([start["lag"]]))
+        assert np.abs(twist).max() < 5 * start["compliance"]
+
+
+def test_what_has_no_inertia_about_its_joint_has_no_spring(tmp_path: Path) -> None:
+    """A point mass on the axis of a wrist: the equation of its twist was singular."""
+    path = tmp_path / "two.urdf"
+    path.write_text(LINKS.replace(f'"{C2} 0 0"', '"0 0 0"').replace(f'"{I2}"', '"0"'))
+    names = [str(one) for one in wide_effects(load_arm(path), np.ones(2))]
+    assert "joint_elasticity@q1" in names
+    assert "joint_elasticity@q2" not in names
+
+
+M1, M2, REACH, C1, C2, I1, I2 = 3.0, 1.5, 0.4, 0.2, 0.18, 0.05, 0.02
+"""Two links in a vertical plane: masses, length of the first, centres, inertias about them."""
+LINKS = f"""<robot name="two"><link name="base"/>
+  <joint name="j1" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/>
+    <limit lower="-9" upper="9" effort="99" velocity="99"/></joint>
+  <link name="a"><inertial><origin xyz="{C1} 0 0"/><mass value="{M1}"/>
+    <inertia ixx="{I1}" iyy="{I1}" izz="{I1}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="j2" type="revolute"><parent link="a"/><child link="b"/><origin xyz="{REACH} 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-9" upper="9" effort="99" velocity="99"/></joint>
+  <link name="b"><inertial><origin xyz="{C2} 0 0"/><mass value="{M2}"/>
+    <inertia ixx="{I2}" iyy="{I2}" izz="{I2}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</robot>
+"""
+ROTORS = np.array([0.3, 0.06])
+SUB = 5
+
+
+def rates(x: FloatArray, u: FloatArray, k: FloatArray, d: FloatArray) -> FloatArray:
+    """Return the rates of links, motors and their speeds (8,): each link hangs on its motor by k and d."""
+    q, v, w = x[:2], x[4:6], x[6:]
+    through = k * (x[2:4] - q) + d * (w - v)
+    c, h = np.cos(q[1]), M2 * REACH * C2 * np.sin(q[1])
+    far, between = I2 + M2 * C2**2, I2 + M2 * C2**2 + M2 * REACH * C2 * c
+    near = I1 + M1 * C1**2 + M2 * REACH**2 + far + 2 * M2 * REACH * C2 * c
+    second = 9.81 * M2 * C2 * np.cos(q[0] + q[1])  # weights turn the joints forward
+    first = 9.81 * (M1 * C1 + M2 * REACH) * np.cos(q[0]) + second
+    one = through[0] + h * (2 * v[0] * v[1] + v[1] ** 2) + first
+    two = through[1] - h * v[0] ** 2 + second
+    a = np.array([far * one - between * two, near * two - between * one]) / (near * far - between**2)
+    return np.concatenate([v, w, a, (u - np.array([0.5, 0.1]) * w - through) / ROTORS])
+
+
+def two_springs(arm: ArmModel, k: FloatArray, d: FloatArray) -> Dataset:
+    """Return two logs of the motors of both joints, by the method of Runge and Kutta."""
+    runs = []
+    for number, use in enumerate(USES):
+        rng, t = np.random.default_rng(number), np.maximum(np.arange(-400, 2500), 0) * STEP  # they begin at rest
+        f = np.geomspace(0.5, 25.0, 14)
+        push = np.cos(2 * np.pi * np.multiply.outer(t, np.outer([1.0, 1.13], f)) + rng.uniform(0, 6, (2, 14))).sum(2)
+        push[:400] = 0.0
+        wanted = 0.6 * np.sin(2 * np.pi * np.outer(t, [0.31, 0.43]) + rng.uniform(0, 6, 2)) + [1.3, 0.0]
+        x = np.concatenate([wanted[0], wanted[0], np.zeros(4)])
+        u, y = np.zeros((len(t), 2)), np.zeros((len(t), 2))
+        h = STEP / SUB
+        for i in range(len(t)):
+            y[i] = x[2:4]
+            u[i] = [4.0, 1.0] * push[i] + [60.0, 15.0] * (wanted[i] - x[2:4]) - np.array([8.0, 1.5]) * x[6:]
+            for _ in range(SUB):
+                a = rates(x, u[i], k, d)
+                b = rates(x + h / 2 * a, u[i], k, d)
+                c = rates(x + h / 2 * b, u[i], k, d)
+                x = x + h / 6 * (a + 2 * b + 2 * c + rates(x + h * c, u[i], k, d))
+        kept = slice(400, None)
+        torque = u[kept] + 0.01 * u[kept].std(axis=0) * rng.standard_normal(u[kept].shape)
+        read = y[kept] + 1e-5 * rng.standard_normal(y[kept].shape)
+        runs.append(Run(Trajectory(t[kept], torque, read, PlantSpec(arm.inputs, arm.positions, STEP)), use))
+    return Dataset("two", tuple(runs))
+
+
+@pytest.mark.slow
+def test_two_elastic_joints_are_both_named_with_their_stiffness(tmp_path: Path) -> None:
+    path = tmp_path / "two.urdf"
+    path.write_text(LINKS)
+    arm = load_arm(path)
+    k = np.array([4500.0, 1300.0])  # 14 and 22 Hz behind their held motors
+    result = wide_search(arm, arm_runs(arm, two_springs(arm, k, k / 1800)), [0, 1])
+    assert {str(one.placed) for one in result.accepted} == {"joint_elasticity@q1", "joint_elasticity@q2"}
+    for one in result.accepted:
+        name = one.placed.name("compliance")
+        true = k[int(one.placed.at[-1]) - 1]
+        assert 1 / result.fit.values[name] == pytest.approx(true, rel=0.01)
+        assert abs(np.log(result.fit.values[name] * true)) < 4 * result.fit.deviations[name]
+    assert result.rotors == pytest.approx({0: 0.3, 1: 0.06}, rel=0.01)

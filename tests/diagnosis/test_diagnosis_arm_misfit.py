@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,7 +12,9 @@ import pytest
 
 from harness.diagnosis.arm import misfit
 from harness.diagnosis.arm.motion import arm_runs
+from harness.diagnosis.arm.other_arm import FreeBodies, other_arm_reasons
 from harness.diagnosis.close import close_loop
+from harness.diagnosis.policy import ARM_POLICY, POLICY
 from harness.diagnosis.report.keys import blank
 from harness.effects import builtin
 from harness.physics.arms.arm import ArmModel, load_arm
@@ -162,3 +165,18 @@ def test_a_urdf_with_other_lengths_is_said_to_be_another_arms(tmp_path: Path, fa
     report = close_loop(data, load_arm(path))
     assert report.verdict == "model_does_not_fit", report.data["summary"]
     assert "this URDF does not describe this arm: masses or lengths" in report.data["summary"]
+
+
+def test_joints_that_bodies_tell_say_that_the_urdf_is_another_arms_whatever_wrists_do() -> None:
+    """A geared six-axis arm whose wrist has friction that no body explains; all masses halved, then its own file."""
+    arm, joints = load_arm("iiwa"), range(6)
+    share = np.array([0.996, 0.997, 0.997, 0.995, -1.07, 0.58])
+    beside = np.array([1.17, 0.86, 1.06, 0.99, 0.98, 1.06])
+    halved = FreeBodies(0.91, share, beside, np.array([0.43, 0.46, 0.23, 0.99, 0.98, 1.05]), 1.93, 3.3)
+    alike = ["payload@flange", "link_mass@link of joint_3"]
+    (said, _) = other_arm_reasons(halved, arm, joints, alike, POLICY, ARM_POLICY)
+    assert "masses or lengths of what q1, q2, q3 carry" in said
+    assert "1.9 times all masses of the URDF" in said
+    assert not other_arm_reasons(replace(halved, distance=0.12), arm, joints, alike, POLICY, ARM_POLICY)
+    assert not other_arm_reasons(halved, arm, joints, alike[:1], POLICY, ARM_POLICY), "one name is the shorter answer"
+    assert not other_arm_reasons(replace(halved, factor=1.2), arm, joints, alike, POLICY, ARM_POLICY), "drives do that"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +21,11 @@ from harness.diagnosis.kinds import Equations
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.thinning import hat_projection, local_cubics, thinned_by, thinned_dataset
 from harness.diagnosis.runs.residual_tests import max_autocorrelation
+from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.steps import all_readings, at_full_rate, form_of
 from harness.effects import builtin
+from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.parts.files import make_plant
 from harness.physics import Parameter
@@ -227,3 +231,18 @@ def test_all_readings_of_a_spinning_pole_tell_the_law_that_the_fewer_told() -> N
     for name, true_value in size.items():
         assert told.values[name] == pytest.approx(true_value, rel=5e-3)
         assert told.deviations[name] <= 1.02 * fit.deviations[name]
+
+
+def test_a_value_on_a_bound_that_all_readings_set_is_one_of_the_repaired_model() -> None:
+    """The width of a dry friction came out 0.2 % below the bound of the fewer readings: the report was refused."""
+    dry = Placed(builtin()["coulomb_friction"], "x")
+    width = dry.name("w")
+    fewer, every = (compose(cart_pole().system(), [dry], sizes={"x": {"v": v}}) for v in (1.002, 1.0))
+    assert every.parameter(width).minimum < fewer.parameter(width).minimum
+    fit, found = (
+        Fit((), system, system.values(), (), 0, {}, {}, frozenset(), converged=True, on_bound=())
+        for system in (fewer, every.with_parameters({width: every.parameter(width).minimum}))
+    )
+    whole: Any = SimpleNamespace(fit=lambda effects, starts, base: found)
+    told = at_full_rate(whole, Outcome(whole, fit, fit)).model
+    assert told.model.with_parameters(told.values).values() == told.values

@@ -26,6 +26,7 @@ from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import InputError
 from harness.physics import load_model
+from harness.physics.symbolic.typed import read_equations
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 
@@ -78,7 +79,8 @@ def diagnosis(
         ),
     }
     nothing: Any = None
-    made = Diagnosis(nothing, nothing, form, outcome, rest["leftover"], rest["runs"], misfit, POLICY)
+    plant: Any = SimpleNamespace(coordinates=("theta",) if force else ())
+    made = Diagnosis(nothing, plant, form, outcome, rest["leftover"], rest["runs"], misfit, POLICY)
     made.apart = Apart(apart, [np.full(1000, apart / 1000)], "J", 0.05)
     return made
 
@@ -110,6 +112,9 @@ def test_the_verdict_asks_first_whether_the_model_fits() -> None:
     assert diagnosis(latent=0.25).verdict == "unexplained"
     assert diagnosis(latent=0.15).verdict == "nothing_missing"
     assert diagnosis(latent=0.15, white=0.15).verdict == "unexplained"
+    assert diagnosis(left=0.06, force=False).verdict == "unexplained", "of a process no force takes up what is left"
+    assert diagnosis(left=0.04, force=False).verdict == diagnosis(left=0.06).verdict == "nothing_missing"
+    assert diagnosis(left=0.06, force=False, accepted=True).verdict == "effects_found"
     assert diagnosis(withdrawn=True).verdict == "unexplained"
     assert diagnosis(apart=200.0).verdict == "unexplained"
     assert diagnosis(apart=20.0).verdict == "nothing_missing"
@@ -157,9 +162,11 @@ def doubted(
     repaired: float | dict[str, float] = 0.0,
     doubts: tuple[str, ...] = (),
     noise: float = 0.0,
+    further: float = 1.0,
 ) -> tuple[str, ...]:
     """Return the reasons for a model that leaves a share of the variance and needs a force of this share.
 
+    ``further``: times as far as on the estimation records that it errs.
     ``noise``: share of the readings' variance that the sensor makes; the readings are as white as noise here.
     ``repaired``: what every repair gains, or those of some columns (their first values are negative in ``dataset``).
     """
@@ -194,7 +201,7 @@ def doubted(
     )
     deviation = np.maximum(noises.r, 1e-3)
     error = np.sqrt(left * y.var(axis=0)) / deviation * np.ones((len(y), 1))
-    after: Any = SimpleNamespace(validation=(error,), finite=bool(np.isfinite(left)))
+    after: Any = SimpleNamespace(validation=(error,), estimation=(error / further,), finite=bool(np.isfinite(left)))
     output: Any = SimpleNamespace(
         weights=deviation, records={use: dataset().using(use) for use in ("estimation", "validation")}
     )
@@ -221,6 +228,12 @@ def test_a_model_fits_that_predicts_most_of_the_motion_without_a_force_from_nowh
     assert "diverges" in doubted(np.nan, 0.0)[0]
     assert "80 % of what moves theta" in doubted(0.0, 0.8)[0]
     assert any("J ended on a bound" in text for text in doubted(0.5, 0.0, on_bound=("J", "s@theta")))
+
+
+def test_records_of_another_machine_are_told_from_a_wrong_model() -> None:
+    assert not any("another machine" in text for text in doubted(0.5, 0.0, further=3.0))
+    assert any("8 times as far there as on the estimation records: another machine" in text
+               for text in doubted(0.5, 0.0, further=8.0))  # fmt: skip
 
 
 def test_a_mistake_is_named_only_if_its_repair_makes_the_model_far_likelier() -> None:
@@ -341,6 +354,9 @@ def test_refits_of_other_data_are_not_seen(tmp_path: Path) -> None:
 # ---- horizon and errors ----------------------------------------------------------------------------------------------
 
 
+SPEED = PlantSpec((Channel("u", "N m"),), (Channel("w", "rad/s"),), 0.01)
+
+
 def swing(n: int, start: float = 0.0, *, model: str = "pendulum") -> Dataset:
     """Return slow, small motion about a position in the channels of a model."""
     system = load_model(model)
@@ -366,6 +382,14 @@ def test_an_integrating_plant_is_judged_over_four_of_its_slowest_time_constants(
     values = {"J": 0.1, "b": 0.2, "mgl": 0.0}
     seconds = choose_horizon(replace_gravity(system), values, swing(4000)).seconds
     assert seconds == 2.0  # 4 J / b
+
+
+def test_turns_that_nobody_reads_do_not_shorten_the_free_run_of_a_motor_whose_speed_is_read() -> None:
+    text = ["input u [N m]", "state w [rad/s]", "motion shaft: w, J", "J = 1e-4 kg m^2", "b = 1e-3 N m s/rad"]
+    run = Run(Trajectory(np.arange(4000) * 0.01, np.ones((4000, 1)), np.ones((4000, 1)), SPEED))
+    for law, whole in (("u - b*w", True), ("u", False)):  # without damping the speed itself is an integral
+        system = read_equations("\n".join([*text, f"w' = ({law})/J", "output w"])).system()
+        assert (choose_horizon(system, system.values(), Dataset("x", (run,))).seconds is None) == whole
 
 
 def replace_gravity(system: Any) -> Any:

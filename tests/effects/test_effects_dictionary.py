@@ -211,3 +211,9 @@ def test_a_drive_that_clips_the_peaks_of_a_sine_has_a_start_that_does():
     """Where no start clips a little, the likelihood is flat above and far worse below, and nothing leads there."""
     limits = builtin()["saturation"].parameter("limit").starts({"u": np.sqrt(0.5)})
     assert any(0.87 < limit < 0.97 for limit in limits), limits
+
+
+def test_a_supply_sags_at_its_start_by_no_more_than_a_command_could_make_it() -> None:
+    """Of a record that its start told nothing it was 1e33 V, and hid the rows that the sag did not follow."""
+    start = next(one for one in LAWS["supply_sag"].parameters if one.name == "z0")
+    assert start.highest({"u": 2.0}, start.start({"u": 2.0})) == 6.0  # three times the rms command

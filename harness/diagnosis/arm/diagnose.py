@@ -148,7 +148,8 @@ def _misfit(found: ArmDiagnosis, policy: ArmPolicy) -> tuple[str, ...]:
         free = free_bodies(found.arm, found.runs, found.joints, found.wide, policy)
         named = [] if reasons else alike
         unlikely = len(unlikely_gains(found.joints, policy)) >= policy.several
-        if free is not None and (other := other_arm_reasons(free, named, found.policy, policy, unlikely=unlikely)):
+        other = free and other_arm_reasons(free, found.arm, judged, named, found.policy, policy, unlikely=unlikely)
+        if other:
             return other
     return (*reasons, *mistake)
 

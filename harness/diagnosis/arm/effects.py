@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.arm.motion import ArmRun, torque_gradient
-from harness.diagnosis.arm.rotor import LINK_SIDE, MOTOR_SIDE, Spring, ahead, swinging
+from harness.diagnosis.arm.rotor import LINK_SIDE, MOTOR_SIDE, Spring, Swinging, ahead, swinging
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
 from harness.effects.effect import Effect, EffectParameter, Placed
 from harness.physics.arms.arm import ArmModel
@@ -46,12 +46,31 @@ class Wide:
     of_bodies: bool = True
     bent: Callable[[ArmRun], Spring] | None = None
 
-    def torque(self, run: ArmRun, values: FloatArray) -> FloatArray:
-        """Return the torque (N, n) that the joints need more."""
-        return np.asarray(self.columns(run) @ values if self.bent is None else self.bent(run)(values))
-
     def __str__(self) -> str:
         return str(self.placed)
+
+
+def together(springs: Sequence[tuple[Spring, FloatArray]]) -> list[tuple[Spring, FloatArray]]:
+    """Return springs and their values, those that swing as one: each one's twist moves the others."""
+    found: list[tuple[Spring, FloatArray]] = []
+    for spring, values in springs:
+        at = next((k for k, (other, _) in enumerate(found) if isinstance(other, Swinging)), None)
+        if at is None or not isinstance(spring, Swinging):
+            found.append((spring, values))
+        elif isinstance(other := found[at][0], Swinging):
+            found[at] = other.beside(spring), np.concatenate([found[at][1], values])
+    return found
+
+
+def torques_of(effects: Sequence[tuple[Wide, FloatArray]], run: ArmRun) -> FloatArray:
+    """Return the torque (N, n) that the joints need more, of effects with values of their parameters."""
+    total = np.zeros_like(run.calm.q)
+    for effect, values in effects:
+        if effect.bent is None:
+            total += effect.columns(run) @ values
+    for spring, values in together([(effect.bent(run), values) for effect, values in effects if effect.bent]):
+        total += spring(values)
+    return total
 
 
 def _on_several(signal: Any, states: Any, parameters: Any, q: Any, v: Any) -> Any:
@@ -126,6 +145,7 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
         "flange",
         lambda run: np.concatenate([column(run) for column in load], axis=2),
     )  # fmt: skip
+    swings = _swings(arm)
     turning = "turn the base, or mount it on a level plate: a tilt moves with the base, an encoder's zero does not"
 
     def tilted(run: ArmRun) -> FloatArray:
@@ -144,7 +164,8 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
         zero = _par("offset", channel.unit, "reading minus true position", policy.angle)
         words = "The zero of the position sensor is wrong.", f"{channel.name} = true position + offset", turning
         add(_effect("sensor_offset", [zero], words), channel.name, _zero(arm, k))
-        wide += _springs(arm, k, policy.angle / max(float(torques[k]), 1e-9))
+        if swings[k]:
+            wide += _springs(arm, k, policy.angle / max(float(torques[k]), 1e-9))
     for number in arm.links:
         joint = arm.arm.joints[number]
         if joint.mass > 0:
@@ -162,6 +183,14 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
         words = "The torque of one joint is wrong by a factor.", "left to the search on the joint", heavier
         add(_effect(GAIN, [factor], words), channel.name, _gain(arm, k))
     return wide
+
+
+def _swings(arm: ArmModel) -> FloatArray:
+    """Return for each joint whether its bodies have an inertia about it (n,): else nothing swings on its spring."""
+    still, unit = np.zeros((arm.n, arm.n)), np.eye(arm.n)
+    bent = np.tile(np.linspace(0.3, 0.7, arm.n), (arm.n, 1))  # no pose where links lie along each other
+    mass = np.diag(arm.torques(bent, still, unit, (0.0, 0.0, 0.0), arm.arm.parameters))
+    return np.asarray(mass > ARM_POLICY.told * float(np.max(mass)))
 
 
 def _springs(arm: ArmModel, k: int, most: float) -> list[Wide]:

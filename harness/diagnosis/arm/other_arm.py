@@ -1,10 +1,10 @@
 """Does the URDF describe this arm at all? Wrong masses or lengths look like several smaller errors together.
 
 A payload of a third of the arm, gains of two joints that carry gravity and zeros of every joint explain a log of an arm
-whose URDF has half of its masses. So where more than one such effect was found, or the arm does not fit, its inertial
-parameters are fitted freely: how far they are from the URDF's is measured by the torques that both ask for. With wrong
-lengths no bodies explain the torques, as what hangs on a joint pulls at another arm than the file says: so the places
-of the joints are let go as well.
+whose URDF has half of its masses. So the inertial parameters are fitted freely: how far they are from the URDF's is
+measured by the torques that both ask for. With wrong lengths no bodies explain the torques, as what hangs on a joint
+pulls at another arm than the file says: so the places of the joints are let go as well. Two of these are asked besides
+as one number: a factor on all masses, which gears with much friction hide among a payload and a link.
 """
 
 from __future__ import annotations
@@ -18,14 +18,18 @@ from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm, regression_detail
+from harness.diagnosis.arm.rotor import SPRINGS
 from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.arm.wide_regression import WideRegression
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy, Policy
 from harness.diagnosis.records.motion import Motion
+from harness.diagnosis.search.table import value
 from harness.models.damped import Damping, damped_descent
 from harness.physics.arms.arm import GRAVITY, ArmModel
 from harness.signals import FloatArray
 
+MASSES = "inertia1"
+"""Name of the one direction of the inertial parameters in which they are free: their own, a factor on all of them."""
 DESCENT = Damping(start=1e-2, enough=1e-4, rounds=30)
 """Of the fit: what a cost falls by less than 0.01 % tells nothing more."""
 
@@ -38,21 +42,25 @@ class FreeBodies:
     ----------
     distance : float
         Rms of the torques by which they differ from the URDF's, over the rms of these: of all judged joints together.
-    share : float
-        Part of the torque's variance that they and each joint's friction explain, at the joint where it is least
-        (validation records, parameters from the estimation records).
-    beside, better : float
-        Rms residual over that of the effects on the whole arm that were found beside the same friction, at the joint
-        where it is largest, and where it is smallest.
-    own : float
-        The same over that of what every joint has by itself (friction, its rotor), at the joint where it is smallest.
+    share : array (n,)
+        Part of the torque's variance that they and the joint's friction explain (validation records, parameters from
+        the estimation records).
+    beside : array (n,)
+        Rms residual over that of the effects on the whole arm that were found beside the same friction.
+    own : array (n,)
+        The same over that of what every joint has by itself (friction, its rotor).
+    factor : float
+        On all masses of the URDF, where that alone is fitted beside what joints have by themselves.
+    gained : float
+        By how much that is likelier than all that was found on the whole arm.
     """
 
     distance: float
-    share: float
-    beside: float
-    better: float
-    own: float
+    share: FloatArray
+    beside: FloatArray
+    own: FloatArray
+    factor: float
+    gained: float
 
 
 def look_like_another_arm(wide: WideResult, joints: Sequence[JointDiagnosis]) -> list[str]:
@@ -96,10 +104,14 @@ def free_bodies(
     policy : ArmPolicy
     """
     places = [joint.joint for joint in joints]
+    springs = any(known.placed.effect.name in SPRINGS for known in wide.accepted)  # told on another motion
     regression = WideRegression(arm, runs, places, (), policy)
     freed = runs_of_another_arm(arm, runs, regression.equation(()).columns["estimation"], places)
     fit = RegressionForm(WideRegression(arm, freed, places, (), policy), policy).fit((), [{}], None)
-    if fit is None:
+    scaled = RegressionForm(WideRegression(arm, runs, places, (arm.arm.parameters,), policy), policy).fit(
+        (), [{}], None
+    )
+    if fit is None or scaled is None:
         return None
     counts = np.concatenate(regression.counts["validation"])
 
@@ -123,29 +135,40 @@ def free_bodies(
             [(new, new.rigid - run.rigid) for run, new in zip(runs["estimation"], freed["estimation"], strict=True)],
         )
     )
-    distance = float(np.sqrt(np.sum(moved**2) / max(float(np.sum(rigid**2)), 1e-300)))
     sizes = np.array([max(joint.torque, 1e-300) for joint in joints])
     return FreeBodies(
-        distance,
-        1.0 - float(np.max(left / sizes)) ** 2,
-        float(np.max(left / np.maximum(found, 1e-300))),
-        float(np.min(left / np.maximum(found, 1e-300))),
-        float(np.min(left / np.maximum(without, 1e-300))),
+        float(np.sqrt(np.sum(moved**2) / max(float(np.sum(rigid**2)), 1e-300))),
+        1.0 - (left / sizes) ** 2,
+        left / np.maximum(found, 1e-300),
+        left / np.maximum(without, 1e-300),
+        1.0 + scaled.values[MASSES],
+        value(scaled) - value(wide.fit) if not springs else -np.inf,
     )
 
 
 def other_arm_reasons(
-    free: FreeBodies, alike: Sequence[str], policy: Policy, arm_policy: ArmPolicy, *, unlikely: bool = False
+    free: FreeBodies,
+    arm: ArmModel,
+    joints: Sequence[int],
+    alike: Sequence[str],
+    policy: Policy,
+    arm_policy: ArmPolicy,
+    *,
+    unlikely: bool = False,
 ) -> tuple[str, ...]:
     """Return that the URDF is another arm's, and what to do; nothing where free inertial parameters do not say so.
 
-    They have to be far from the URDF's, and to explain every joint, one of them far better than its own friction and
-    rotor do, and far better than all that was found does while no other is lost. What names a few links and leaves as
-    little is the shorter answer.
+    They have to be far from the URDF's, and to mend some joints far beyond their own friction and rotors, which they
+    then explain: the others, of wrists with friction alone, say nothing of bodies. And they explain some joint far
+    better than all that was found, while no other is lost, or one factor on all masses does as well as that: what names
+    a few links and leaves as little is the shorter answer.
 
     Parameters
     ----------
     free : FreeBodies
+    arm : ArmModel
+    joints : sequence of int
+        Those that were judged.
     alike : sequence of str
         What was found and may be another arm.
     policy : Policy
@@ -153,16 +176,23 @@ def other_arm_reasons(
     unlikely : bool
         What was found cannot be: then it need not leave more than bodies do.
     """
-    far = free.distance >= arm_policy.other_arm and free.own <= arm_policy.by_itself
-    better = (free.better <= arm_policy.far_better and free.beside <= arm_policy.as_well) or unlikely
-    if not far or not better or free.share < 1.0 - policy.misfit_nrmse**2:
+    told = free.own <= arm_policy.by_itself
+    if free.distance < arm_policy.other_arm or not told.any():
         return ()
-    least = np.floor(1000 * free.share) / 10
+    least = float(np.min(free.share[told]))
+    drives = 1 / arm_policy.drive < free.factor < arm_policy.drive
+    shorter = free.gained >= (policy.evidence if not alike else -policy.tie) and len(alike) != 1 and not drives
+    better = np.min(free.beside) <= arm_policy.far_better and np.max(free.beside) <= arm_policy.as_well
+    if not (better or unlikely or shorter) or least < 1.0 - policy.misfit_nrmse**2:
+        return ()
+    where = [arm.positions[joint].name for joint, mended in zip(joints, told, strict=True) if mended]
     text = (
-        f"this URDF does not describe this arm: masses or lengths. Fitted freely, inertial parameters explain "
-        f"{least:g} % of every joint's torque, and ask for torques that differ from the URDF's by "
-        f"{100 * free.distance:.0f} % of these"
+        f"this URDF does not describe this arm: masses or lengths of what {', '.join(where)} carry. Fitted freely, "
+        f"inertial parameters explain {np.floor(1000 * least) / 10:g} % of the torque of each of these joints, and ask "
+        f"for torques that differ from the URDF's by {100 * free.distance:.0f} % of these"
     )
+    if shorter:
+        text += f"; {free.factor:.2g} times all masses of the URDF, or torques {1 / free.factor:.2g} times, do as well"
     if alike:
         text += f"; {_listed(alike)} together only imitate it"
     return (text, 'check masses, centres and lengths in the URDF, or fit them with options = {inertia = "calibrated"}')

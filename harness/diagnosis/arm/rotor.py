@@ -126,73 +126,85 @@ class Spring(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Swinging:
-    """A link that swings behind its motor along one record.
+    """Links that swing behind their motors along one record, together: each one's twist moves the others.
 
     Attributes
     ----------
-    joint : int
-        From 0.
-    torque : array (N,)
-        That bodies need at the joint along the motor's motion.
-    mass, drag, pull : array (N, n)
-        Gradients of all torques by the acceleration, the speed and the position of the joint.
+    joints : tuple of int
+        The s that give way, from 0.
+    torque : array (N, s)
+        That bodies need there along the motors' motion.
+    mass, drag, pull : array (N, n, s)
+        Gradients of all torques by the acceleration, the speed and the position of these joints.
     dt : float
         [s]
     """
 
-    joint: int
+    joints: tuple[int, ...]
     torque: FloatArray
     mass: FloatArray
     drag: FloatArray
     pull: FloatArray
     dt: float
 
-    @property
-    def inertia(self) -> float:
-        """Of all that swings about the joint, typically."""
-        return max(float(np.median(self.mass[:, self.joint])), 1e-12)
+    def beside(self, other: Swinging) -> Swinging:
+        """Return both as one."""
+
+        def both(name: str) -> FloatArray:
+            return np.concatenate([getattr(self, name), getattr(other, name)], axis=-1)
+
+        joints = (*self.joints, *other.joints)
+        return Swinging(joints, both("torque"), both("mass"), both("drag"), both("pull"), self.dt)
 
     def starts(self) -> list[dict[str, float]]:
-        """Return compliances with resonances from the slowest to the fastest that are tried, lightly damped."""
+        """Return compliances of one joint from the slowest resonance to the fastest that is tried, lightly damped."""
+        inertia = max(float(np.median(self.mass[:, self.joints[0], 0])), 1e-12)
         last = min(ARM_POLICY.fastest_spring, ARM_POLICY.resolved / self.dt)
         found = []
         for frequency in np.geomspace(ARM_POLICY.slowest_spring, last, ARM_POLICY.springs):
             w = 2 * np.pi * frequency
-            found.append({"compliance": 1 / (self.inertia * w**2), "lag": 2 * ARM_POLICY.damped / w})
+            found.append({"compliance": 1 / (inertia * w**2), "lag": 2 * ARM_POLICY.damped / w})
         return found
 
-    def twist(self, compliance: float, lag: float) -> FloatArray:
-        """Return the twist (N,) of a spring: ``c M e'' + (lag + c C) e' + (1 + c G) e = c tau``, at rest at first.
+    def twist(self, compliance: FloatArray, lag: FloatArray) -> FloatArray:
+        """Return the twists (N, s) of springs: ``c M e'' + (lag + c C) e' + (1 + c G) e = c tau``, at rest at first.
 
         Central differences; the weights of the neighbours in what is not differentiated give the discrete spring the
-        frequency of the continuous one (1/12 where it is slow: Numerov's method), and keep it stable where it is fast.
+        frequency of the continuous one (1/12 where it is slow: Numerov's method), and keep it stable where it is fast:
+        row by row, as an arm that folds has a fraction of the inertia that it has stretched out.
         """
         from scipy.linalg import solve_banded
 
-        k, dt = self.joint, self.dt
-        x = dt / np.sqrt(compliance * self.inertia)
-        weight = 1 / (4 * np.sin(min(x, 3.0) / 2) ** 2) - 1 / x**2
-        inertia = compliance * self.mass[1:-1, k] / dt**2
-        loss = (lag + compliance * self.drag[1:-1, k]) / (2 * dt)
-        still, forced = 1 + compliance * self.pull[:, k], compliance * self.torque
-        rows = np.zeros((3, len(forced)))
-        rows[0, :2] = 1.0
-        rows[0, 2:] = inertia + loss + weight * still[2:]
-        rows[1, 1:-1] = (1 - 2 * weight) * still[1:-1] - 2 * inertia
-        rows[2, :-2] = inertia - loss + weight * still[:-2]
-        wanted = np.concatenate([(forced / still)[:2], weighted(forced, weight)])
-        return np.asarray(solve_banded((2, 0), rows, wanted, check_finite=False))
+        own, dt, s, rows = list(self.joints), self.dt, len(self.joints), len(self.torque)
+        c = np.asarray(compliance)[:, None]
+        inertia = c * self.mass[1:-1, own] / dt**2
+        loss = (np.diag(lag) + c * self.drag[1:-1, own]) / (2 * dt)
+        still, forced = np.eye(s) + c * self.pull[:, own], c[:, 0] * self.torque
+        alone = np.einsum("taa->ta", inertia)
+        weight = 1 / (4 * np.sin(np.minimum(1 / np.sqrt(np.maximum(alone, 1e-300)), 3.0) / 2) ** 2) - alone
+        outer, middle = weight[:, :, None], 1 - 2 * weight[:, :, None]
+        blocks = (
+            inertia + loss + outer * still[2:],
+            middle * still[1:-1] - 2 * inertia,
+            inertia - loss + outer * still[:-2],
+        )
+        band = np.zeros((4 * s - 1, rows, s))
+        band[s - 1, :2] = 1.0
+        for back, block in enumerate(blocks):
+            for at in range(s):
+                for by in range(s):
+                    band[s - 1 + back * s + at - by, 2 - back : rows - back, by] = block[:, at, by]
+        first = np.linalg.solve(still[:2], forced[:2, :, None])[:, :, 0]
+        later = weight * (forced[2:] + forced[:-2]) + (1 - 2 * weight) * forced[1:-1]
+        wanted = np.concatenate([first, later]).ravel()
+        found = solve_banded((3 * s - 1, s - 1), band.reshape(len(band), -1), wanted, check_finite=False)
+        return np.asarray(found.reshape(rows, s))
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        """Return by how much more torque (N, n) the joints need, for a compliance and a lag."""
-        e = self.twist(float(values[0]), float(values[1]))
-        bent = _second(e, self.dt)[:, None]
-        return -(self.mass * bent + self.drag * np.gradient(e, self.dt)[:, None] + self.pull * e[:, None])
-
-
-def weighted(values: FloatArray, weight: float) -> FloatArray:
-    """Return means (N - 2,) of neighbours, the outer ones with a weight each."""
-    return np.asarray(weight * (values[2:] + values[:-2]) + (1 - 2 * weight) * values[1:-1])
+        """Return by how much more torque (N, n) the joints need, for a compliance and a lag of each."""
+        e = self.twist(values[::2], values[1::2])
+        parts = (self.mass, _second(e, self.dt)), (self.drag, np.gradient(e, self.dt, axis=0)), (self.pull, e)
+        return -np.asarray(sum(np.einsum("tns,ts->tn", gradient, twist) for gradient, twist in parts))
 
 
 def swinging(arm: ArmModel, joint: int) -> Callable[[ArmRun], Swinging]:
@@ -206,9 +218,9 @@ def swinging(arm: ArmModel, joint: int) -> Callable[[ArmRun], Swinging]:
 
     def made(run: ArmRun) -> Swinging:
         m = run.calm
-        torque = arm.torques(m.q, m.v, m.a, parameters=bodies)[:, joint]
-        mass, drag, pull = (torque_gradient(arm, m, joint, of, bodies) for of in (2, 1, 0))
-        return Swinging(joint, torque, mass, drag, pull, run.motion.sample_time)
+        torque = arm.torques(m.q, m.v, m.a, parameters=bodies)[:, [joint]]
+        mass, drag, pull = (torque_gradient(arm, m, joint, of, bodies)[:, :, None] for of in (2, 1, 0))
+        return Swinging((joint,), torque, mass, drag, pull, run.motion.sample_time)
 
     return made
 
@@ -256,8 +268,8 @@ def ahead(arm: ArmModel, joint: int) -> Callable[[ArmRun], Ahead]:
 
 
 def _second(values: FloatArray, dt: float) -> FloatArray:
-    """Return the second derivative (N,), by central differences of fourth order."""
+    """Return the second derivative (N, ...), by central differences of fourth order."""
     bent = np.zeros_like(values)
-    bent[1:-1] = np.diff(values, 2)
-    bent[2:-2] -= np.diff(bent[1:-1], 2) / 12
+    bent[1:-1] = np.diff(values, 2, axis=0)
+    bent[2:-2] -= np.diff(bent[1:-1], 2, axis=0) / 12
     return bent / dt**2

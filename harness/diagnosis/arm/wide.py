@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from harness.diagnosis.arm.effects import GAIN, Wide
+from harness.diagnosis.arm.effects import GAIN, Wide, torques_of
 from harness.diagnosis.arm.links import LINK, LinkSet, exchanged
 from harness.diagnosis.arm.motion import ArmRun, clear_runs
 from harness.diagnosis.arm.regression import RegressionForm
@@ -67,13 +67,14 @@ class WideResult:
 
     def torque(self, run: ArmRun) -> FloatArray:
         """Return the torque (N, n) that the arm needs with all that was accepted."""
-        result = run.rigid.copy()
-        for accepted in self.accepted:
-            values = np.array(
-                [self.fit.values[accepted.placed.name(p.name)] for p in accepted.placed.effect.parameters]
+        found = [
+            (
+                self.effects[str(placed)],
+                np.array([self.fit.values[placed.name(p.name)] for p in placed.effect.parameters]),
             )
-            result += self.effects[str(accepted.placed)].torque(run.sharp, values)
-        return result
+            for placed in (accepted.placed for accepted in self.accepted)
+        ]
+        return np.asarray(run.rigid + torques_of(found, run.sharp))
 
 
 def wide_search(

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from harness.diagnosis.arm.effects import Wide, wide_effects
+from harness.diagnosis.arm.effects import Wide, together, torques_of, wide_effects
 from harness.diagnosis.arm.motion import STEP, ArmRun, moving_rows
 from harness.diagnosis.arm.regression import USES, Change
 from harness.diagnosis.arm.rotor import Spring
@@ -52,27 +52,27 @@ class Linear:
 class LinearEquation:
     """Columns times parameters minus the torque; see :class:`harness.diagnosis.arm.regression.Equation`.
 
-    ``bent`` gives for the place of the first of some parameters the torques that are not in proportion to them.
+    ``bent`` gives beside the places of some parameters the torques that are not in proportion to them.
     """
 
     system: Linear
     target: Mapping[str, Sequence[FloatArray]]
     columns: Mapping[str, Sequence[FloatArray]]
-    bent: Mapping[int, Bent] = field(default_factory=dict)
+    bent: Sequence[tuple[Sequence[int], Bent]] = ()
 
     def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
         """Return for every record the residual torque (rows, n) and the columns (rows, n, np)."""
         found = []
         for number, (x, y) in enumerate(zip(self.columns[use], self.target[use], strict=True)):
             residual, slopes = x @ p - y, x.copy() if self.bent else x
-            for first, bent in self.bent.items():
-                values = p[first : first + bent.count]
+            for places, bent in self.bent:
+                values = p[list(places)]
                 torque = bent.torque(values, use, number)
                 residual = residual + torque
-                for k, value in enumerate(values):
+                for k, (place, value) in enumerate(zip(places, values, strict=True)):
                     moved = values.copy()
                     moved[k] = value * (1 + STEP)
-                    slopes[:, :, first + k] = (bent.torque(moved, use, number) - torque) / (value * STEP)
+                    slopes[:, :, place] = (bent.torque(moved, use, number) - torque) / (value * STEP)
             found.append((residual, slopes))
         return found
 
@@ -84,7 +84,6 @@ class Bent:
     runs: Mapping[str, Sequence[ArmRun]]
     joints: Sequence[int]
     made: Mapping[str, Sequence[Spring]]
-    count: int
 
     def torque(self, values: FloatArray, use: str, number: int) -> FloatArray:
         """Return the torque (rows, n) that the joints need more along one record."""
@@ -151,7 +150,7 @@ class WideRegression:
         key = str(effect)
         if effect.bent is not None and key not in self._bent:
             made = {use: [effect.bent(run) for run in self.runs[use]] for use in USES}
-            self._bent[key] = Bent(self.runs, self.joints, made, len(effect.placed.effect.parameters))
+            self._bent[key] = Bent(self.runs, self.joints, made)
         return self._bent.get(key)
 
     def _slim(self, run: ArmRun, columns: FloatArray) -> FloatArray:
@@ -174,12 +173,13 @@ class WideRegression:
         """Return the equation with effects, the parameters of the effects last."""
         parameters = list(self.nominal.parameters)
         columns = {use: [[part] for part in parts] for use, parts in self._base.items()}
-        places: dict[int, Bent] = {}
+        places: list[tuple[list[int], Bent]] = []
         for placed in effects:
             effect = self.effects[str(placed)]
             bent = self.bent(effect)
             if bent is not None:
-                places[len(parameters)] = bent
+                first = len(parameters)
+                places.append((list(range(first, first + len(placed.effect.parameters))), bent))
             for parameter in placed.effect.parameters:
                 least, most, value = parameter.minimum, parameter.maximum, 0.0
                 if bent is not None:
@@ -189,7 +189,23 @@ class WideRegression:
                 for whole, part in zip(columns[use], parts, strict=True):
                     whole.append(part if bent is None else np.zeros_like(part))
         joined = {use: [np.concatenate(parts, axis=2) for parts in each] for use, each in columns.items()}
-        return LinearEquation(Linear(tuple(parameters)), self._target, joined, places)
+        return LinearEquation(Linear(tuple(parameters)), self._target, joined, self._swinging(places))
+
+    def _swinging(self, apart: Sequence[tuple[Sequence[int], Bent]]) -> list[tuple[list[int], Bent]]:
+        """Return what is bent, with its places; springs whose links swing together are one."""
+        if len(apart) < 2:
+            return [(list(places), bent) for places, bent in apart]
+        groups: list[list[int]] = []
+        made: dict[str, list[list[Spring]]] = {use: [] for use in USES}
+        for use in USES:
+            for number in range(len(self.runs[use])):
+                each = together([(bent.made[use][number], np.array(places)) for places, bent in apart])
+                groups = [list(map(int, places)) for _, places in each]
+                made[use].append([spring for spring, _ in each])
+        return [
+            (places, Bent(self.runs, self.joints, {use: [parts[k] for parts in made[use]] for use in USES}))
+            for k, places in enumerate(groups)
+        ]
 
     def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
         """Return the columns of candidates, and the whole of what is not in proportion at several choices."""
@@ -225,7 +241,7 @@ class WideRegression:
         """Return the torque of an effect over that of the dry friction at the joint where it weighs most."""
         own = np.array([fit.values[placed.name(parameter.name)] for parameter in placed.effect.parameters])
         effect = self.effects[str(placed)]
-        torque = np.concatenate([self._slim(run, effect.torque(run, own)) for run in self.runs["estimation"]])
+        torque = np.concatenate([self._slim(run, torques_of([(effect, own)], run)) for run in self.runs["estimation"]])
         size = np.sqrt(np.mean(torque**2, axis=0))
         joint = int(np.argmax(size))
         places = [len(OWN) * joint + OWN.index(word) for word in FRICTION]

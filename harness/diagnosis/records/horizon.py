@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,8 @@ def choose_horizon(system: System, values: Mapping[str, float], dataset: Dataset
     """Decide from the nominal model whether whole records can be simulated, or windows.
 
     An integrating plant (a pole at 0) is judged over four of its slowest time constants, an unstable one over the
-    time in which an error grows 20 times; a stable one over the whole record.
+    time in which an error grows 20 times; a stable one over the whole record. Poles that no output shows count for
+    nothing: the turns of a motor whose speed is read.
     """
     import casadi as ca
 
@@ -35,19 +37,20 @@ def choose_horizon(system: System, values: Mapping[str, float], dataset: Dataset
     longest = max(len(run) for run in dataset.estimation) * dataset.spec.sample_time
     shortest = 50 * dataset.spec.sample_time
     points = _operating_points(system, dataset)
-    jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+    along = [ca.jacobian(system.f, system.x), ca.jacobian(system.h, system.x)]
+    jacobians = ca.Function("AC", [system.x, system.u, system.p, system.t], along)
     p = system.vector(values)
     u = np.mean(np.concatenate([run.u for run in dataset.estimation]), axis=0) if system.nu else np.zeros(0)
-    centre = np.linalg.eigvals(np.array(jacobian(points.mean(axis=0), u, p, 0.0), dtype=float))
+    centre = _seen_poles(*jacobians(points.mean(axis=0), u, p, 0.0))
     if not np.isfinite(centre).all():
         return Horizon(None, "the poles of the nominal model are not finite at its operating point")
-    size = max(float(np.abs(centre).max()), 1e-12)
+    size = max(float(np.abs(centre).max(initial=0.0)), 1e-12)
     integrating = bool((np.abs(centre) < 1e-6 * size).any())
     rates = []
     for point in points[:: max(len(points) // 60, 1)]:
-        poles = np.linalg.eigvals(np.array(jacobian(point, u, p, 0.0), dtype=float))
+        poles = _seen_poles(*jacobians(point, u, p, 0.0))
         if np.isfinite(poles).all():
-            rates.append(float(poles.real.max()))
+            rates.append(float(poles.real.max(initial=-np.inf)))
     typical = float(np.median(rates)) if rates else 0.0
     if typical * longest > np.log(DATA_POLICY.growth) and typical > 1e-3 * size:
         seconds = _round(float(np.clip(np.log(DATA_POLICY.growth) / typical, shortest, longest / 4)))
@@ -80,6 +83,22 @@ def _operating_points(system: System, dataset: Dataset) -> FloatArray:
     states = [data_states(simulator, run, system.vector())[0] for run in dataset.estimation]
     joined = np.concatenate(states)
     return joined[np.isfinite(joined).all(axis=1)]
+
+
+def _seen_poles(a: Any, c: Any) -> FloatArray:
+    """Return the poles that the outputs show: those of the observable part (Kalman 1963); NaN where A is not finite."""
+    a, c = np.array(a, dtype=float), np.array(c, dtype=float)
+    if not (np.isfinite(a).all() and np.isfinite(c).all()):
+        return np.full(1, np.nan)
+    least = len(a) * float(np.finfo(float).eps)
+    basis, fresh = np.zeros((0, len(a))), c / max(float(np.abs(c).max(initial=0.0)), 1e-300)
+    while fresh.size:  # what the outputs show, what their rates show besides, and so on
+        for _ in range(2):
+            fresh = fresh - fresh @ basis.T @ basis
+        _, shares, rows = np.linalg.svd(fresh, full_matrices=False)
+        basis = np.vstack([basis, rows[shares > least]])
+        fresh = rows[shares > least] @ a / max(float(np.linalg.norm(a)), 1e-300)
+    return np.asarray(np.linalg.eigvals(basis @ a @ basis.T))
 
 
 def _round(seconds: float) -> float:

@@ -132,7 +132,8 @@ def input_compression(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
         # within two samples it sags at once, and what takes half of the record is a drift
         par("tau", "s", scale="0.03 T", floor="2 dt", ceiling="0.5 T", sign="+", minimum=1e-9, grid=(1.0, 0.2, 4.0),
             meaning="time in which the supply sags and recovers"),
-        par("z0", "u", scale="0.8 u", sign="+", minimum=0.0, nuisance=True, per_record=True,
+        # no supply sags more at its start than a command could make it: a larger one hides the first rows
+        par("z0", "u", scale="0.8 u", ceiling="3 u", sign="+", minimum=0.0, nuisance=True, per_record=True,
             meaning="command before the record that it still sags by"),
     ],
     states={"z": "u"},

@@ -32,6 +32,8 @@ LEAST = 1e-6
 NO_PRIOR = 1e-6
 """Weight where no prior is wanted: as if the prior were trusted to a factor of a thousand."""
 ITERATIONS = 300
+SETTLED = 1e-3
+"""What a step of Newton's may still promise of the cost, a log-likelihood, where rounding ended the search."""
 _ROWS, _COLUMNS = np.triu_indices(4)
 _DIAGONAL = np.nonzero(_ROWS == _COLUMNS)[0]
 
@@ -182,46 +184,46 @@ class _Program:
 def by_log_cholesky(problem: Problem) -> FloatArray:
     """Return x (k,) by Newton's method in log-Cholesky coordinates of K: consistent at every step, no constraint.
 
-    Unknowns that cannot be negative go through their logarithm. From the prior on, in trust regions; the same optimum
-    as the semidefinite program wherever that lies inside its bounds.
+    The other unknowns are linear: for given bodies the best ones, none below nothing where that is asked, are known
+    (variable projection; Golub & Pereyra 1973, *SIAM J. Numer. Anal.* 10:413). From the prior on, in trust regions; the
+    same optimum as the semidefinite program wherever that lies inside its bounds.
 
     Raises
     ------
     FitError
         If it does not converge.
     """
-    from scipy.optimize import minimize
+    from scipy.optimize import minimize, nnls
 
     count = len(problem.bodies.prior)
-    others = problem.side.size - 10 * count
-    positive = np.asarray(problem.positive, dtype=bool)
     root, known = _root(problem.gram, problem.side)
+    rows, others = root[:, : 10 * count], root[:, 10 * count :]
+    free = ~np.asarray(problem.positive, dtype=bool)
+    halves = np.concatenate([others, -others[:, free]], axis=1)  # of what may have either sign
 
     def at(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return U, x, the misfit, and by how much each body's K changes the data's part (symmetric)."""
-        U = _factor(z[: 10 * count].reshape(count, 10))
-        own = np.einsum("bij,bj->bi", problem.bodies.maps, (U @ np.swapaxes(U, 1, 2)).reshape(count, 16))
-        friction = z[10 * count :]
-        x = np.concatenate([own.ravel(), np.where(positive, np.exp(np.minimum(friction, 50.0)), friction)])
-        miss = root @ x - known
-        by_own = (root.T @ miss)[: 10 * count].reshape(count, 10)
-        by_K = np.einsum("bij,bi->bj", problem.bodies.maps, by_own).reshape(count, 4, 4)
-        return U, x, miss, 0.5 * (by_K + np.swapaxes(by_K, 1, 2)) + problem.weight * np.eye(4)
+        U = _factor(z.reshape(count, 10))
+        own = np.einsum("bij,bj->bi", problem.bodies.maps, (U @ np.swapaxes(U, 1, 2)).reshape(count, 16)).ravel()
+        found = nnls(halves, known - rows @ own)[0] if halves.shape[1] else np.zeros(0)
+        joints = found[: others.shape[1]]
+        joints[free] -= found[others.shape[1] :]
+        miss = rows @ own + others @ joints - known
+        by_K = np.einsum("bij,bi->bj", problem.bodies.maps, (rows.T @ miss).reshape(count, 10)).reshape(count, 4, 4)
+        by_K = 0.5 * (by_K + np.swapaxes(by_K, 1, 2)) + problem.weight * np.eye(4)
+        return U, np.concatenate([own, joints]), miss, by_K
 
     def value_and_gradient(z: FloatArray) -> tuple[float, FloatArray]:
-        U, x, miss, B = at(z)
-        theta = z[: 10 * count].reshape(count, 10)
-        prior = float(np.sum(U**2)) - 2 * float(np.sum(theta[:, _DIAGONAL])) - 4 * count
+        U, _, miss, B = at(z)
+        prior = float(np.sum(U**2)) - 2 * float(np.sum(z.reshape(count, 10)[:, _DIAGONAL])) - 4 * count
         gradient = 2 * (B @ U)[:, _ROWS, _COLUMNS]
         gradient[:, _DIAGONAL] *= U[:, range(4), range(4)]
         gradient[:, _DIAGONAL] -= 2 * problem.weight
-        by_friction = (root.T @ miss)[10 * count :] * np.where(positive, x[10 * count :], 1.0)
-        return 0.5 * float(miss @ miss) + problem.weight * prior, np.concatenate([gradient.ravel(), by_friction])
+        return 0.5 * float(miss @ miss) + problem.weight * prior, gradient.ravel()
 
     def curvature(z: FloatArray) -> FloatArray:
-        U, x, miss, B = at(z)
-        jacobian = np.zeros((x.size, x.size))
-        local = np.zeros((x.size, x.size))
+        U, x, _, B = at(z)
+        jacobian, local = np.zeros((2, 10 * count, 10 * count))
         for b in range(count):
             part = slice(10 * b, 10 * b + 10)
             chain = np.ones(10)
@@ -235,19 +237,12 @@ def by_log_cholesky(problem: Problem) -> FloatArray:
             block = 2 * B[b][np.ix_(_ROWS, _ROWS)] * same * np.outer(chain, chain)
             block[_DIAGONAL, _DIAGONAL] += 2 * (B[b] @ U[b]).diagonal() * U[b].diagonal()
             local[part, part] = block
-        tail = np.arange(10 * count, x.size)
-        chain = np.where(positive, x[tail], 1.0)
-        jacobian[tail, tail] = chain
-        local[tail, tail] = np.where(positive, (root.T @ miss)[tail] * x[tail], 0.0)
-        rows = root @ jacobian
-        return np.asarray(rows.T @ rows + local)
+        moved = rows @ jacobian
+        following = np.linalg.qr(others[:, (x[10 * count :] != 0) | free])[0]
+        moved -= following @ (following.T @ moved)
+        return np.asarray(moved.T @ moved + local)
 
-    start = np.zeros(10 * count + others)
-    if others:
-        # friction from plain least squares beside the prior bodies
-        left = problem.side[10 * count :] - problem.gram[10 * count :, : 10 * count] @ problem.bodies.prior.ravel()
-        guess = np.linalg.lstsq(problem.gram[10 * count :, 10 * count :], left, rcond=None)[0]
-        start[10 * count :] = np.where(positive, np.log(np.maximum(guess, 1e-6)), guess)
+    start = np.zeros(10 * count)
     scale = max(abs(value_and_gradient(start)[0]), 1.0)
     search: Any = minimize  # its stubs do not know this method's arguments
     found = search(
@@ -258,10 +253,12 @@ def by_log_cholesky(problem: Problem) -> FloatArray:
         method="trust-exact",
         options={"maxiter": ITERATIONS, "gtol": 1e-3 / scale},
     )
-    # rounding of the misfit may stop it just before
-    if not np.isfinite(found.fun) or (not found.success and np.abs(found.jac).max() * scale > 1.0):
+    z = np.asarray(found.x)
+    gradient = value_and_gradient(z)[1]
+    # rounding of the misfit may stop it just before, where a step would gain next to nothing
+    if not found.success and not 0.5 * gradient @ np.linalg.lstsq(curvature(z), gradient)[0] < SETTLED:
         raise _unsolved(str(found.message))
-    return at(np.asarray(found.x))[1]
+    return at(z)[1]
 
 
 def _factor(theta: FloatArray) -> FloatArray:
