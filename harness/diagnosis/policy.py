@@ -205,6 +205,12 @@ class ArmPolicy:
         "what it does while it stands still counts nowhere, and a third of a record is enough to judge by",
         "a sine stands still for 5 % of its time, a sum of many for 8 %, a log with its pauses for a third (a UR10e)",
     )
+    pauses: float = number(
+        0.25,
+        "share of the time that a joint may stand still where elastic joints are looked for",
+        "what sticks and starts rings as springs do: two were named where a joint stood still for 31 % of the time",
+        "a sine stands still for 5 % of its time; records with friction and without pauses do for 19 % at most",
+    )
     sensor: float = number(
         0.005,
         "an effect must change this share of a joint's torque, and what is left less: below it nothing is blamed",

@@ -105,7 +105,7 @@ def moving_rows(motion: Motion) -> FloatArray:
     return np.asarray(1.0 - rows)
 
 
-def standstill(runs: dict[str, tuple[ArmRun, ...]]) -> FloatArray:
+def standstill(runs: Mapping[str, Sequence[ArmRun]]) -> FloatArray:
     """Return for every joint the share of the estimation time (n,) in which it stands still.
 
     A sine spends 5 % of its time there, a sum of many sines 8 %; a joint that sticks far more.

@@ -17,7 +17,7 @@ import numpy as np
 from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.motion import ArmRun
-from harness.diagnosis.arm.regression import RegressionForm, regression_detail
+from harness.diagnosis.arm.regression import RegressionForm, TorqueRegression, regression_detail
 from harness.diagnosis.arm.rotor import SPRINGS
 from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.arm.wide_regression import WideRegression
@@ -113,21 +113,18 @@ def free_bodies(
     )
     if fit is None or scaled is None:
         return None
-    counts = np.concatenate(regression.counts["validation"])
 
     def left_by(runs: Mapping[str, Sequence[ArmRun]], values: Mapping[str, float]) -> FloatArray:
         """Return the rms residual (n,) on the true motion of the validation records."""
         sharp = {use: [run.sharp for run in parts] for use, parts in runs.items()}
         equation = WideRegression(arm, sharp, places, (), policy).equation(())
         p = np.array([values[name] for name in equation.system.parameter_names])
-        return rms([r for r, _ in equation.residual(p, "validation")])
-
-    def rms(residual: Sequence[FloatArray]) -> FloatArray:
-        squares = np.sum(np.concatenate(residual) ** 2 * counts, axis=0)
-        return np.asarray(np.sqrt(squares / np.maximum(counts.sum(axis=0), 1)))
+        return _rms([r for r, _ in equation.residual(p, "validation")], regression)
 
     left, without = left_by(freed, fit.values), left_by(runs, wide.outcome.nominal.values)
-    found = rms(regression_detail(wide.fit).residual["validation"])
+    judged = wide.outcome.form  # with springs along other rows
+    assert isinstance(judged, RegressionForm)
+    found = _rms(regression_detail(wide.fit).residual["validation"], judged.regression)
     rigid, moved = (
         np.concatenate([run.slim(torque[:, places], places) for run, torque in each])
         for each in (
@@ -143,6 +140,14 @@ def free_bodies(
         left / np.maximum(without, 1e-300),
         1.0 + scaled.values[MASSES],
         value(scaled) - value(wide.fit) if not springs else -np.inf,
+    )
+
+
+def _rms(residual: Sequence[FloatArray], regression: TorqueRegression) -> FloatArray:
+    """Return the rms (n,) of residual torques along the rows of the validation records that count."""
+    counts = np.concatenate(regression.counts["validation"])
+    return np.asarray(
+        np.sqrt(np.sum(np.concatenate(residual) ** 2 * counts, axis=0) / np.maximum(counts.sum(axis=0), 1))
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from harness.diagnosis.arm.effects import GAIN, Wide, torques_of
 from harness.diagnosis.arm.links import LINK, LinkSet, exchanged
-from harness.diagnosis.arm.motion import ArmRun, clear_runs
+from harness.diagnosis.arm.motion import ArmRun, clear_runs, standstill
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.rotor import LINK_SIDE, MOTOR_SIDE, SPRINGS
 from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
@@ -89,7 +89,7 @@ def wide_search(
 ) -> WideResult:
     """Find what acts on the whole arm.
 
-    Where a joint's elasticity promises evidence, all effects are searched on the true motion, see
+    Where no joint pauses, and a joint's elasticity promises evidence, all effects are searched on the true motion, see
     :func:`harness.diagnosis.arm.motion.clear_runs`; that answer holds if a spring is in it. Else they are searched on
     the calm motion, without springs.
 
@@ -137,14 +137,22 @@ def wide_search(
         return form, search(form, nominal, candidates, policy=replace(own, least=least), say=say)
 
     # springs are told on the true motion alone; beside bodies that are free no rotor is known, nor a stiffness from it
-    records: Mapping[str, Sequence[ArmRun]] = clear_runs(runs)
-    form, outcome = searched(*([LINK_SIDE] if len(calibrated) else []))
-    springs = [one.placed for one in outcome.accepted if one.placed.effect.name in SPRINGS]
+    still = standstill(runs)
+    pausing = [k for k in joints if still[k] > arm_policy.pauses]
+    springs, records = list[Placed](), runs if pausing else clear_runs(runs)
+    if not pausing:
+        form, outcome = searched(*([LINK_SIDE] if len(calibrated) else []))
+        springs = [one.placed for one in outcome.accepted if one.placed.effect.name in SPRINGS]
     if not springs or not all(_has_rotor(outcome.model, one, policy) for one in springs):
         springs, records = [], runs
         form, outcome = searched(*SPRINGS)
     regression = _wide(form)
     outcome, notes = _without_small(form, outcome, arm_policy)
+    notes += [
+        f"{arm.positions[k].name} stands still for {100 * still[k]:.0f} % of the time: no elastic joint was looked "
+        "for, as what sticks and starts rings like one"
+        for k in pausing
+    ]
     fixed = len(calibrated) or springs
     outcome, beside = (outcome, None) if fixed else _as_a_set(form, outcome, lean, policy, own)
     gains = {
