@@ -73,6 +73,7 @@ def test_friction_larger_than_all_else_that_a_joint_does_is_named_though_the_joi
     assert set(effects) == {"coulomb_friction@q3"}, report.data["summary"]
     assert effects["coulomb_friction@q3"]["Fc"] == pytest.approx(1.0, rel=0.03)
     assert report.data["joints"][2]["after"]["validation"] < 0.03
+    assert any("no elastic joint was looked for" in text for text in report.data["warnings"]), "it rings as it starts"
 
 
 def test_friction_of_one_joint_and_gain_of_another_are_named_there_and_nowhere_else(tmp_path: Path) -> None:

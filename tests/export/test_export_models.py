@@ -125,7 +125,7 @@ def test_the_command_writes_and_does_not_overwrite(tmp_path, capsys):
     [
         ("pendulum", ["--fmi", "1"], "2, 3 or both"),
         ("no-such-model", [], "no-such-model"),
-        ("missing/model.json", [], "no such file"),
+        ("missing/model.json", [], "no file"),
     ],
 )
 def test_the_command_refuses_in_one_line(source, flags, words, tmp_path, capsys):

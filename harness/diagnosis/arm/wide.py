@@ -137,8 +137,7 @@ def wide_search(
         return form, search(form, nominal, candidates, policy=replace(own, least=least), say=say)
 
     # springs are told on the true motion alone; beside bodies that are free no rotor is known, nor a stiffness from it
-    still = standstill(runs)
-    pausing = [k for k in joints if still[k] > arm_policy.pauses]
+    pausing = _pausing(arm, runs, joints, arm_policy)
     springs, records = list[Placed](), runs if pausing else clear_runs(runs)
     if not pausing:
         form, outcome = searched(*([LINK_SIDE] if len(calibrated) else []))
@@ -148,11 +147,7 @@ def wide_search(
         form, outcome = searched(*SPRINGS)
     regression = _wide(form)
     outcome, notes = _without_small(form, outcome, arm_policy)
-    notes += [
-        f"{arm.positions[k].name} stands still for {100 * still[k]:.0f} % of the time: no elastic joint was looked "
-        "for, as what sticks and starts rings like one"
-        for k in pausing
-    ]
+    notes += pausing
     fixed = len(calibrated) or springs
     outcome, beside = (outcome, None) if fixed else _as_a_set(form, outcome, lean, policy, own)
     gains = {
@@ -170,6 +165,19 @@ def wide_search(
     if outcome.accepted and not springs:
         fit = lean(list(rotors)).fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
     return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
+
+
+def _pausing(
+    arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], joints: Sequence[int], policy: ArmPolicy
+) -> list[str]:
+    """Return what is said of joints that stand still too long for springs to be looked for."""
+    still = standstill(runs)
+    return [
+        f"{arm.positions[k].name} stands still for {100 * still[k]:.0f} % of the time: no elastic joint was looked "
+        "for, as what sticks and starts rings like one"
+        for k in joints
+        if still[k] > policy.pauses
+    ]
 
 
 def _wide(form: RegressionForm) -> WideRegression:
