@@ -14,6 +14,7 @@ from harness.models.analysis import Findings, Takes
 from harness.models.lqr import reachable, spectral_radius, stabilisable, state_observable
 from harness.parts.files import make_plant
 from harness.scoring import control_score, linearise
+from harness.scoring.prediction import SAME_CLOCK
 from harness.signals import FloatArray
 
 
@@ -78,7 +79,7 @@ class ControlWorth:
         spec = subject.spec
         with make_plant(self.plant, {"sample_time": spec.sample_time, **self.plant_options}) as plant:
             names = [[one.name for one in side.outputs] for side in (spec, plant.spec)]
-            if names[0] != names[1] or abs(plant.spec.sample_time / spec.sample_time - 1.0) > 1e-6:
+            if names[0] != names[1] or abs(plant.spec.sample_time / spec.sample_time - 1.0) > SAME_CLOCK:
                 raise InputError(
                     "control-worth: model and plant",
                     expected=f"outputs {', '.join(names[0])} every {spec.sample_time:g} s",

@@ -229,6 +229,13 @@ class HybridAutomaton:
         size = np.concatenate([record.y for record in records]).std(axis=0)
         places = np.array([jump.before for jump in jumps])[:, positions] / np.where(size > 0, size, 1.0)[positions]
         of = grouped(places, self.guards, least=least, reset=spec.ny * (spec.ny + 1), rng=rng)
+        if self.guards is not None and int(of.max()) + 1 != self.guards:
+            raise FitError(
+                f"{self.guards} guards",
+                expected=f"{least} jumps or more at each of them",
+                got=f"{len(jumps)} jumps, which do not lie on so many planes",
+                remedy="leave guards out, or record more jumps at every wall",
+            )
         found = [
             _facet(spec, [one for one, g in zip(jumps, of, strict=True) if g == k], positions, roles, size, records)
             for k in range(int(of.max()) + 1)

@@ -160,6 +160,8 @@ def test_it_says_when_the_records_do_not_suffice():
         HybridAutomaton().fit([Trajectory(data.t, data.u, data.y[:, :1], blind)], rng=rng())
     with pytest.raises(InputError, match="swaps"):
         HybridAutomaton(swaps=(("z", "w"),)).fit([data.measured()], rng=rng())
+    with pytest.raises(FitError, match="50 guards"):
+        HybridAutomaton(guards=50).fit([bounces(0.0)[0]], rng=rng())
 
 
 @settings(max_examples=15, deadline=None)

@@ -8,7 +8,7 @@ joint.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -116,35 +116,20 @@ def wide_search(
         policy, most=arm_policy.wide, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z
     )
 
-    def lean(turning: Sequence[int] | None) -> RegressionForm:
+    def lean(turning: Sequence[int] | None, records: Mapping[str, Sequence[ArmRun]] = runs) -> RegressionForm:
         return RegressionForm(WideRegression(arm, records, joints, calibrated, arm_policy, turning), arm_policy)
 
-    def searched(*without: str) -> tuple[RegressionForm, Outcome]:
-        form = lean(None)
-        nominal = form.fit((), [{}], None)
-        if nominal is None:
-            raise FitError(
-                f"the torques of arm {arm.name}",
-                expected="finite torques along the measured motion",
-                got="others",
-                remedy="check units and spikes of the positions",
-            )
-        every = [effect.placed for effect in _wide(form).effects.values()]
-        candidates = [placed for placed in every if placed.effect.name not in without]
-        if MOTOR_SIDE not in without and not _promised(form, nominal, candidates, own):
-            return form, Outcome(form, nominal, nominal, (), ())
-        least = own.least if MOTOR_SIDE in without else arm_policy.spring
-        return form, search(form, nominal, candidates, policy=replace(own, least=least), say=say)
+    def searched(form: RegressionForm, *without: str) -> tuple[RegressionForm, Outcome]:
+        return form, _searched(arm, form, without, own, arm_policy, say)
 
     # springs are told on the true motion alone; beside bodies that are free no rotor is known, nor a stiffness from it
-    pausing = _pausing(arm, runs, joints, arm_policy)
-    springs, records = list[Placed](), runs if pausing else clear_runs(runs)
+    pausing, springs = _pausing(arm, runs, joints, arm_policy), list[Placed]()
     if not pausing:
-        form, outcome = searched(*([LINK_SIDE] if len(calibrated) else []))
+        form, outcome = searched(lean(None, clear_runs(runs)), *([LINK_SIDE] if len(calibrated) else []))
         springs = [one.placed for one in outcome.accepted if one.placed.effect.name in SPRINGS]
     if not springs or not all(_has_rotor(outcome.model, one, policy) for one in springs):
-        springs, records = [], runs
-        form, outcome = searched(*SPRINGS)
+        springs = []
+        form, outcome = searched(lean(None), *SPRINGS)
     regression = _wide(form)
     outcome, notes = _without_small(form, outcome, arm_policy)
     notes += pausing
@@ -165,6 +150,32 @@ def wide_search(
     if outcome.accepted and not springs:
         fit = lean(list(rotors)).fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
     return WideResult(fit, kept, outcome, gains, regression.effects, rotors, notes)
+
+
+def _searched(
+    arm: ArmModel,
+    form: RegressionForm,
+    without: Collection[str],
+    policy: Policy,
+    arm_policy: ArmPolicy,
+    say: Callable[[str], None],
+) -> Outcome:
+    """Return what a search without some effects finds; with springs, nothing where none of them promises evidence."""
+    nominal = form.fit((), [{}], None)
+    if nominal is None:
+        raise FitError(
+            f"the torques of arm {arm.name}",
+            expected="finite torques along the measured motion",
+            got="others",
+            remedy="check units and spikes of the positions",
+        )
+    every = [effect.placed for effect in _wide(form).effects.values()]
+    candidates = [placed for placed in every if placed.effect.name not in without]
+    springs = MOTOR_SIDE not in without
+    if springs and not _promised(form, nominal, candidates, policy):
+        return Outcome(form, nominal, nominal, (), ())
+    own = replace(policy, least=arm_policy.spring) if springs else policy
+    return search(form, nominal, candidates, policy=own, say=say)
 
 
 def _pausing(
