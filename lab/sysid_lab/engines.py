@@ -57,7 +57,7 @@ def engine_run(
     start : array (2 dof,)
         Coordinates, then rates (0).
     law : callable, optional
-        More force on the driven coordinate, from what the engine shows.
+        More force on the driven coordinate, from what the engine shows, foretold to the middle of the next step.
     """
     own = {name: options[name] for name in OPTIONS[engine, plant] if name in options}
     names = ("theta",) if plant == "pendulum" else ("x", "theta")
@@ -70,12 +70,13 @@ def engine_run(
         if law is None:
             y[1:] = made.rollout(force[:-1, None])
             return _in_time(y, engine)
-        before = float(y[0, 0])
+        before, rate, last = float(y[0, 0]), 0.0, 0.0
         for k, value in enumerate(force[:-1].tolist()):
             now = float(y[k, 0])
-            more = law(now, (now - before) / STEP, k * STEP, value)
-            before = now
-            y[k + 1] = made.step(np.array([value + more]))
+            rate, last, before = (now - before) / STEP, rate, now
+            # of the middle of the step that the force is held over: half a step late it would brake, or drive
+            middle = now + 0.5 * STEP * (rate + 0.75 * (rate - last)), 2.0 * rate - last, (k + 0.5) * STEP
+            y[k + 1] = made.step(np.array([value + law(*middle, value)]))
     return _in_time(y, engine)
 
 

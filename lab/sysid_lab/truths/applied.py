@@ -1,7 +1,7 @@
 """Actuators and forces around other people's engines: applied from outside in fine steps, by laws in Python.
 
 An engine moves the bodies; what its joints and motors do not have themselves is put on the driven coordinate as a
-force held over a fine step, from the position and the rate that the engine shows.
+force held over a fine step, from the position and the rate in the middle of it, as far as the engine foretells them.
 """
 
 from __future__ import annotations
@@ -137,10 +137,14 @@ def _pull(off: float) -> float:
 def _bouc_wen(values: Mapping[str, float], plant: str) -> Law:
     z = 0.0
 
+    def slope(v: float, z: float) -> float:
+        return (v - 0.5 * abs(v) * z - 0.5 * v * abs(z)) / values["xs"]
+
     def law(q: float, v: float, t: float, u: float) -> float:
         nonlocal z
-        z += STEP * (v - 0.5 * abs(v) * z - 0.5 * v * abs(z)) / values["xs"]
-        return -values["Fh"] * z
+        middle = z + 0.5 * STEP * slope(v, z)
+        z += STEP * slope(v, middle)
+        return -values["Fh"] * middle
 
     return law
 
@@ -150,8 +154,9 @@ def _maxwell(values: Mapping[str, float], plant: str) -> Law:
 
     def law(q: float, v: float, t: float, u: float) -> float:
         nonlocal m
-        m += STEP * (v - m / values["taum"])
-        return -values["km"] * m
+        middle = (m + 0.5 * STEP * v) / (1 + 0.5 * STEP / values["taum"])
+        m = 2 * middle - m
+        return -values["km"] * middle
 
     return law
 
