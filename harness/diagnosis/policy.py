@@ -165,6 +165,12 @@ class Policy:
         "what goes on as much as the event has done is no matter of an instant",
         "an oven under a draught: 0.9 and more on one of both uses; a tank whose inflow drops: 0.001",
     )
+    shown: float = number(
+        12.0,
+        "largest eigenvalue times a sample time, at rest, of what an effect may add, or twice the nominal model's own",
+        "exp(-12) is left of it at the next reading; lags of actuators are bounded at 10",
+        "base 535000: right answers lie at 8.3 and below, wrong ones, of motors without mass, at 64 and more",
+    )
     shaken: float = number(
         8.0,
         "standard deviations by which a force that nobody measured changes within a sample, from which on something "

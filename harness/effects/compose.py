@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from harness.signals import FloatArray
 
 _LARGEST_SUBSTEPS = 64
-_FOLLOWED, _STABLE = 1.4, 2.5
+FOLLOWED, _STABLE = 1.4, 2.5
 """Eigenvalue times a step: what is followed, half of what the method of order 4 endures (2.78), and what is stable."""
 
 
@@ -99,14 +99,8 @@ def recommended_substeps(
     >>> recommended_substeps(pendulum().system(), None, 0.01)
     1
     """
-    import casadi as ca
-
     from harness.physics.compiled.ccode import FINE, without_signs
 
-    jacobian = system.__dict__.get("_jacobian_function")
-    if jacobian is None:
-        jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
-        system.__dict__["_jacobian_function"] = jacobian
     p = system.vector(parameters)
     points = [np.zeros(system.nx)]
     hidden = system.nx - system.hidden_count
@@ -121,18 +115,48 @@ def recommended_substeps(
     if x is not None:
         points.extend(np.atleast_2d(np.asarray(x, dtype=float)))
 
-    def fastest(point: FloatArray, values: FloatArray) -> float:
-        matrix = jacobian(point, np.zeros(system.nu), values, 0.0).full()
-        return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) if np.isfinite(matrix).all() else 0.0
-
     smooth = without_signs(system, p)
     needed = 1.0
     for number, point in enumerate(points):
-        rate = fastest(point, p)
+        rate = _fastest(system, point, p)
         if number < rests and system.switches:
-            rate = max(fastest(point, smooth), rate / FINE)
-        needed = max(needed, rate * dt / (_FOLLOWED if number < rests else _STABLE))
+            rate = max(_fastest(system, point, smooth), rate / FINE)
+        needed = max(needed, rate * dt / (FOLLOWED if number < rests else _STABLE))
     return int(np.clip(np.ceil(needed), 1, _LARGEST_SUBSTEPS))
+
+
+def fastest_at_rest(system: System, parameters: Mapping[str, float] | None, dt: float) -> float:
+    """Return the largest eigenvalue of a system at rest times a sample time, where no force takes the sign of a speed.
+
+    Parameters
+    ----------
+    system : harness.physics.System
+    parameters : mapping, optional
+        Values, the system's own where not given.
+    dt : float
+        Sample time [s].
+
+    Examples
+    --------
+    >>> from harness.physics.models import pendulum
+    >>> round(fastest_at_rest(pendulum().system(), None, 0.01), 3)
+    0.044
+    """
+    from harness.physics.compiled.ccode import without_signs
+
+    return dt * _fastest(system, np.zeros(system.nx), without_signs(system, system.vector(parameters)))
+
+
+def _fastest(system: System, x: FloatArray, p: FloatArray) -> float:
+    """Return the largest eigenvalue [1/s] in a state; 0 where it is not finite."""
+    import casadi as ca
+
+    jacobian = system.__dict__.get("_jacobian_function")
+    if jacobian is None:
+        jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+        system.__dict__["_jacobian_function"] = jacobian
+    matrix = jacobian(x, np.zeros(system.nu), p, 0.0).full()
+    return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) if np.isfinite(matrix).all() else 0.0
 
 
 def moving(system: System, sizes: Mapping[str, Mapping[str, float]]) -> FloatArray:

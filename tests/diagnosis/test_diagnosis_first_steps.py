@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.forms.equations_form import EquationsForm
 from harness.diagnosis.forms.first_steps import looked
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.refusal import Kind, Refusal
+from harness.diagnosis.search.table import Table
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
-
-pytestmark = pytest.mark.slow  # whole loops
 
 
 @dataclass
@@ -42,6 +42,17 @@ class Slope:
         taken, left = start.gains[:most], start.gains[most:]
         self.steps += len(taken)
         return Valley(start.nll - sum(taken), left, not left, taken[-1] if taken else 0.0)
+
+
+def _oscillating(n: int, seed: int) -> EquationsForm:
+    """Return the form of an oscillator under steps of its input, with nothing missing."""
+    system, dt, rng = load_model("oscillator"), 0.01, np.random.default_rng(seed)
+    spec, runs = PlantSpec(system.inputs, system.outputs, dt), []
+    for use in ("estimation", "validation"):
+        u = np.repeat(rng.normal(size=(n // 20, 1)), 20, axis=0)
+        y = system.simulator(dt).rollout(system.vector(None), np.zeros(system.nx), u)
+        runs.append(Run(Trajectory(np.arange(n) * dt, u, y + 1e-3 * rng.normal(size=y.shape), spec), use))
+    return Equations().form(system, Dataset("oscillator", tuple(runs)))
 
 
 @pytest.mark.parametrize(
@@ -80,15 +91,7 @@ def test_a_start_that_is_behind_goes_on_where_its_steps_may_bring_it_to_the_best
 
 def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -> None:
     """It costs as much as the rest, where the law is stiff: it is no answer, whatever they are."""
-    system, dt, n = load_model("oscillator"), 0.01, 600
-    rng = np.random.default_rng(0)
-    spec = PlantSpec(system.inputs, system.outputs, dt)
-    runs = []
-    for use in ("estimation", "validation"):
-        u = np.repeat(rng.normal(size=(n // 20, 1)), 20, axis=0)
-        y = system.simulator(dt).rollout(system.vector(None), np.zeros(system.nx), u)
-        runs.append(Run(Trajectory(np.arange(n) * dt, u, y + 1e-3 * rng.normal(size=y.shape), spec), use))
-    form = Equations().form(system, Dataset("oscillator", tuple(runs)))
+    form = _oscillating(600, 0)
     nominal = form.fit((), form.first_starts(), None)
     assert nominal is not None
     law = Placed(builtin()["cubic_spring"], "q")
@@ -112,16 +115,7 @@ def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -
 
 def test_a_candidate_is_simulated_with_steps_as_fine_as_what_it_is_compared_with() -> None:
     """With coarser ones it loses by its steps and not by its law; without what needed them it may take its own."""
-    system, dt, n = load_model("oscillator"), 0.01, 400
-    rng = np.random.default_rng(1)
-    spec = PlantSpec(system.inputs, system.outputs, dt)
-    u = np.repeat(rng.normal(size=(n // 20, 1)), 20, axis=0)
-    y = system.simulator(dt).rollout(system.vector(None), np.zeros(system.nx), u)
-    runs = [
-        Run(Trajectory(np.arange(n) * dt, u, y + 1e-3 * rng.normal(size=y.shape), spec), use)
-        for use in ("estimation", "validation")
-    ]
-    form = Equations().form(system, Dataset("oscillator", tuple(runs)))
+    form = _oscillating(400, 1)
     nominal = form.fit((), form.first_starts(), None)
     assert nominal is not None
     first, second = (Placed(builtin()[name], "q") for name in ("cubic_spring", "quadratic_drag"))
@@ -134,3 +128,19 @@ def test_a_candidate_is_simulated_with_steps_as_fine_as_what_it_is_compared_with
     assert beside is not None
     assert alone is not None
     assert [one.detail.passes.substeps for one in (beside, alone)] == [4 * own, own]
+
+
+def test_a_motor_that_lost_its_mass_is_no_answer_and_takes_no_finer_steps() -> None:
+    """It took 64 steps of the solver a sample, so did all that was tried beside it, and a search did not end."""
+    form, law = _oscillating(200, 2), Placed(builtin()["elasticity"], "q")
+    nominal = form.fit((), form.first_starts(), None)
+    assert nominal is not None
+    system = form.composed([law])
+    for mass, seen in ((0.1, True), (1e-4, False)):
+        spring = {law.name("k"): 50.0, law.name("d"): 0.5, law.name("Jm"): mass}
+        values = {**system.values(), **spring}
+        assert (form.unseen(system, values) <= 1.0) == seen
+        assert form.substeps(system, values) <= 9
+    fast = replace(nominal, values=values, unseen=form.unseen(system, values))
+    assert Kind.UNSEEN in {refusal.kind for refusal in judged(form, [law], fast, nominal, nominal).refusals}
+    assert not Table(form, nominal, [law]).lawful(fast)

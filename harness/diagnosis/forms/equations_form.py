@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -23,7 +25,7 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.search.fit import Begun, Column, Fit, Jump, Suspect
 from harness.diagnosis.systems import by_equations
-from harness.effects.compose import compose, moving, recommended_substeps
+from harness.effects.compose import FOLLOWED, compose, fastest_at_rest, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.effects.parameter import Role
 from harness.effects.places import port_of
@@ -69,10 +71,21 @@ class EquationsForm(LikelihoodForm[System]):
 
     def substeps(self, system: System, values: Mapping[str, float]) -> int:
         """Return the steps of the solver within a sample; what is too fast for the readings need only be stable."""
+        if self.unseen(system, values) > 1.0:  # refused, whatever its steps are
+            return math.ceil(self._shown / FOLLOWED)
         return max(
             default_substeps(system, self.dt, system.vector(values), followed=np.pi),
             recommended_substeps(system, values, self.dt, x=moving(system, self.sizes)),
         )
+
+    def unseen(self, system: System, values: Mapping[str, float]) -> float:
+        """See :class:`harness.diagnosis.search.fit.Fit`."""
+        return fastest_at_rest(system, values, self.dt) / self._shown
+
+    @cached_property
+    def _shown(self) -> float:
+        """The fastest motion at rest that is told from one at once, of what the nominal model does not have itself."""
+        return max(POLICY.shown, 2.0 * fastest_at_rest(self.nominal, None, self.dt))
 
     def passes(self, system: System, substeps: int) -> Pass:
         """Return the filter of a system."""

@@ -332,6 +332,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             beyond=best.beyond,
             free_run=not self.latent,
             beside=beside(effects, best),
+            unseen=self.unseen(system, best.parameters),
         )
         repeating = [placed for placed in effects if per_record([placed], "phase")]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured

@@ -39,6 +39,10 @@ class SystemForm(ABC, Generic[SystemT]):
     def substeps(self, system: SystemT, values: Mapping[str, float]) -> int:
         """Return the steps of the solver within a sample."""
 
+    def unseen(self, system: SystemT, values: Mapping[str, float]) -> float:
+        """Return how much faster than the readings show something moves at rest, see :class:`Fit`."""
+        return 0.0
+
     @abstractmethod
     def passes(self, system: SystemT, substeps: int) -> Pass:
         """Return the filter of a model."""

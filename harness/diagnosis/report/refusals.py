@@ -50,6 +50,9 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
         f"{r.subject} = {r.numbers[0]:.3g} is not determined by these data: the law is what it is without it"
     ),
     Kind.LAW: lambda r: f"its values break its own law, which asks that {r.subject}",
+    Kind.UNSEEN: lambda r: (
+        f"beside it something moves {r.numbers[0]:.2g} times as fast as these samples can show: faster ones may"
+    ),
     Kind.OTHER_LAW: lambda r: (
         f"beside it {r.subject} would be no such law any more: {'' if r.cause is None else refusal_text(r.cause)}"
     ),

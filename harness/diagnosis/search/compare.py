@@ -141,7 +141,7 @@ def judged(
         return Judged(tuple(added), None, None, (Refusal(Kind.NOT_SIMULATED),))
     comparison = compared(fit, base, policy)
     names = {*given, *map(str, added)}
-    reasons = [*_ended(fit), *_wanting(fit, base, nominal, comparison, policy)]
+    reasons = [*_ended(fit), *unseen(fit), *_wanting(fit, base, nominal, comparison, policy)]
     for placed in added:
         reasons += impossible(form, placed, fit)
         incoherence = fit.incoherence.get(str(placed), 0.0)
@@ -164,6 +164,11 @@ def _ended(fit: Fit) -> list[Refusal]:
     if fit.beyond:
         return [Refusal(Kind.STOPPED)]
     return [] if fit.converged else [Refusal(Kind.UNCONVERGED)]
+
+
+def unseen(fit: Fit) -> list[Refusal]:
+    """Return whether something of a model is over sooner than the readings show."""
+    return [Refusal(Kind.UNSEEN, numbers=(fit.unseen,))] if fit.unseen > 1.0 else []
 
 
 def _wanting(fit: Fit, base: Fit, nominal: Fit, found: Comparison, policy: Policy) -> list[Refusal]:

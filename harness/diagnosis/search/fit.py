@@ -62,6 +62,9 @@ class Fit:
         anew in every part of the records, against ones that stay.
     detail : object
         What the form itself needs to go on from here.
+    unseen : float
+        How much faster than the readings show something of it moves at rest: the eigenvalue over the largest one that
+        they show. Beyond 1 another law would do as well, of which what is over so soon is no part.
     """
 
     effects: tuple[Placed, ...]
@@ -81,6 +84,7 @@ class Fit:
     beyond: bool = False
     free_run: bool = False
     beside: dict[str, float] = field(default_factory=dict)
+    unseen: float = 0.0
 
     @property
     def model(self) -> AnySystem:

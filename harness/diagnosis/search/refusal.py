@@ -37,6 +37,8 @@ class Kind(Enum):
     """The main parameter, the ``subject``, is not told from nothing, or from e times as much: its value."""
     LAW = "law"
     """What its law asks of its values does not hold: the sentence of the law is the ``subject``."""
+    UNSEEN = "unseen"
+    """Something of the model is over sooner than the readings show: how many times as fast it is."""
     OTHER_LAW = "other law"
     """Beside it an effect that was found before, the ``subject``, is no law any more: ``cause`` says why."""
     AGAIN = "again"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
-from harness.diagnosis.search.compare import Judged, compared, impossible, judged
+from harness.diagnosis.search.compare import Judged, compared, impossible, judged, unseen
 from harness.diagnosis.search.fit import Begun, Fit, Form, InOneGo
 from harness.diagnosis.search.scores import ScoreTest, score_test
 from harness.effects.dictionary import Dictionary
@@ -214,4 +214,4 @@ class Table(InOneGo):
     def lawful(self, fit: Fit) -> bool:
         """Return True for a fit at its end in which physics forbids nothing."""
         asked = [placed for placed in fit.effects if str(placed) not in self.kept]
-        return fit.converged and not any(impossible(self.form, placed, fit) for placed in asked)
+        return fit.converged and not unseen(fit) and not any(impossible(self.form, placed, fit) for placed in asked)
