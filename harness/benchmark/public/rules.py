@@ -4,7 +4,8 @@ All sets but one are scored alike: a free run over the test record, for which th
 first ``window`` outputs, and the root mean square of its error over the outputs behind them. The sets of
 nonlinearbenchmark.org follow its official loader, https://github.com/MaartenSchoukens/nonlinear_benchmarks, as of
 2026-06-19 (commit f9fb388): ``nonlinear_benchmarks/benchmarks.py`` holds splits and windows, ``submission_examples/``
-the figures. Those of IdentiBench follow https://github.com/daniel-om-weber/identibench as of 2026-03-28 (e6e133a).
+the figures; each rule was compared with their text. Those of IdentiBench follow
+https://github.com/daniel-om-weber/identibench as of 2026-03-28 (e6e133a), ``identibench/datasets/``.
 """
 
 from __future__ import annotations
@@ -257,6 +258,7 @@ _OFFICIAL_RULES = (
         "for a nano-drone benchmark, Control Engineering Practice, 2026 (arXiv 2512.14450)",
         loader="NanoDrone",
         metric="horizons",
+        note="The loader names a window of 50 samples, which is the horizon: a prediction starts from one state.",
     ),
 )
 
@@ -284,11 +286,22 @@ def _identibench(
 
 
 _IDENTIBENCH_RULES = (
-    _identibench(
-        "noisy-wiener-hammerstein", "Wiener-Hammerstein with process noise", "mV", 1e3, ("test",),
-        "free run, the first 100 outputs given", SITE + "wiener-hammerstein-process-noise",
-        "M. Schoukens, J.-P. Noel, Wiener-Hammerstein benchmark with process noise, Workshop on Nonlinear System "
-        "Identification Benchmarks, Brussels, 2016",
+    Rule(
+        id="noisy-wiener-hammerstein",
+        title="Wiener-Hammerstein with process noise",
+        spec=_spec(*_VOLTS, 1 / 78125),
+        window=100,
+        tests=("test",),
+        unit="mV",
+        scale=1e3,
+        split="the realisations of WH_TestDataset (a multisine and a swept sine, without process noise) are the test, "
+        "those of all other files to learn from, WH_Combined... last; a figure is the mean over both",
+        folder="noisy_wiener_hammerstein",
+        files="WH_TestDataset and the other files WH_..., as .mat or .csv",
+        download=SITE + "wiener-hammerstein-process-noise",
+        citation="M. Schoukens, J.-P. Noel, Wiener-Hammerstein benchmark with process noise, Workshop on Nonlinear "
+        "System Identification Benchmarks, Brussels, 2016, pp. 15-19",
+        rules_of=IDENTIBENCH,
     ),
     _identibench(
         "ship", "Patrol ship", "mixed", 1.0, ("test",),

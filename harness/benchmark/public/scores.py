@@ -105,7 +105,8 @@ def horizon_errors(measured: FloatArray, predicted: FloatArray) -> FloatArray:
     array (4,)
         For position [m], velocity [m/s], orientation [rad] and angular velocity [rad/s] the mean distance over all
         starts, summed over the horizons 1 to H (Busetto et al. 2026, arXiv 2512.14450, its SimErr). Orientations are
-        compared by the angle of the rotation between them, at most pi.
+        compared by ``2 atan2(|v|, w)`` of the rotation (v, w) between them, as the official function does it: a
+        quaternion of the other sign is 2 pi off.
 
     Raises
     ------
@@ -129,7 +130,7 @@ def horizon_errors(measured: FloatArray, predicted: FloatArray) -> FloatArray:
     truth = np.stack([measured[1 + h : 1 + h + starts] for h in range(horizon)], axis=1)
     parts = (slice(0, 3), slice(3, 6), slice(10, 13))
     position, velocity, rate = (np.linalg.norm(truth[..., at] - predicted[..., at], axis=-1) for at in parts)
-    lengths = np.linalg.norm(truth[..., 6:10], axis=-1) * np.linalg.norm(predicted[..., 6:10], axis=-1)
-    alike = np.abs(np.sum(truth[..., 6:10] * predicted[..., 6:10], axis=-1)) / lengths
-    angle = 2.0 * np.arccos(np.clip(alike, 0.0, 1.0))
+    (v, w), (p, r) = ((one[..., 6:9], one[..., 9:10]) for one in (truth, predicted))
+    between = w * p - r * v - np.cross(v, p)
+    angle = 2.0 * np.arctan2(np.linalg.norm(between, axis=-1), np.sum(truth[..., 6:10] * predicted[..., 6:10], axis=-1))
     return np.array([float(one.mean(axis=0).sum()) for one in (position, velocity, angle, rate)])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from harness.benchmark.page.exports import caption, latex_lines, latex_text, markdown_rows, markdown_text
 from harness.benchmark.page.report import filled
-from harness.benchmark.public.published import Published, best_published, published
+from harness.benchmark.public.published import Published, best_published, known_figures, published
 from harness.benchmark.public.result import Cell, PublicResult
 from harness.benchmark.public.rules import Rule
 from harness.benchmark.summary import figure
@@ -75,6 +75,8 @@ def markdown_table(result: PublicResult) -> str:
         rows.append(map(markdown_text, cells))
     lines = [*markdown_rows(titles, rows), "", MARKS + ".", ""]
     lines += [f"- {rule.title}, {cell.column}: {_said(cell)}" for rule, cell in _cells(result)]
+    lines += ["", "The best published figures, and who compared them with their source:", ""]
+    lines += [f"- {rule.title}: {text}" for rule in result.rules for text in _best(rule)]
     lines += ["", "Sets without data here:", ""]
     lines += [
         f"- {rule.title} (n = {rule.window}, {rule.rules_of}): {_reason(rule, result)}" for rule in _missing(result)
@@ -111,7 +113,7 @@ def page(result: PublicResult) -> str:
         lines = [
             {
                 "test": test,
-                "published": [(one, one.figures[test]) for one in published()[rule.id] if test in one.figures],
+                "published": known_figures(rule.id, test),
                 "values": [_value(own.get(column), number) for column in ("black", "grey", *peers)],
                 "leads": [_leads(rule, test, number, own, column) for column in ("black", "grey", *peers)],
                 "whole": [_value(own.get(column), number, whole=True) for column in ("black", "grey")],
@@ -120,7 +122,10 @@ def page(result: PublicResult) -> str:
         ]
         run = any(cell.status == "ok" for cell in own.values())
         said = [(cell, _said(cell)) for cell in own.values() if cell.status != "missing"]
-        groups.append({"rule": rule, "lines": lines, "run": run, "said": said, "reason": _reason(rule, result)})
+        sources = [cited(one) for one in published()[rule.id]]
+        groups.append(
+            {"rule": rule, "lines": lines, "run": run, "said": said, "cited": sources, "reason": _reason(rule, result)}
+        )
     return filled(TEMPLATE, result=result, groups=groups, peers=peers, figure=figure, marks=MARKS)
 
 
@@ -209,6 +214,22 @@ def _shown(rule: Rule, test: str, number: int, own: dict[str, Cell], bold: str) 
         text = _value(own.get(column), number)
         cells.append(bold.format(text) if _leads(rule, test, number, own, column) else text)
     return cells
+
+
+def _best(rule: Rule) -> list[str]:
+    """Return the best published figures of a set with their sources, a line for each method."""
+    best = [(test, found) for test in rule.tests if (found := best_published(rule.id, test)) is not None]
+    return [
+        f"{', '.join(f'{test} {figure(value)}{one.mark}' for test, (value, mine) in best if mine is one)}: {cited(one)}"
+        for one in published()[rule.id]
+        if any(mine is one for _, (_, mine) in best)
+    ]
+
+
+def cited(one: Published) -> str:
+    """Return whose a published figure is, how often it was read, and its source."""
+    note = f"; {one.note}" if one.note else ""
+    return f"{one.method} ({one.year}), {one.read}: {one.source}{note}"
 
 
 def _value(cell: Cell | None, number: int, *, whole: bool = False) -> str:
