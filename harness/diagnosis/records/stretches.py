@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
-from harness.signals import Dataset, FloatArray, Run
+from harness.signals import Dataset, FloatArray, Oddity, Run
 
 
 def stretched(
@@ -122,7 +122,17 @@ def parted(dataset: Dataset) -> Dataset:
     Parameters
     ----------
     dataset : Dataset
-        One that was examined, see :func:`harness.data.oddities.examined`.
+        One that was examined, see :func:`harness.data.oddities.examined`; what was found moves to the pieces.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec, Trajectory
+    >>> spec = PlantSpec((), (Channel("q"),), 0.5)
+    >>> record = Trajectory(np.arange(80) * 0.5, np.zeros((80, 0)), np.ones((80, 1)), spec)
+    >>> odd = Oddity("leap", 0, "q", (30,), ""), Oddity("spike", 0, "q", (10, 40), "")
+    >>> pieces = parted(Dataset("x", (Run(record),), oddities=odd))
+    >>> [len(run.trajectory) for run in pieces], [(one.kind, one.run, one.rows) for one in pieces.oddities]
+    ([30, 50], [('spike', 0, (10,)), ('leap', 1, (0,)), ('spike', 1, (10,))])
     """
     cuts: dict[int, set[int]] = {}
     for odd in dataset.oddities or ():
@@ -131,10 +141,15 @@ def parted(dataset: Dataset) -> Dataset:
     if not cuts:
         return dataset
     runs: list[Run] = []
+    moved: list[Oddity] = []
     for number, run in enumerate(dataset):
-        edges = [0, *sorted(cuts.get(number, ())), len(run.trajectory)]
-        runs += [replace(run, trajectory=run.trajectory[a:b]) for a, b in itertools.pairwise(edges)]
-    return replace(dataset, runs=tuple(runs))
+        for a, b in itertools.pairwise([0, *sorted(cuts.get(number, ())), len(run.trajectory)]):
+            for odd in dataset.oddities or ():
+                rows = tuple(row - a for row in odd.rows if a <= row < b)
+                if odd.run == number and (rows or (a == 0 and not odd.rows)):
+                    moved.append(replace(odd, run=len(runs), rows=rows))
+            runs.append(replace(run, trajectory=run.trajectory[a:b]))
+    return replace(dataset, runs=tuple(runs), oddities=tuple(moved))
 
 
 def windowed(dataset: Dataset, seconds: float | None) -> Dataset:
@@ -213,7 +228,7 @@ def uncut(dataset: Dataset, column: int, ceiling: float, *, count: int = DATA_PO
     return replace(dataset, runs=tuple(runs))
 
 
-def about_lines(records: Sequence[FloatArray], samples: int | None = None) -> FloatArray:
+def about_lines(records: Sequence[FloatArray], samples: int | None = None, degree: int = 1) -> FloatArray:
     """Return the mean square of signals about a straight line through each window (n,).
 
     Over a short window a line follows most of a slow motion: what no model is needed for explains nothing.
@@ -223,6 +238,8 @@ def about_lines(records: Sequence[FloatArray], samples: int | None = None) -> Fl
     records : sequence of array (N, n)
     samples : int, optional
         Of a window; whole records without.
+    degree : int
+        0 for a constant in each window in the place of a line.
 
     Examples
     --------
@@ -233,7 +250,7 @@ def about_lines(records: Sequence[FloatArray], samples: int | None = None) -> Fl
     total, count = np.zeros(records[0].shape[1]), 0
     for y in records:
         length = len(y) if samples is None else min(len(y), samples)
-        line = np.column_stack([np.ones(length), np.arange(length)])
+        line = np.vander(np.arange(length, dtype=float), degree + 1, increasing=True)
         for first in range(0, len(y) - length + 1, length):
             part = y[first : first + length]
             left = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
