@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 from unicodedata import category
 
 ENDING = re.compile(r"\.[A-Za-z]\w{0,15}")
@@ -136,8 +137,20 @@ def as_written(file: str | Path, wanted: str) -> AbstractContextManager[None]:
     )
 
 
-def unknown_name(what: str, name: str, known: Iterable[str]) -> InputError:
+def unknown_name(
+    what: str, name: str, known: Iterable[str], *, remedy: str = "correct the name", **where: Any
+) -> InputError:
     """Return the refusal of a name that is none of those that are known.
+
+    Parameters
+    ----------
+    what, name : str
+        What is named, and the name.
+    known : iterable of str
+    remedy : str
+        What to do where none of them is near.
+    **where
+        File and place of :class:`InputError`.
 
     Examples
     --------
@@ -146,10 +159,39 @@ def unknown_name(what: str, name: str, known: Iterable[str]) -> InputError:
     """
     names = list(known)
     expected = f"one of {', '.join(names) or '(none)'}"
-    return InputError(what, expected=expected, got=repr(name), remedy=did_you_mean(name, names, "correct the name"))
+    return InputError(what, expected=expected, got=repr(name), remedy=did_you_mean(name, names, remedy), **where)
 
 
-def as_described(what: str, *, remedy: str = "write the model anew") -> AbstractContextManager[None]:
+def refuse_unknown(what: str, given: str | Iterable[str], known: Iterable[str], **said: Any) -> None:
+    """Refuse a name, or the first of several, that is none of those that are known.
+
+    Parameters
+    ----------
+    what : str
+        What is named.
+    given : str or iterable of str
+    known : iterable of str
+    **said
+        Remedy, file and place of :func:`unknown_name`.
+
+    Raises
+    ------
+    InputError
+        With the names that are near.
+
+    Examples
+    --------
+    >>> refuse_unknown("initial state", {"theta": 0.1}, ["theta", "omega"])
+    """
+    names = list(known)
+    for name in [given] if isinstance(given, str) else given:
+        if name not in names:
+            raise unknown_name(what, name, names, **said)
+
+
+def as_described(
+    what: str, *, remedy: str = "fit it again: other versions wrote other files"
+) -> AbstractContextManager[None]:
     """Refuse, in one line, a description that ``to_dict`` did not write, as :func:`as_written` a file.
 
     Examples
@@ -158,7 +200,7 @@ def as_described(what: str, *, remedy: str = "write the model anew") -> Abstract
     ...     {}["spec"]
     Traceback (most recent call last):
     harness.errors.InputError: description of a model: expected what to_dict() writes, got KeyError: 'spec'; remedy:
-    write the model anew
+    fit it again: other versions wrote other files
     """
     return _instead(
         lambda error: InputError(

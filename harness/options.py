@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import operator
 import sys
 import types
 import typing
@@ -93,6 +94,60 @@ def meant_options(owner: str, factory: Callable[..., Any], options: Mapping[str,
                 f"option of {owner}", expected=wanted, got=repr(value), remedy=f"give {wanted}", place=name
             )
     return result
+
+
+_COMPARED = {">=": operator.ge, ">": operator.gt, "<=": operator.le, "<": operator.lt}
+
+
+def check_options(made: Any, owner: str, /, **bounds: str) -> None:
+    """Refuse fields that are none of the words that their declaration lists (``Literal``), or out of bounds.
+
+    Parameters
+    ----------
+    made : object
+        With a field for each of its parameters, as a dataclass has.
+    owner : str
+        What it is, for the message.
+    **bounds : str
+        Of fields that are numbers, or lists of them: ``order=">= 1"``, ``forgetting="> 0, <= 1"``. None is not asked.
+
+    Raises
+    ------
+    InputError
+        With the option's name and what is expected.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass
+    ... class Method:
+    ...     order: int | None = None
+    ...     rule: typing.Literal["bic", "aic"] = "bic"
+    >>> check_options(Method(), "method", order=">= 1")
+    >>> for wrong in (Method(order=0), Method(rule="cv")):
+    ...     try:
+    ...         check_options(wrong, "method", order=">= 1")
+    ...     except InputError as error:
+    ...         print(error)
+    order: option of method: expected a number >= 1, got 0; remedy: correct it
+    rule: option of method: expected one of bic, aic, got 'cv'; remedy: correct it
+    """
+    given = {name: getattr(made, name) for name in inspect.signature(type(made)).parameters}
+    wanted = {
+        name: _said(hint)
+        for name, hint in _hints(type(made), given).items()
+        if any(typing.get_origin(kind) is typing.Literal for kind in _alternatives(hint))
+        and not _may_be(given[name], hint)
+    }
+    for name, bound in bounds.items():
+        limits = [(_COMPARED[sign], float(limit)) for sign, limit in (part.split() for part in bound.split(", "))]
+        values = np.ravel([] if given[name] is None else given[name])
+        if not all(compared(value, limit) for value in values for compared, limit in limits):
+            wanted[name] = f"a number {bound.replace(', ', ' and ')}"
+    if wanted:
+        name, expected = next(iter(wanted.items()))
+        got = repr(given[name])
+        raise InputError(f"option of {owner}", expected=expected, got=got, remedy="correct it", place=name)
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:

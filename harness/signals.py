@@ -310,8 +310,8 @@ class Oddity:
     Attributes
     ----------
     kind : str
-        ``spike``, ``word``, ``held``, ``stuck``, ``rail``, ``step``, ``shift``, ``mismatch``, ``trend``, ``slow``,
-        ``fast``; see :mod:`harness.data.oddities`.
+        ``spike``, ``word``, ``held``, ``stuck``, ``leap``, ``twice``, ``rail``, ``step``, ``shift``, ``mismatch``,
+        ``trend``, ``slow``, ``fast``; see :mod:`harness.data.oddities`.
     run : int
         Number of the run.
     channel : str

@@ -63,5 +63,5 @@ def spec_from_dict(content: dict[str, Any]) -> PlantSpec:
             "description of a model's signals",
             expected="inputs, outputs, sample_time as written by to_dict()",
             got=f"{type(error).__name__}: {error}",
-            remedy="write the model anew",
+            remedy="fit it again: other versions wrote other files",
         ) from error

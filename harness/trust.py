@@ -46,7 +46,7 @@ def trusting(*files: str | Path) -> Iterator[None]:
     Raises
     ------
     InputError
-        If there is no such file.
+        If one of them does not exist.
 
     Examples
     --------

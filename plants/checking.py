@@ -10,7 +10,7 @@ from typing import Any, NoReturn, get_type_hints
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.options import instead, meant_options
 from harness.signals import Channel, FloatArray, PlantSpec
 
@@ -94,14 +94,8 @@ def initial_values(x0: Mapping[str, float] | None, states: Sequence[Channel], de
     """
     values = [float(value) for value in default]
     places = {channel.name: place for place, channel in enumerate(states)}
+    refuse_unknown("unknown initial state", x0 or (), places, remedy="correct the name in x0")
     for name, value in (x0 or {}).items():
-        if name not in places:
-            raise InputError(
-                "unknown initial state",
-                expected=f"one of {', '.join(places) or 'none (this plant has no settable state)'}",
-                got=repr(name),
-                remedy="correct the name in x0",
-            )
         if not math.isfinite(value):
             raise InputError(f"initial state {name!r}", expected="a finite number", got=str(value), remedy="correct x0")
         values[places[name]] = float(value)

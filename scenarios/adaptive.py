@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
+from harness.options import check_options
 from harness.protocols import Experiment
 from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec
@@ -64,13 +65,7 @@ class AdaptiveControl(ArmTracking):
 
     def prepare(self, spec: PlantSpec, *, streams: Streams, role: str) -> Experiment:
         """Return the experiment of one role; raises InputError if model or options do not fit the plant."""
-        if self.method not in ("slotine-li", "identifier") or not (self.adaptation > 0 and self.feedback > 0):
-            raise InputError(
-                "options of adaptive-control",
-                expected="method slotine-li or identifier; adaptation and feedback above 0",
-                got=f"{self.method!r}, {self.adaptation}, {self.feedback}",
-                remedy="correct them",
-            )
+        check_options(self, "adaptive-control", adaptation="> 0", feedback="> 0")
         plain = super().prepare(spec, streams=streams, role=role)
         tracking: Any = plain.controller
         learner = None
@@ -88,11 +83,7 @@ class AdaptiveControl(ArmTracking):
     ) -> tuple[FloatArray, FloatArray | None]:
         """Return the reference about the start, (3, n, joints): the random one, and the move."""
         names = [spec.outputs[i].name for i in positions]
-        unknown = sorted(set(self.move) - set(names))
-        if unknown:
-            raise InputError(
-                "option move", expected=f"outputs among {', '.join(names)}", got=", ".join(unknown), remedy="correct it"
-            )
+        refuse_unknown("option move", self.move, names)
         moves = np.zeros((3, n, len(names)))
         moves[0] = [self.move.get(name, 0.0) for name in names]
         t: FloatArray = np.arange(n, dtype=np.float64) * spec.sample_time

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.signals import Channel, FloatArray, PlantSpec
 
 PerChannel = float | Mapping[str, float]
@@ -54,15 +54,8 @@ def per_channel(
         given = value
     else:
         given = dict.fromkeys(names, value)
-    for name, number in given.items():
-        if name not in names:
-            raise InputError(
-                f"channel in option {option!r}",
-                expected=f"one of {', '.join(names) or '(there are none)'}",
-                got=repr(name),
-                remedy="correct the name",
-                place=option,
-            )
+    refuse_unknown(f"channel in option {option!r}", given, names, place=option)
+    for number in given.values():
         if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
             raise InputError(
                 f"option {option!r}",

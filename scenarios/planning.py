@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError
+from harness.options import check_options
 from harness.protocols import Experiment, Model
 from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec, residual
@@ -129,13 +130,7 @@ class PredictiveControl(Conditions):
                 got=str(spec),
                 remedy="give the plant's option u_limit",
             )
-        if self.method not in _ROUNDS or min(self.horizon, self.plans, self.hold) < 1:
-            raise InputError(
-                "options of predictive-control",
-                expected="method mppi or cem; horizon, plans and hold of at least 1",
-                got=f"{self.method!r}, {self.horizon}, {self.plans}, {self.hold}",
-                remedy="correct them",
-            )
+        check_options(self, "predictive-control", horizon=">= 1", plans=">= 1", hold=">= 1")
         n = self.length(spec)
         controller = _Planner(self, model, spec, limits, streams(f"{role}/plans"))
         excitation = np.zeros((n, spec.nu))

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import hypothesis
 import pytest
@@ -46,6 +47,40 @@ def script() -> Callable[[str], ModuleType]:
         return module
 
     return load
+
+
+@pytest.fixture(scope="session")
+def odd_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return a builder of FMUs that misbehave: name of a folder in a fmus/, FMI version -> path of the FMU."""
+    from harness.fmi import build
+
+    if build.compiler() is None:
+        pytest.skip("no C compiler: install gcc")
+    folder = tmp_path_factory.mktemp("fmus")
+
+    def built(name: str, version: int = 2) -> Path:
+        target = folder / f"{name}-{version}.fmu"
+        if not target.is_file():
+            (source,) = Path(__file__).parent.glob(f"*/fmus/{name}")
+            build.build_fmu(source, version, target)
+        return target
+
+    return built
+
+
+@pytest.fixture
+def sysid(capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """Return what runs ``sysid ARGUMENTS``, asks for its exit status, and returns what was printed (out, err)."""
+    from harness.command import main
+
+    def call(*arguments: object, status: int = 0) -> Any:
+        with pytest.raises(SystemExit) as ended:
+            main([str(one) for one in arguments])
+        said = capsys.readouterr()
+        assert (ended.value.code or 0) == status, said.err
+        return said
+
+    return call
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks

@@ -62,6 +62,7 @@ class Identified(Usable):
         run = own_values(free, self.judged.spec.outputs, self.recorded)
         for axis, values in zip(figure.axes[self.judged.spec.nu :], run.T, strict=True):
             low, high = axis.get_ylim()
+            axis.lines[0].set_label("measured")
             axis.plot(self.judged.t, values, "--", color="#cc6677", linewidth=0.9, label="free run")
             room = 0.4 * (high - low)
             axis.set_ylim(max(axis.get_ylim()[0], low - room), min(axis.get_ylim()[1], high + room))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from harness.blackbox.sums import summed
 from harness.calibration.slopes import OwnSlopes
-from harness.errors import HarnessError, InputError
+from harness.errors import HarnessError, InputError, refuse_unknown
 from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.compiled.sampled import BySample, SampledBlocks
 from harness.physics.definition.dimensions import Dimensions
@@ -274,11 +274,5 @@ def _key(p: FloatArray, x0: FloatArray, u: FloatArray) -> bytes:
 def _place(channels: Sequence[Channel], wanted: Channel, what: str) -> int:
     """Return where a channel stands among those of the plant."""
     names = [channel.name for channel in channels]
-    if wanted.name not in names:
-        raise InputError(
-            f"{what} of the records",
-            expected=f"one of {', '.join(names) or 'none'}, the {what}s of the model",
-            got=repr(wanted.name),
-            remedy="name the columns after the model's variables",
-        )
+    refuse_unknown(f"{what} of the records", wanted.name, names, remedy="name the columns after the model's variables")
     return names.index(wanted.name)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError, did_you_mean
+from harness.errors import InputError, did_you_mean, refuse_unknown
 from harness.parts.files import describe_fmu, is_system
 from harness.physics.definition.parameters import Parameter
 
@@ -203,14 +203,7 @@ def free_parameters(
     for name in free:
         if list(free).count(name) > 1:
             raise InputError("free parameter", expected="each name once", got=f"{name!r} twice", remedy="remove one")
-    for name in bounds:
-        if name not in free:
-            raise InputError(
-                "bound of a parameter that is not free",
-                expected=f"one of {', '.join(free)}",
-                got=repr(name),
-                remedy="make it free, or remove the bound",
-            )
+    refuse_unknown("bound of a parameter that is not free", bounds, free, remedy="make it free, or remove the bound")
     return tuple(_parameter(contents, name, bounds.get(name), start.get(name)) for name in free)
 
 

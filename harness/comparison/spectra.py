@@ -144,8 +144,9 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
     """
     if not records or records[0].spec.nu == 0:
         raise InputError(
-            "a frequency response", expected="a record with an input", got="none", remedy="record the input as well"
-        )
+            "a frequency response", expected="a record with an input", got="none",
+            remedy="name the input (sysid: --input NAME); sysid modes finds resonances in outputs alone",
+        )  # fmt: skip
     spec = records[0].spec
     total = sum(len(record) for record in records)
     n = segment or int(2 ** np.clip(np.floor(np.log2(max(total / 16, 2))), 4, 13))

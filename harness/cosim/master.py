@@ -11,8 +11,7 @@ from typing import Any, Literal, Self, cast
 import numpy as np
 
 from harness.cosim.controlled import Controlled, Hold, Lines
-from harness.cosim.graph import followers, reached_at_once, strong_components
-from harness.cosim.loops import newton
+from harness.cosim.graph import followers, newton, reached_at_once, strong_components
 from harness.cosim.texts import split
 from harness.cosim.watched import watched
 from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower

@@ -15,7 +15,7 @@ from harness.cosim.structure.model import Description
 from harness.cosim.structure.open import open_structure
 from harness.cosim.watched import made
 from harness.cosim.wiring import Connection, Shown
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.protocols import Plant
 from harness.signals import Channel
 
@@ -58,15 +58,7 @@ def couple_ssp(
     What was unpacked is removed when it is closed.
     """
     path, changed = Path(path), dict(changes or {})
-    unknown = sorted(set(changed) - set(SYSTEM_OPTIONS))
-    if unknown:
-        raise InputError(
-            "option of a system",
-            expected=f"one of {', '.join(SYSTEM_OPTIONS)}",
-            got=", ".join(unknown),
-            remedy="change the rest in the file",
-            file=path,
-        )
+    refuse_unknown("option of a system", changed, SYSTEM_OPTIONS, remedy="change the rest in the file", file=path)
     parameters, start = changed.pop("parameters", None), changed.pop("start_time", None)
     tolerance = changed.pop("solver_tolerance", None)
     opened = open_structure(path, within=changed.pop("within", None))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import refuse_unknown
 from harness.export.describe import Variable, describe, xml_text
 
 if TYPE_CHECKING:
@@ -130,14 +130,8 @@ def description(simulator: Simulator, parameters: Mapping[str, float], x0: Mappi
     system = simulator.system
     values = system.values(parameters)
     starts = dict.fromkeys((channel.name for channel in system.states), 0.0)
+    refuse_unknown("initial state", x0 or (), starts)
     for name, value in (x0 or {}).items():
-        if name not in starts:
-            raise InputError(
-                "initial state",
-                expected=f"one of {', '.join(starts)}",
-                got=repr(name),
-                remedy="correct the name",
-            )
         starts[name] = value
     variables = [Variable(channel.name, "input", channel.unit) for channel in system.inputs]
     variables += [Variable(channel.name, "output", channel.unit) for channel in system.outputs]

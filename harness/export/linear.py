@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.export.describe import Variable, describe, xml_text
 from harness.models.determined import bands_of, bands_words
 from harness.models.transforms import Hold, discrete
@@ -158,14 +158,7 @@ def from_state_space(
     dt = float(stated or sample_time or 0.0)
     own = (np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), np.asarray(system.D))
     a, b, c, d = discrete(own, dt, method) if continuous else own
-    unknown = sorted(set(units or {}) - {*system.input_labels, *system.output_labels})
-    if unknown:
-        raise InputError(
-            "units",
-            expected=f"names among {', '.join([*system.input_labels, *system.output_labels])}",
-            got=", ".join(unknown),
-            remedy="correct the names",
-        )
+    refuse_unknown("units", units or (), (*system.input_labels, *system.output_labels))
     named = [tuple(Channel(name, (units or {}).get(name, "1")) for name in labels)
              for labels in (system.input_labels, system.output_labels)]  # fmt: skip
     d = np.asarray(d, dtype=float)
@@ -217,11 +210,8 @@ def linear_description(model: Linear, x0: Mapping[str, float] | None = None, *, 
     """
     spec = model.spec
     starts = dict.fromkeys((f"x{k + 1}" for k in range(model.a_matrix.shape[0])), 0.0)
+    refuse_unknown("initial state", x0 or (), starts)
     for key, value in (x0 or {}).items():
-        if key not in starts:
-            raise InputError(
-                "initial state", expected=f"one of {', '.join(starts)}", got=repr(key), remedy="correct it"
-            )
         starts[key] = float(value)
     variables = [Variable(c.name, "input", c.unit, 0.0) for c in spec.inputs]
     variables += [Variable(c.name, "output", c.unit) for c in spec.outputs]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import InputError, unread
+from harness.errors import InputError, refuse_unknown, unread
 from harness.frequency.data import FrequencyResponse
 from harness.signals import Channel, FloatArray
 
@@ -75,11 +75,7 @@ def read_response(
     if key not in _FREQUENCY:
         raise InputError("first column", expected="frequency", got=repr(titles[0]), remedy=_REMEDY, file=path)
     unit = (parsed[0][1] or _FREQUENCY[key]).lower()
-    if unit not in _TO_HZ:
-        raise InputError(
-            "unit of the frequency", expected=f"one of {', '.join(_TO_HZ)}", got=repr(unit), remedy="correct it",
-            file=path,
-        )  # fmt: skip
+    refuse_unknown("unit of the frequency", unit, _TO_HZ, remedy="correct it", file=path)
     pairs: dict[tuple[str, str], dict[str, FloatArray]] = {}
     for column, (name, own) in enumerate(parsed[1:], 1):
         pair, part = _part(name, path)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError, as_described
+from harness.errors import InputError, as_described, refuse_unknown
 from harness.signals import FloatArray
 from harness.units import behind
 
@@ -239,13 +239,7 @@ class Estimate:
         return "; ".join(lines)
 
     def _index(self, name: str) -> int:
-        if name not in self.names:
-            raise InputError(
-                "parameter of an estimate",
-                expected=f"one of {', '.join(self.names)}",
-                got=repr(name),
-                remedy="correct it",
-            )
+        refuse_unknown("parameter of an estimate", name, self.names)
         return self.names.index(name)
 
 

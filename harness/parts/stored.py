@@ -76,12 +76,14 @@ def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read"
     try:
         model: Model = registry.load("model_readers", kind).from_dict(content)
         _refuse_unsound(model)
+    except InputError as error:
+        raise error.located(file=path) from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(
             "not a model",
             expected=f"the whole description of a {kind} model",
             got=f"{type(error).__name__}: {' '.join(str(error).split())[:200]}",
-            remedy="give the file as sysid identify -o wrote it",
+            remedy="give the file as sysid identify -o wrote it, or fit it again: other versions wrote other files",
             file=path,
         ) from error
     return model

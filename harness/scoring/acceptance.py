@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.units import convert, told
 
 VERDICTS = ("effects_found", "nothing_missing", "unexplained", "model_does_not_fit")
@@ -77,15 +77,9 @@ class Demands:
     max_share: float | None = None
 
     def __post_init__(self) -> None:
-        for word in self.fail_on:
-            if word not in (*VERDICTS, *STATUSES):
-                raise InputError(
-                    "verdict that fails",
-                    expected=f"one of {', '.join(VERDICTS)}; of a fleet also {', '.join(STATUSES)}",
-                    got=repr(word),
-                    remedy="correct it",
-                    place="--fail-on",
-                )
+        refuse_unknown(
+            "verdict that fails", self.fail_on, (*VERDICTS, *STATUSES), remedy="correct it", place="--fail-on"
+        )
         for output, text in (self.max_error or {}).items():
             _quantity(output, text)
         if self.max_share is not None and not 0.0 <= self.max_share <= 1.0:
@@ -128,15 +122,8 @@ class Demands:
             If there is no such output, or the unit is another quantity.
         """
         found = []
+        refuse_unknown("largest error of an unknown output", self.max_error or (), errors, place="--max-error")
         for output, text in (self.max_error or {}).items():
-            if output not in errors:
-                raise InputError(
-                    "largest error of an unknown output",
-                    expected=f"one of {', '.join(errors) or '(none)'}",
-                    got=repr(output),
-                    remedy="correct the name",
-                    place="--max-error",
-                )
             value, unit = errors[output]
             number, stated = _quantity(output, text)
             limit = number

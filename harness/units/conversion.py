@@ -217,7 +217,8 @@ def _parsed(text: str) -> Any:
         "unknown unit",
         expected="a unit such as 'N m', 'Nm', 'rad/s', 'deg', 'rpm', 'V', 'm/s^2' or '1'",
         got=repr(text if len(text) <= LONGEST else f"{text[:LONGEST]}..."),
-        remedy="write products with a space and quotients with '/'",
+        remedy="write products with a space and quotients with '/'; counts and other plain numbers are in '1' "
+        "(sysid: --unit NAME=1)",
     ) from last
 
 

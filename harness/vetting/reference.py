@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import HarnessError, InputError, printable
+from harness.errors import HarnessError, InputError, printable, refuse_unknown
 from harness.options import as_options
 from harness.parts.files import describe_fmu, make_plant
 from harness.scoring.acceptance import Check
@@ -237,12 +237,7 @@ def agreement(
     names, t, rows = _table(reference)
     measured = [k for k, name in enumerate(names) if not name.startswith(BESIDE)]
     names, rows = [names[k] for k in measured], rows[:, measured]
-    for name in told:
-        if name != EVERY and name not in names:
-            raise InputError(
-                "tube", expected=f"a channel of the reference ({', '.join(names[:12])})", got=repr(name),
-                remedy="correct the name", file=reference,
-            )  # fmt: skip
+    refuse_unknown("tube", told, (EVERY, *names), file=reference)
     if names_fmu(run):
         window = _opt(reference) | {
             k: v for k, v in (("start", start), ("stop", stop), ("step", step)) if v is not None

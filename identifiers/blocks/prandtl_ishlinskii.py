@@ -12,11 +12,13 @@ from harness.errors import FitError
 from harness.judgement import refuse_undetermined
 from harness.models.damped import Damping
 from harness.models.distributions import NormalMixture, normal
+from harness.options import check_options
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.blocks.hysteresis_fit import Pair, Point, descended, started
 from identifiers.blocks.hysteresis_pass import Layout, Run, played
 from identifiers.common.described import Described
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.observers import likeliest_start
 from identifiers.common.records import moving, real_signals, usable
@@ -177,7 +179,7 @@ class PrandtlIshlinskiiModel(Described):
 
 
 @dataclass(frozen=True)
-class PrandtlIshlinskii:
+class PrandtlIshlinskii(Excited):
     """Linear state-space model with rate-independent hysteresis inside, fitted to free runs.
 
     Every hysteresis is a Prandtl-Ishlinskii operator: a weighted sum of stops of given radii (Visintin 1994,
@@ -207,8 +209,6 @@ class PrandtlIshlinskii:
         Keep the weights of the stops at 0 and above: every loop then turns one way and only loses energy.
     rounds : int
         Steps of the descent, at most.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`).
 
     Examples
     --------
@@ -232,22 +232,13 @@ class PrandtlIshlinskii:
     offset: bool = True
     positive: bool = False
     rounds: int = 60
-    least_excitation: float = 2.0
     expected_failures: ClassVar[Mapping[str, str]] = {}
 
     @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> PrandtlIshlinskiiModel:
         """Return the model; what draws its hystereses, their weights and amplitudes stand in its notes."""
         what = "prandtl-ishlinskii"
-        if min(self.order, self.stops, self.rounds, self.hystereses or 1) < 1 or self.drawn_by not in (
-            "auto", "inputs", "outputs",
-        ):  # fmt: skip
-            raise FitError(
-                f"{what}: options",
-                expected="order, hystereses, stops and rounds of at least 1, drawn_by auto, inputs or outputs",
-                got=f"{self.order}, {self.hystereses}, {self.stops}, {self.rounds}, {self.drawn_by}",
-                remedy="correct them",
-            )
+        check_options(self, what, order=">= 1", hystereses=">= 1", stops=">= 1", rounds=">= 1")
         records, spec = usable(trajectories, samples=20 * (self.order + self.stops), what=what)
         real_signals(spec, what)
         moving(records, what)

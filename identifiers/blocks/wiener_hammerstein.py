@@ -19,6 +19,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.curve import Knots
 from identifiers.blocks.wiener_hammerstein_fit import Blocks, descended, shared_out
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.named import wrong_options
 from identifiers.common.observers import likeliest_start
@@ -190,7 +191,7 @@ def _next(state: FloatArray, b: FloatArray, a: FloatArray, u: FloatArray, y: Flo
 
 
 @dataclass(frozen=True)
-class WienerHammerstein:
+class WienerHammerstein(Excited):
     """Wiener-Hammerstein model of one input and one output, fitted to free runs.
 
     A linear output-error model is the start; its poles and zeros are shared out between the two blocks in all ways, and
@@ -210,8 +211,6 @@ class WienerHammerstein:
         own in both blocks, serve where a sharp curve makes frequencies above half the sample rate.
     rounds : int
         Of the descent on all of the data.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`).
 
     Examples
     --------
@@ -231,7 +230,6 @@ class WienerHammerstein:
     direct: bool = False
     between: int = 1
     rounds: int = 60
-    least_excitation: float = 2.0
     expected_failures: ClassVar[Mapping[str, str]] = {
         "beats_trivial": "systems of the survey with one input and one output bend in a loop, where it has no curve",
     }

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, Self, Union, cast, get_args, get_orig
 
 import numpy as np
 
+from harness.errors import as_described
 from harness.signals import PlantSpec
 from harness.specs import spec_from_dict, spec_to_dict
 
@@ -46,8 +47,15 @@ class Described:
 
     @classmethod
     def read(cls, content: Mapping[str, Any], **own: Any) -> Self:
-        """Return what a description describes, with fields that the caller has read himself."""
-        return cast(Self, _made(cls, content, **own))
+        """Return what a description describes, with fields that the caller has read himself.
+
+        Raises
+        ------
+        InputError
+            If it is none.
+        """
+        with as_described(f"a model of kind {cls.kind}" if cls.kind else f"a {cls.__name__}"):
+            return cast(Self, _made(cls, content, **own))
 
 
 def _parts(value: Any) -> dict[str, Any]:

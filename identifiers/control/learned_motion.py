@@ -12,6 +12,7 @@ import numpy as np
 from harness.errors import FitError, InputError
 from harness.models.analysis import Findings, Takes
 from harness.models.lqr import lqr_gain
+from harness.options import check_options
 from harness.scoring import linearise
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import Columns, refuse_feedback
@@ -150,18 +151,8 @@ class LearnedMotion:
         return _findings(stage, rows, shown, best, ideal)
 
     def _check(self) -> None:
-        wrong = min(self.duration, self.excitation, self.height, self.effort) <= 0 or self.noise < 0
-        wrong = wrong or self.shape not in ("step", "glide") or min(self.repetitions, self.order) < 1 or self.trials < 3
-        if wrong or any(value is not None and value <= 0 for value in (self.limit, self.change)):
-            raise InputError(
-                "learned-motion",
-                expected="duration, excitation, height, effort, limit and change above 0, noise at least 0, shape step "
-                "or glide, repetitions and order of at least 1, trials of at least 3",
-                got=f"duration={self.duration}, excitation={self.excitation}, height={self.height}, "
-                f"effort={self.effort}, limit={self.limit}, change={self.change}, noise={self.noise}, "
-                f"shape={self.shape!r}, repetitions={self.repetitions}, order={self.order}, trials={self.trials}",
-                remedy="correct them",
-            )
+        above = dict.fromkeys(("duration", "excitation", "height", "effort", "limit", "change"), "> 0")
+        check_options(self, "learned-motion", **above, noise=">= 0", repetitions=">= 1", order=">= 1", trials=">= 3")
 
 
 class _Stage:

@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.models.distributions import Categories
+from harness.options import check_options
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
@@ -166,10 +167,7 @@ class HiddenMarkov:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> HmmModel:
         """Return the model; its log likelihood after every iteration stands in its notes."""
         what = "hidden-markov"
-        if self.method not in ("em", "spectral"):
-            raise InputError("option method", expected="em or spectral", got=repr(self.method), remedy="correct it")
-        if self.states is not None and self.states < 1:
-            raise InputError("option states", expected="at least 1", got=str(self.states), remedy="correct it")
+        check_options(self, what, states=">= 1")
         given, spec = usable(trajectories, samples=4, what=what, holes="kept")
         observations, actions = finite_sizes(spec, "hidden-markov")
         records = [_record(record) for record in given]

@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.models.analysis import Findings, Takes, as_dataset
+from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.finite.bisimulation import bisimulation_metric, information_gap, quotient
 from identifiers.finite.decision import optimal_values
@@ -159,13 +160,7 @@ class InformationStates:
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return the ladder of states with bound and realised loss."""
-        if self.memory < 1 or not 0 <= self.discount < 1 or self.least < 1:
-            raise InputError(
-                "options of information-states",
-                expected="memory >= 1, 0 <= discount < 1, least >= 1",
-                got=f"{self.memory}, {self.discount}, {self.least}",
-                remedy="correct them",
-            )
+        check_options(self, "information-states", memory=">= 1", discount=">= 0, < 1", least=">= 1")
         records = [record.measured() for record in as_dataset(subject, "information-states").estimation]
         windows = windows_of(records, self.memory, least=self.least)
         process, reward = windows.transition, windows.reward

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError, InputError
 from harness.models.analysis import Findings, Takes
+from harness.options import check_options
 from harness.signals import FloatArray
 
 
@@ -121,8 +122,7 @@ class Occupation:
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return the states or boxes that are visited most."""
-        if self.discount is not None and not 0 <= self.discount < 1:
-            raise InputError("option discount", expected="0 to 1", got=repr(self.discount), remedy="correct it")
+        check_options(self, "occupation", discount=">= 0, < 1", boxes=">= 2", samples=">= 100")
         table = getattr(subject, "true_transition", getattr(subject, "transition", None))
         if table is not None and np.ndim(table) == 3:
             return self._finite(np.asarray(table, dtype=float), subject)
@@ -155,10 +155,6 @@ class Occupation:
     def _sampled(self, plant: Any, rng: np.random.Generator) -> Findings:
         """Return the occupation of a continuous plant on boxes of its first two outputs."""
         spec = plant.spec
-        if self.boxes < 2 or self.samples < 100:
-            raise InputError(
-                "options boxes and samples", expected=">= 2, >= 100", got=f"{self.boxes}, {self.samples}", remedy="more"
-            )
         size = np.array([1.0 if not np.isfinite(c.maximum) else c.maximum for c in spec.inputs])
         y = np.array([plant.reset(rng=rng)])
         u = self.spread * size * rng.normal(size=(self.samples, spec.nu))

@@ -11,12 +11,101 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
+from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.judge.excited import Excited
 from identifiers.common.lag_state import LagModel
 from identifiers.common.records import real_signals, usable
-from identifiers.hybrid.facets import grouped
 from identifiers.hybrid.jumps import Jump, find_jumps
 from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel, affine
+
+_MOST, _STARTS, _ROUNDS = 4, 20, 50
+"""Walls that are tried, random starts of each number, and rounds of one start."""
+
+_EXACT = 1e-7
+"""Scatter below which planes are exact, in the scale of the positions: the instants of jumps are no better known."""
+
+
+def grouped(
+    places: FloatArray, count: int | None, *, least: int, reset: int, rng: np.random.Generator
+) -> npt.NDArray[np.intp]:
+    """Return the plane (n,) of each place: those near the same one, for the number of planes of least cost.
+
+    Planes and members in turns, as k-means does with centres (Bradley & Mangasarian 2000, *J. Global Optim.* 16:23).
+    The cost is minus twice the classification likelihood, plus ``log n`` for every parameter (Biernacki, Celeux &
+    Govaert 2000, *IEEE Trans. PAMI* 22:719): it counts what it takes to say which plane a place belongs to, so noise
+    about one plane is not cut in two.
+
+    Parameters
+    ----------
+    places : array (n, m)
+        Positions at the jumps, each scaled to a size of 1.
+    count : int, optional
+        Of the planes; None chooses it.
+    least : int
+        Members that a plane needs.
+    reset : int
+        Parameters that each plane brings beside its own.
+    rng : Generator
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> z = np.repeat([0.0, 1.0], 30)[:, None] + 0.01 * rng.normal(size=(60, 1))
+    >>> np.bincount(grouped(z, None, least=4, reset=6, rng=rng)).tolist()
+    [30, 30]
+    >>> int(grouped(z[:30], None, least=4, reset=6, rng=rng).max())
+    0
+    """
+    n, m = places.shape
+    numbers = range(1, _MOST + 1) if count is None else [count]
+    best, of = np.inf, np.zeros(n, dtype=np.intp)
+    for planes in numbers:
+        if n < planes * least:
+            break
+        found = _planes(places, planes, least, rng)
+        if found is None:
+            continue
+        members, squares = found
+        share = np.bincount(members, minlength=planes) / n
+        cost = n * np.log(squares / n + _EXACT**2) - 2 * n * float(share @ np.log(share))
+        cost += planes * (m + reset) * np.log(n)
+        if cost < best:
+            best, of = cost, members
+    return of
+
+
+def _planes(
+    places: FloatArray, planes: int, least: int, rng: np.random.Generator
+) -> tuple[npt.NDArray[np.intp], float] | None:
+    """Return members and sum of squared distances of the best of some starts; None where a plane stays too empty."""
+    n, m = places.shape
+    best: tuple[npt.NDArray[np.intp], float] | None = None
+    for _ in range(_STARTS if planes > 1 else 1):
+        seeds = [_plane(places[rng.choice(n, m, replace=False)]) for _ in range(planes)]
+        members = np.argmin(_distances(places, seeds), axis=1)
+        for _ in range(_ROUNDS):
+            if np.bincount(members, minlength=planes).min() < least:
+                break
+            far = _distances(places, [_plane(places[members == k]) for k in range(planes)])
+            old, members = members, np.argmin(far, axis=1)
+            if (old == members).all():
+                squares = float(np.sum(far.min(axis=1) ** 2))
+                if best is None or squares < best[1]:
+                    best = members, squares
+                break
+    return best
+
+
+def _plane(places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return centre and normal (m,) of the plane of least squared distances."""
+    centre = places.mean(axis=0)
+    return centre, np.linalg.svd(places - centre, full_matrices=True)[2][-1]
+
+
+def _distances(places: FloatArray, planes: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    return np.stack([np.abs((places - centre) @ normal) for centre, normal in planes], axis=1)
+
 
 _BISECTIONS = 30
 """Halvings of the sample in which the guard is met."""
@@ -150,13 +239,13 @@ class HybridModel(LagModel):
 
 
 @dataclass(frozen=True)
-class HybridAutomaton:
+class HybridAutomaton(Excited):
     """Flow, guards and resets of a plant whose state jumps, from records of the whole state.
 
     Jumps are found where the record does not continue smoothly, and timed within the sample by the positions, which do
     not jump (:mod:`identifiers.hybrid.jumps`). Between jumps the flow is piecewise affine (``piecewise-affine``). The
-    guards are the planes on which the positions before the jumps lie (:mod:`identifiers.hybrid.facets`); the reset of
-    each is an affine map, by least squares from the states before and after. Positions keep their values through it.
+    guards are the planes on which the positions before the jumps lie (:func:`grouped`); the reset of each is an
+    affine map, by least squares from the states before and after. Positions keep their values through it.
 
     Parameters
     ----------
@@ -170,8 +259,6 @@ class HybridAutomaton:
         Samples on each side of a jump from which it is timed.
     starts : int
         Random starts of the flow.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`).
 
     Raises
     ------
@@ -195,16 +282,11 @@ class HybridAutomaton:
     swaps: Sequence[Sequence[str]] = ()
     width: int = 6
     starts: int = 2
-    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> HybridModel:
         """Return the model; jumps, and how well they fit guard and reset, stand in its notes."""
         what = "hybrid-automaton"
-        if self.width < 3 or (self.guards is not None and self.guards < 1):
-            raise InputError(
-                "options width and guards", expected="at least 3 and 1", got=f"{self.width} and {self.guards}",
-                remedy="raise them",
-            )  # fmt: skip
+        check_options(self, what, width=">= 3", guards=">= 1")
         records, spec = usable(trajectories, samples=4 * self.width, what=what)
         real_signals(spec, what)
         positions = _positions(spec)

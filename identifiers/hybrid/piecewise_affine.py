@@ -9,10 +9,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.judgement import refuse_undetermined
+from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import Columns, law_of_part
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.neighbours import edges
@@ -125,7 +127,7 @@ def affine(weights: FloatArray, names: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True)
-class PiecewiseAffine:
+class PiecewiseAffine(Excited):
     """Piecewise-affine regression on lagged outputs and inputs.
 
     Samples are assigned to modes, affine models fitted to each mode, a linear classifier to the assignment, and samples
@@ -150,9 +152,6 @@ class PiecewiseAffine:
         Random starts besides the clustered one.
     region_weight : float
         What a place outside a region costs, in units of a squared standard deviation of the residual.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
     """
 
     modes: int | None = 2
@@ -161,23 +160,12 @@ class PiecewiseAffine:
     order: int = 1
     starts: int = 5
     region_weight: float = 1.0
-    least_excitation: float = 2.0
 
     @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> PiecewiseAffineModel:
         """Return the model; share of samples in each mode and of those in none stand in its notes."""
         what = "piecewise-affine"
-        if (self.modes is not None and self.modes < 1) or self.order < 1:
-            raise InputError(
-                "options modes and order", expected="at least 1", got=f"{self.modes}, {self.order}", remedy="raise them"
-            )
-        if self.choose not in ("held-out", "bic") or self.guards not in ("polyhedra", "tree"):
-            raise InputError(
-                "options choose and guards",
-                expected="held-out or bic; polyhedra or tree",
-                got=f"{self.choose!r}, {self.guards!r}",
-                remedy="correct them",
-            )
+        check_options(self, what, modes=">= 1", order=">= 1")
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)

@@ -11,6 +11,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.models.analysis import Findings, Takes
 from harness.models.lifted import eigenfunctions
+from harness.options import check_options
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,7 @@ class EigenfunctionsOfModel:
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return modulus, frequency and time constant of the functions."""
         found = eigenfunctions(subject)
-        if self.count < 1:
-            raise InputError("option count", expected="at least 1", got=str(self.count), remedy="correct it")
+        check_options(self, "eigenfunctions", count=">= 1")
         dt, rows = subject.spec.sample_time, []
         for value in found.values[: self.count]:
             size = abs(value)

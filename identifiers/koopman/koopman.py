@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError, InputError, refuse_unknown
 from harness.judgement import refuse_law
 from harness.models.determined import KEY, determined_bands
 from harness.models.lqr import spectral_radius
@@ -19,6 +19,7 @@ from harness.models.spread import Matrices, Spread
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.judge.told import told
 from identifiers.common.named import wrong_options
@@ -74,13 +75,8 @@ def registered(name: str) -> Callable[[FloatArray], FloatArray]:
     InputError
         If there are none.
     """
-    if name not in _USERS:
-        raise InputError(
-            f"functions {name!r} of a Koopman dictionary",
-            expected=f"one of {', '.join(_USERS) or 'none registered'}",
-            got=repr(name),
-            remedy="call identifiers.koopman.koopman.register_functions(name, functions) first",
-        )
+    remedy = "call identifiers.koopman.koopman.register_functions(name, functions) first"
+    refuse_unknown(f"functions {name!r} of a Koopman dictionary", name, _USERS, remedy=remedy)
     return _USERS[name]
 
 
@@ -104,7 +100,7 @@ def _monomials(n: int, degree: int) -> npt.NDArray[np.intp]:
 
 
 @dataclass(frozen=True)
-class Dictionary:
+class Dictionary(Described):
     """Functions of the outputs (and their past) that lift them to a Koopman state.
 
     The lifted state starts with the arguments themselves, so that the output is read off without error.
@@ -260,16 +256,7 @@ class KoopmanModel:
             "spec": spec_to_dict(self.spec),
             "a_matrix": self.a_matrix.tolist(),
             "b_matrix": self.b_matrix.tolist(),
-            "dictionary": {
-                "degree": self.dictionary.degree,
-                "trigonometric": self.dictionary.trigonometric,
-                "centres": [list(centre) for centre in self.dictionary.centres],
-                "scale": list(self.dictionary.scale),
-                "width": self.dictionary.width,
-                "fourier": self.dictionary.fourier,
-                "functions": list(self.dictionary.functions),
-                "units": [list(row) for row in self.dictionary.units],
-            },
+            "dictionary": self.dictionary.to_dict(),
             "delays": self.delays,
             "notes": self.notes,
             **({} if self.spread is None else {"spread": self.spread.to_dict(self)}),
@@ -279,17 +266,8 @@ class KoopmanModel:
     def from_dict(cls, content: dict[str, Any]) -> KoopmanModel:
         """Return the model of a description."""
         spec = spec_from_dict(content["spec"])
-        given = content["dictionary"]
-        dictionary = Dictionary(
-            int(given["degree"]),
-            bool(given["trigonometric"]),
-            tuple(tuple(map(float, centre)) for centre in given["centres"]),
-            tuple(map(float, given["scale"])),
-            float(given.get("width", 0.0)),
-            int(given.get("fourier", 0)),
-            tuple(map(str, given.get("functions", ()))),
-            tuple(tuple(map(float, row)) for row in given.get("units", ())),
-        )
+        without = {"width": 0.0, "fourier": 0, "functions": (), "units": ()}
+        dictionary = Dictionary.from_dict({**without, **content["dictionary"]})
         for name in dictionary.functions:
             registered(name)
         a = np.array(content["a_matrix"], dtype=float)

@@ -10,10 +10,11 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_training import LagNetwork, lag_task
-from identifiers.learned.training import Excited, Trained
+from identifiers.learned.training import Trained
 
 _TABLES = ("embed", "place", "query", "key", "value", "mix", "inner", "bias", "outer", "read")
 """Of every member, in the order in which they are trained."""
@@ -92,7 +93,7 @@ class AttentionNetwork(Excited, Trained):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> AttentionEnsemble:
         """Return the ensemble; held-out losses stand in its notes."""
         what = "attention-network"
-        self.refuse_small(what, self.order, self.width, self.heads, self.hidden, self.members)
+        self.check_numbers(what, "order", "width", "heads", "hidden", "members")
         if self.width % self.heads:
             raise InputError(
                 f"width of {what}",

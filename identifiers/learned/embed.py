@@ -11,11 +11,12 @@ import numpy as np
 from harness.errors import FitError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains
 from identifiers.common.scaling import centred
 from identifiers.learned.state_network import StateNetwork
-from identifiers.learned.training import Excited, Trained, need_torch, train_tables
+from identifiers.learned.training import Trained, need_torch, train_tables
 
 _TABLES = (
     "encoder",
@@ -181,7 +182,7 @@ class EmbedToControl(Excited, Trained):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LatentModel:
         """Return the model; held-out losses stand in its notes."""
         what = "embed-to-control"
-        self.refuse_small(what, self.latent, self.lags, self.hidden, self.window)
+        self.check_numbers(what, "latent", "lags", "hidden", "window")
         records, spec = self.asked(trajectories, samples=self.lags + 3 * self.window, what=what, inputs=True)
         if spec.feedthrough:
             raise FitError(

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
+from harness.options import check_options
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.bands import Bands, held_out_folds, held_out_runs
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
-from identifiers.learned.training import Excited
 
 _JITTER = 1e-10
 """Relative to the prior variance; keeps Cholesky factors of noise-free data real, and sets the least noise with it."""
@@ -180,13 +181,7 @@ class GaussianProcess(Excited):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GaussianProcessModel:
         """Return the model; lengths and noise stand in its notes, in the units of the data."""
         what = "gaussian-process"
-        if min(self.order, self.exact, self.inducing) < 1:
-            raise InputError(
-                "options order, exact and inducing",
-                expected="at least 1",
-                got=f"{self.order}, {self.exact}, {self.inducing}",
-                remedy="raise them",
-            )
+        check_options(self, what, order=">= 1", exact=">= 1", inducing=">= 1")
         records, spec = self.asked(trajectories, samples=self.order + 2, what=what)
         rows, later = regression_data(records, self.order)
         if len(rows) < rows.shape[1] + 3:

@@ -12,10 +12,11 @@ import numpy as np
 from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import Bands, held_out_runs
+from identifiers.common.judge.excited import Excited
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.reach import Reach
 from identifiers.learned.ensemble import Ensemble, own_spread
-from identifiers.learned.training import Excited, Trained, need_torch, one_thread, train
+from identifiers.learned.training import Trained, need_torch, one_thread, train
 
 
 @dataclass(frozen=True, eq=False)

@@ -225,7 +225,7 @@ class LagrangianNetwork(Trained):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LagrangianModel:
         """Return the model; held-out losses stand in its notes."""
         what = "lagrangian-network"
-        self.refuse_small(what, self.hidden, self.window)
+        self.check_numbers(what, "hidden", "window")
         refuse_share(self.held_out, what)
         records, spec = usable(trajectories, samples=ceil((self.window + 2) / self.held_out), what=what)
         real_signals(spec, what)

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_training import LagNetwork, lag_task
-from identifiers.learned.training import Excited, Trained, draw_layers
+from identifiers.learned.training import Trained, draw_layers
 
 Layers = tuple[tuple[FloatArray, FloatArray], ...]
 
@@ -76,7 +77,7 @@ class NeuralNetwork(Excited, Trained):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> EnsembleModel:
         """Return the ensemble; held-out losses stand in its notes."""
         what = "neural-network"
-        self.refuse_small(what, self.order, self.members, *self.hidden)
+        self.check_numbers(what, "order", "members", "hidden")
         task = lag_task(trajectories, self.order, what, self)
         spec, scaling, size = task.spec, task.scaling, task.size
         layers = draw_layers((task.x.shape[1], *self.hidden, spec.ny), rng, self.members)

@@ -11,11 +11,12 @@ import numpy as np
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import Bands, banded, refuse_share
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.observers import best_gain, fitted_start, riccati_gains
 from identifiers.common.scaling import centred
 from identifiers.learned.state_network import BandedNetwork
-from identifiers.learned.training import Excited, Trained, draw_layers, need_torch, train_tables
+from identifiers.learned.training import Trained, draw_layers, need_torch, train_tables
 from identifiers.linear.least_squares import Arx
 
 _TABLES = ("A", "B", "drift", "C", "D", "offset", "W1", "b1", "W2", "encoder")
@@ -125,7 +126,7 @@ class NeuralStateSpace(Excited, Trained):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> NeuralStateModel:
         """Return the model; held-out losses stand in its notes."""
         what = "neural-state-space"
-        self.refuse_small(what, self.order, self.hidden, self.window)
+        self.check_numbers(what, "order", "hidden", "window")
         refuse_share(self.held_out, what)
         lags = self.order
         records, spec = self.asked(trajectories, samples=2 * lags + 20, what=what)

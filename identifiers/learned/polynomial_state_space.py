@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
+from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.learned.polynomial_pass import Polynomials
 from identifiers.learned.recurrent_fit import Fitted, Problem, cascade, descend_from, subspace_start
 from identifiers.learned.recurrent_model import RecurrentEnsemble, own_member, vouched
-from identifiers.learned.training import Excited
 
 _MOST_ORDER, _MOST_DEGREE = 4, 3
 """Tried where none is given: beyond, the coefficients of all monomials outnumber what records of some thousand tell."""
@@ -102,14 +103,7 @@ class PolynomialStateSpace(Excited):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
         """Return the model; order, degree and held-out error stand in its notes."""
         what = "polynomial-state-space"
-        given = [one for one in (self.order, self.degree, self.outside, self.iterations) if one is not None]
-        if min(given) < 1 or not self.ridge >= 0:
-            raise InputError(
-                f"options of {what}",
-                expected="order, degree, outside and iterations of at least 1, a ridge >= 0",
-                got=f"{self.order}, {self.degree}, {self.outside}, {self.iterations}, ridge {self.ridge}",
-                remedy="correct them",
-            )
+        check_options(self, what, order=">= 1", degree=">= 1", outside=">= 1", iterations=">= 1", ridge=">= 0")
         records, spec = self.asked(trajectories, samples=5 * ((self.order or 1) + 4), what=what)
         problems = Problem.scaled(records)
         best: _Grown | None = None

@@ -11,14 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from harness.data.whole_files import whole_file
-from harness.errors import FitError, InputError
+from harness.errors import FitError
+from harness.options import check_options
 from harness.signals import Trajectory
 from identifiers.common.bands import refuse_share
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.learned.recurrent_fit import Fitted, Problem, descend
 from identifiers.learned.recurrent_model import RecurrentEnsemble, RecurrentModel, vouched
 from identifiers.learned.recurrent_pass import Integrating, Layout
-from identifiers.learned.training import Excited, bar
+from identifiers.learned.training import bar
 
 __all__ = ["NeuralOutputError", "RecurrentEnsemble", "RecurrentModel"]
 
@@ -82,14 +84,8 @@ class NeuralOutputError(Excited):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
         """Return the ensemble; the held-out errors of its members stand in its notes."""
         what = "neural-output-error"
-        numbers = (self.order, self.hidden, self.starts, self.members, self.iterations)
-        if min(numbers) < 1 or self.outside < 0 or not self.ridge > 0 or self.members > self.starts:
-            raise InputError(
-                f"options of {what}",
-                expected="numbers of at least 1 (outside: 0), a ridge > 0, no more members than starts",
-                got=f"{numbers}, outside {self.outside}, ridge {self.ridge}",
-                remedy="correct them",
-            )
+        numbers = dict.fromkeys(("order", "hidden", "members", "iterations"), ">= 1")
+        check_options(self, what, **numbers, starts=f">= {self.members}", outside=">= 0", ridge="> 0")
         refuse_share(self.held_out, what)
         records, spec = self.asked(trajectories, samples=ceil((self.order + 4) / self.held_out), what=what)
         problems = Problem.scaled(records, self.held_out)

@@ -14,54 +14,11 @@ import numpy as np
 
 from harness.data.whole_files import whole_file
 from harness.errors import InputError
-from harness.judgement import refuse_undetermined
-from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.common.records import moving, real_signals, usable
+from harness.options import check_options
+from harness.signals import FloatArray
 
 _LOOK = 50
 """Steps between two looks at the held-out loss."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Excited:
-    """What an identifier of nonlinear black boxes asks of its records.
-
-    Parameters
-    ----------
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
-    """
-
-    least_excitation: float = 2.0
-
-    def asked(
-        self, trajectories: Sequence[Trajectory], *, samples: int, what: str, inputs: bool = False
-    ) -> tuple[list[Trajectory], PlantSpec]:
-        """Return the records that can be learned from, in an order of their own, and their spec.
-
-        Rows, windows and batches are drawn from them: in whatever order records come, they make the same model.
-
-        Parameters
-        ----------
-        trajectories : sequence of Trajectory
-        samples : int
-            Least number of samples of a record.
-        what : str
-            Name of the identifier, for messages.
-        inputs : bool
-            Ask that every input moves.
-
-        Raises
-        ------
-        FitError
-            If there are none.
-        """
-        records, spec = usable(trajectories, samples=samples, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=inputs)
-        refuse_undetermined(records, what, self.least_excitation)
-        return sorted(records, key=lambda record: (len(record), record.y.tobytes())), spec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,22 +53,9 @@ class Trained:
     checkpoint: str | None = None
     progress: bool = False
 
-    def refuse_small(self, what: str, *numbers: int) -> None:
-        """Refuse numbers below 1 (those given, and those of the training), and a rate that is not above 0.
-
-        Raises
-        ------
-        InputError
-            With the numbers.
-        """
-        every = (*numbers, self.steps, self.batch)
-        if min(every) < 1 or not self.rate > 0:
-            raise InputError(
-                f"options of {what}",
-                expected="numbers of at least 1 and a rate > 0",
-                got=f"{', '.join(map(str, every))}, rate {self.rate}",
-                remedy="raise them",
-            )
+    def check_numbers(self, what: str, *names: str) -> None:
+        """Refuse numbers below 1 (those named, and those of the training), and a rate that is not above 0."""
+        check_options(self, what, **dict.fromkeys((*names, "steps", "batch"), ">= 1"), rate="> 0")
 
 
 def need_torch(what: str) -> Any:

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.judgement import refuse_undetermined
+from harness.options import check_options
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.records import moving, real_signals, usable
-from identifiers.learned.training import Excited
 
 FEW = 64
 """Rows up to which all trees are walked at once: below it the calls cost, beyond it the memory."""
@@ -197,13 +198,7 @@ class RandomForest(Excited):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> ForestModel:
         """Return the model; its errors come from the samples that a tree did not see."""
         what = "random-forest"
-        if min(self.order, self.trees, self.leaf) < 1:
-            raise InputError(
-                "options order, trees and leaf",
-                expected="at least 1",
-                got=f"{self.order}, {self.trees}, {self.leaf}",
-                remedy="raise them",
-            )
+        check_options(self, what, order=">= 1", trees=">= 1", leaf=">= 1")
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)

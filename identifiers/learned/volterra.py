@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.judgement import refuse_undetermined
 from harness.models.distributions import NormalMixture, normal
+from harness.options import check_options
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
 from identifiers.common.excitation import excited_lags
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.records import moving, real_signals, usable
-from identifiers.learned.training import Excited
 
 _BLOCK = 4096
 """Rows of a block of regressors: a few hundred columns of them stay in the cache."""
@@ -128,13 +129,7 @@ class Volterra(Excited):
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> VolterraModel:
         """Return the model."""
         what = "volterra"
-        if self.memory < 1 or self.order not in (1, 2):
-            raise InputError(
-                "options memory and order",
-                expected="memory at least 1, order 1 or 2",
-                got=f"{self.memory}, {self.order}",
-                remedy="correct them",
-            )
+        check_options(self, what, memory=">= 1", order=">= 1, <= 2")
         records, spec = usable(trajectories, samples=self.memory + 5, what=what)
         real_signals(spec, what)
         if spec.nu == 0:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, as_described
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
@@ -271,7 +271,7 @@ class GreyBoxModel:
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> GreyBoxModel:
         """Return the model of a description."""
-        try:
+        with as_described("a grey-box model"):
             spec = spec_from_dict(content["spec"])
             effects = tuple(f"{name}@{at}" for name, at in content.get("effects", []))
             recipe = recipe_for(
@@ -290,15 +290,8 @@ class GreyBoxModel:
                 content.get("intersample", "zoh"),
                 None if steps is None else int(steps),
                 dict(content.get("notes", {})),
-                StartBelief.from_dict(content.get("belief")),
+                None if content.get("belief") is None else StartBelief.from_dict(content["belief"]),
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                "description of a grey-box model",
-                expected="spec, model and parameters as written by to_dict()",
-                got=f"{type(error).__name__}: {error}",
-                remedy="write the model anew",
-            ) from error
 
 
 def default_gain(model: GreyBoxModel) -> FloatArray:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from harness.errors import FitError, InputError, as_described
+from harness.errors import FitError, as_described
 from harness.models.estimate import Estimate
+from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.normal import NormalEquations
 from identifiers.common.records import moving, real_signals, usable
@@ -143,15 +144,7 @@ class ResidualPhysics:
     smoothing: Smoothing = "auto"
 
     def __post_init__(self) -> None:
-        wrong = self.functions < 1 or self.most < 1 or self.basis not in ("gaussian", "wavelet")
-        if wrong or self.choice not in ("ridge", "lasso", "best-subset") or self.features not in ("own", "all"):
-            raise InputError(
-                "options of residual-physics",
-                expected="functions and most >= 1; basis gaussian or wavelet; choice ridge, lasso or best-subset; "
-                "features own or all",
-                got=f"{self.functions}, {self.most}, {self.basis!r}, {self.choice!r}, {self.features!r}",
-                remedy="correct them",
-            )
+        check_options(self, "residual-physics", functions=">= 1", most=">= 1")
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> ResidualModel:
         """Return the mechanism with its residual forces.

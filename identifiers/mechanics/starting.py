@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
@@ -12,6 +12,7 @@ from scipy.linalg import cholesky, solve_triangular, toeplitz
 from harness.models.damped import Damping, damped_descent
 from harness.physics.compiled.windows import Windows
 from harness.signals import FloatArray, Trajectory, residual
+from identifiers.common.described import Described
 
 if TYPE_CHECKING:
     from harness.physics import OutputErrorFit, Simulator
@@ -49,7 +50,7 @@ _ROUNDS = Damping(rounds=40, enough=1e-8)
 
 
 @dataclass(frozen=True, eq=False)
-class StartBelief:
+class StartBelief(Described):
     """The normal distribution of a system's states in the estimation data, and that of the errors of its free run.
 
     A force that the model lacks bends a run a little: twenty samples then fit best with a bristle, a flow or another
@@ -162,17 +163,6 @@ class StartBelief:
         draws = np.tile(self.mean, (_DRAWS, 1))
         draws[:, moves] += np.random.default_rng(0).normal(size=(_DRAWS, int(moves.sum()))) @ root.T
         return draws
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {name: getattr(self, name).tolist() for name in self.__dataclass_fields__}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any] | None) -> StartBelief | None:
-        """Return the belief of a description."""
-        if content is None:
-            return None
-        return cls(**{name: np.array(content[name], dtype=float) for name in cls.__dataclass_fields__})
 
 
 def _lagged(errors: FloatArray, lag: int) -> FloatArray:

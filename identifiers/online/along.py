@@ -14,24 +14,18 @@ from harness.judgement import refuse_law
 from harness.models.determined import KEY, determined_bands
 from harness.protocols import OnlineIdentifier, Tracking
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import missing_notes, moving, real_signals, usable
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnePass(ABC):
-    """Online identifier of linear models, which fits records by one pass over them.
-
-    Parameters
-    ----------
-    least_excitation : float
-        Of :meth:`fit`, as of ``least-squares``.
-    """
+class OnePass(Excited, ABC):
+    """Online identifier of linear models, which fits records by one pass over them."""
 
     called: ClassVar[str]
     """Name of the identifier, for messages."""
-    least_excitation: float = 2.0
 
     @abstractmethod
     def waits(self, spec: PlantSpec) -> int:

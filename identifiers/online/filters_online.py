@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.models.estimate import Estimate
-from harness.options import options_of
+from harness.options import check_options, options_of
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.records import real_signals, usable
@@ -224,13 +224,7 @@ class OnlineGreyBox:
         FitError
             If the model does not speak like the records.
         """
-        if self.kind not in ("ekf", "ukf") or not (self.doubt > 0 and self.walk >= 0 and self.disturbance >= 0):
-            raise InputError(
-                "options of a filter",
-                expected="kind ekf or ukf, doubt > 0, walk >= 0, disturbance >= 0",
-                got=f"kind {self.kind!r}, doubt {self.doubt}, walk {self.walk}, disturbance {self.disturbance}",
-                remedy="correct the options",
-            )
+        check_options(self, self.kind, doubt="> 0", walk=">= 0", disturbance=">= 0")
         real_signals(spec, self.kind)
         recipe = recipe_for(spec, self.kind, model=self.model, options=dict(self.options))
         system = recipe.system(spec)

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError, InputError
 from harness.models.estimate import Estimate
+from harness.options import check_options
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.records import moving, real_signals, usable
@@ -159,13 +160,12 @@ class RecursiveLumped:
     intervals: int = 0
 
     def __post_init__(self) -> None:
-        wrong = self.form not in ("torque", "energy", "momentum") or not 0 < self.forgetting <= 1
-        if wrong or self.width < 5 or self.width % 2 == 0 or (self.intervals and self.forgetting < 1):
+        check_options(self, "lumped-recursive", forgetting="> 0, <= 1", width=">= 5")
+        if self.width % 2 == 0 or (self.intervals and self.forgetting < 1):
             raise InputError(
                 "options of lumped-recursive",
-                expected="form torque, energy or momentum; 0 < forgetting <= 1; an odd width >= 5; no intervals where "
-                "something is forgotten",
-                got=f"form {self.form!r}, forgetting {self.forgetting}, width {self.width}, intervals {self.intervals}",
+                expected="an odd width; no intervals where something is forgotten",
+                got=f"forgetting {self.forgetting}, width {self.width}, intervals {self.intervals}",
                 remedy="correct the options",
             )
 

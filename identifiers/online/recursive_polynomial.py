@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.models.estimate import Estimate
+from harness.options import check_options
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.units import quotient
@@ -253,16 +254,7 @@ class RecursivePolynomial(RecursiveOptions, OnePass):
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> RecursiveState:
         """Return the state before any data."""
         what = "recursive-polynomial"
-        fine = self.structure in ("arx", "armax", "oe") and self.method in ("gradient", "pseudo-linear")
-        fine = fine and self.order >= 1 and 0 < self.forgetting <= 1 and (self.burn_in is None or self.burn_in >= 1)
-        if not fine:
-            raise FitError(
-                f"{what}: options",
-                expected="structure arx, armax, oe; method gradient, pseudo-linear; order >= 1, 0 < forgetting <= 1",
-                got=f"{self.structure}, {self.method}, order={self.order}, forgetting={self.forgetting}, "
-                f"burn_in={self.burn_in}",
-                remedy="correct the options",
-            )
+        check_options(self, what, order=">= 1", forgetting="> 0, <= 1", burn_in=">= 1")
         real_signals(spec, what)
         if spec.nu == 0 and self.structure == "oe":
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use structure armax")

@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from harness.errors import FitError
+from harness.options import check_options
 from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.linear_model import LinearModel
@@ -130,15 +131,8 @@ class SpectralFiltering(OnePass):
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> SpectralState:
         """Return the state before any data."""
-        fine = self.update_by in ("newton", "gradient") and self.rate > 0 and self.prior > 0 and self.burn_in >= 1
-        if not fine or not 1 <= self.filters <= self.window:
-            raise FitError(
-                "spectral-filtering: options",
-                expected="1 <= filters <= window, update_by newton or gradient, rate > 0, prior > 0, burn_in >= 1",
-                got=f"filters={self.filters}, window={self.window}, update_by={self.update_by!r}, rate={self.rate}, "
-                f"prior={self.prior}, burn_in={self.burn_in}",
-                remedy="correct the options",
-            )
+        bounds = {"filters": f">= 1, <= {self.window}", "rate": "> 0", "prior": "> 0", "burn_in": ">= 1"}
+        check_options(self, self.called, **bounds)
         real_signals(spec, self.called)
         p = self._count(spec)
         curvature = np.eye(p) / self.prior if self.update_by == "newton" else np.zeros((1, 1))

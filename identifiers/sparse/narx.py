@@ -12,9 +12,11 @@ import numpy as np
 from harness.errors import FitError
 from harness.judgement import refuse_undetermined
 from harness.models.estimate import Estimate, RankDecision
+from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.units import quotient
 from identifiers.common.excitation import refuse_feedback_of_records
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import Scaling
 from identifiers.common.library import Library
@@ -48,7 +50,7 @@ unstable or chaotic, or carried off by disturbances."""
 
 
 @dataclass(frozen=True)
-class Narx:
+class Narx(Excited):
     """Polynomial NARX model with structure selection.
 
     ``y[k+1]`` is a sum of monomials of the last outputs and inputs. Forward regression takes, one by one, the term of
@@ -75,8 +77,6 @@ class Narx:
         Samples of the equation's own error that it remembers (the moving average of a NARMAX model): then past errors
         are regressors too, as they are estimated in turn (extended least squares; Billings 2013, ch. 3), and noise
         on the outputs does not bias the terms as far as it is of that kind. Predictions do not use it.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`).
 
     Examples
     --------
@@ -96,13 +96,12 @@ class Narx:
     terms: int | None = None
     prune: bool = True
     noise: int = 0
-    least_excitation: float = 2.0
 
     @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> NarxModel:
         """Return the model; its equations, error reduction ratios and free-run errors stand in its notes."""
         what = "narx"
-        self._check(what)
+        check_options(self, what, lags=">= 1", degree=">= 1", terms=">= 1", noise=">= 0")
         measured, spec = usable(trajectories, samples=2 * self.lags + 2, what=what)
         real_signals(spec, what)
         _no_angles(spec, what)
@@ -138,23 +137,6 @@ class Narx:
         if estimate is not None:
             notes["estimate"] = estimate.to_dict()
         return replace(model, notes={**notes, **missing_notes(trajectories, measured)})
-
-    def _check(self, what: str) -> None:
-        """Refuse options that make no sense."""
-        fine = (
-            self.lags >= 1
-            and (self.degree is None or self.degree >= 1)
-            and (self.terms is None or self.terms >= 1)
-            and self.noise >= 0
-            and self.criterion in ("ebic", "bic", "aic")
-        )
-        if not fine:
-            raise FitError(
-                f"{what}: options",
-                expected="lags, degree and terms at least 1, noise at least 0, criterion ebic, bic or aic",
-                got=str(self),
-                remedy="correct the options",
-            )
 
     def _degree(self, spec: PlantSpec, rows: int, what: str) -> int:
         """Return the degree: as it was asked for, or the largest that leaves few enough terms."""

@@ -13,9 +13,11 @@ import numpy.typing as npt
 from harness.errors import FitError
 from harness.judgement import refuse_law
 from harness.models.estimate import Estimate, RankDecision
+from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.units import quotient
 from identifiers.common.excitation import refuse_feedback_of_records
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.library import Library
 from identifiers.common.normal import NormalEquations, scaled_equations, solved
@@ -151,7 +153,7 @@ def _independent(gram: FloatArray) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Stlsq:
+class Stlsq(Excited):
     """SINDy-style identification: sparse equations in a library of polynomials, sines and cosines.
 
     Parameters
@@ -188,8 +190,6 @@ class Stlsq:
         Tikhonov weight of the classical rule while terms are dropped; the last fit is without it.
     iterations : int
         At most so many rounds of the classical rule.
-    least_excitation : float
-        As of ``least-squares``.
 
     Examples
     --------
@@ -215,7 +215,6 @@ class Stlsq:
     ensemble: int = 0
     ridge: float = 1e-6
     iterations: int = 20
-    least_excitation: float = 2.0
 
     @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> SparseModel:
@@ -249,27 +248,9 @@ class Stlsq:
 
     def _check(self, what: str) -> None:
         """Refuse options that make no sense."""
-        fine = (
-            self.degree >= 1
-            and self.harmonics >= 1
-            and 0 <= self.threshold < 1
-            and self.order in (None, 1, 2)
-            and not (self.time == "discrete" and self.order == 2)
-            and self.derivative in ("weak", "smooth", "difference")
-            and self.time in ("continuous", "discrete")
-            and (self.half is None or self.half >= 2)
-            and self.ridge >= 0
-            and self.rule in ("eliminate", "threshold", "lasso", "subset")
-            and self.ensemble >= 0
-        )
-        if not fine:
-            raise FitError(
-                f"{what}: options",
-                expected="degree >= 1, harmonics >= 1, 0 <= threshold < 1, order 1 or 2 (1 in discrete time), "
-                "derivative weak, smooth or difference, time continuous or discrete, half >= 2, ridge >= 0",
-                got=str(self),
-                remedy="correct the options",
-            )
+        orders = ">= 1, <= 2" if self.time == "continuous" else ">= 1, <= 1"
+        least = {"degree": ">= 1", "harmonics": ">= 1", "half": ">= 2", "ridge": ">= 0", "ensemble": ">= 0"}
+        check_options(self, what, **least, order=orders, threshold=">= 0, < 1")
 
     def _library(self, spec: PlantSpec, order: int) -> Library:
         names = [c.name for c in spec.outputs]

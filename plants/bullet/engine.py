@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError, PlantError, PluginError
+from harness.errors import InputError, PlantError, PluginError, refuse_unknown
 from harness.physics.arms.formats.urdf import dynamics_of, inertial_of, limits_of, refuse_dependent, rotors_of
 from harness.physics.arms.inertia import triangle_excess
 from harness.physics.arms.joints import MOVING
@@ -131,9 +131,8 @@ def explicit_urdf(
     """
     root, folder = _parsed(source)
     joints = {str(joint.get("name")): joint for joint in root.iter("joint")}
+    refuse_unknown("unknown joint", locked, joints)
     for name in locked:
-        if name not in joints:
-            raise InputError("unknown joint", expected=f"one of {', '.join(joints)}", got=repr(name), remedy="correct")
         joints[name].set("type", "fixed")
         for mimic in joints[name].findall("mimic"):
             joints[name].remove(mimic)
@@ -319,13 +318,8 @@ def _parsed(source: str | Path) -> tuple[ET.Element, Path | None]:
 
 def _add_payload(root: ET.Element, link: str, mass: float, offset: Sequence[float]) -> None:
     """Fix a point mass to a link."""
-    if not any(element.get("name") == link for element in root.iter("link")):
-        raise InputError(
-            "payload on an unknown link",
-            expected=f"one of {', '.join(e.get('name', '?') for e in root.iter('link'))}",
-            got=repr(link),
-            remedy="name a link of the URDF",
-        )
+    links = [str(element.get("name")) for element in root.iter("link")]
+    refuse_unknown("payload on an unknown link", link, links, remedy="name a link of the URDF")
     place = " ".join(repr(float(value)) for value in offset)
     body = ET.SubElement(ET.SubElement(root, "link", name="payload"), "inertial")
     ET.SubElement(body, "mass", value=repr(float(mass)))

@@ -28,7 +28,7 @@ class ArmOptions:
     sample_time : float
         Seconds between samples.
     substeps : int
-        Engine steps for each sample.
+        Steps of Bullet for each sample.
     control : {"torque", "velocity", "position"}
         What the inputs are. Velocity and position inputs drive Bullet's motors with at most ``motor_force``.
     outputs : sequence of str

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, refuse_unknown
 from harness.signals import Channel, FloatArray
 from plants.bullet.world import World
 
@@ -81,11 +81,8 @@ def channels(
     """
     needs = {"base": (floating, "fixed_base = False"), "contact": (table, "a table")}
     needs["keypoints"] = (bool(keypoints), "keypoints")
+    refuse_unknown("option outputs", outputs, OUTPUTS)
     for name in outputs:
-        if name not in OUTPUTS:
-            raise InputError(
-                "option outputs", expected=f"names among {', '.join(OUTPUTS)}", got=repr(name), remedy="correct it"
-            )
         if not needs.get(name, (True, ""))[0]:
             raise InputError(
                 f"output {name!r}", expected=f"a plant with {needs[name][1]}", got="none", remedy="add it or remove it"
@@ -128,8 +125,7 @@ def reader(
         for joint in range(p.getNumJoints(body, physicsClientId=client))
     }
     for link in ("ee" in outputs) * [tip] + [link for link, _ in keypoints]:
-        if link not in numbers:
-            raise InputError("unknown link", expected=f"one of {', '.join(numbers)}", got=repr(link), remedy="correct")
+        refuse_unknown("unknown link", link, numbers)
 
     def frame(link: str) -> tuple[FloatArray, FloatArray]:
         state = p.getLinkState(body, numbers[link], computeForwardKinematics=1, physicsClientId=client)

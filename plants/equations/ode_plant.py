@@ -13,9 +13,11 @@ from harness.options import outside
 from harness.signals import FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, finite, initial_values, positive, refuse_input
-from plants.equations.ode_adaptive import AdaptiveEngine, Integrator, checked_integrator
 from plants.equations.ode_engine import (
+    AdaptiveEngine,
     Engine,
+    Integrator,
+    checked_integrator,
     depends_on_time,
     needed_substeps,
     system_of,

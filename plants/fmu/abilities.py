@@ -2,22 +2,166 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import math
+import struct
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
 
+from harness.errors import InputError
 from harness.protocols import Ability
 from harness.signals import FloatArray
 from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.engine import Engine
 from plants.fmu.instance import Instance
 from plants.fmu.options import encoded, refused
-from plants.fmu.slopes import slopes
 from plants.fmu.snapshot import Snapshot
-from plants.fmu.states import packed, unpacked
 from plants.fmu.trust import FirstRun, state_error
+from plants.fmu.variables import Port, port, unknown
+
+
+def slopes(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str], seed: FloatArray | None) -> FloatArray:
+    """Return ``d unknowns / d knowns`` times the seed, or the whole matrix without one.
+
+    Raises
+    ------
+    InputError
+        If the FMU does not offer it, a name is unknown or no real scalar, or the seed does not fit.
+    PlantError
+        If the FMU fails to.
+    """
+    file = instance.file
+    if not _offers(file, instance.kind):
+        raise InputError(
+            "directional derivatives",
+            expected="an FMU with providesDirectionalDerivative",
+            got="one without",
+            remedy="differentiate by finite differences from snapshots",
+            file=file.path,
+        )
+    above, below = _reals(file, tuple(unknowns)), _reals(file, tuple(knowns))
+    if seed is None:
+        columns = [_product(instance, above, below, row) for row in np.eye(len(below))]
+        return np.column_stack(columns) if columns else np.zeros((len(above), 0))
+    direction = np.asarray(seed, dtype=float)
+    if direction.shape != (len(below),) or not np.isfinite(direction).all():
+        raise InputError(
+            "seed of a directional derivative",
+            expected=f"{len(below)} finite numbers, one for each of {', '.join(knowns)}",
+            got=f"shape {direction.shape}",
+            remedy="correct it",
+        )
+    return _product(instance, above, below, direction)
+
+
+@functools.lru_cache(maxsize=64)
+def _offers(file: FmuFile, kind: Kind) -> bool:
+    """Return whether the FMU offers them: for FMI 3.0 the archive is read for it."""
+    return file.offers_slopes(kind)
+
+
+@functools.lru_cache(maxsize=64)
+def _reals(file: FmuFile, names: tuple[str, ...]) -> list[Port]:
+    """Return the variables of these names, which must be real scalars; asked again at every sample of a run."""
+    variables = {v.name: v for v in file.description.modelVariables if v.type in ("Real", "Float64")}
+    found = []
+    for name in names:
+        if name not in variables:
+            raise unknown(file, "directional derivatives", name, list(variables))
+        found.append(port(file, variables[name]))
+        if found[-1].size != 1:
+            raise InputError(
+                "directional derivatives", expected="scalars", got=f"the array {name!r}", remedy="choose others"
+            )
+    return found
+
+
+def _product(instance: Instance, above: Sequence[Port], below: Sequence[Port], seed: FloatArray) -> FloatArray:
+    """Return the derivative in one direction, in SI."""
+    try:
+        raw = instance.fmu.getDirectionalDerivative(
+            [one.variable.valueReference for one in above],
+            [one.variable.valueReference for one in below],
+            [value / one.scale for value, one in zip(seed.tolist(), below, strict=True)],
+        )
+    except Exception as error:
+        raise instance.failure("the directional derivative cannot be had", error) from error
+    return np.array([one.scale * value for one, value in zip(above, raw, strict=True)])
+
+
+HEAD = struct.Struct("<8s16sqd")  # mark, digest of the FMU's token and kind, samples since reset, next event or NaN
+MARK = b"sysidfmu"
+
+
+def packed(instance: Instance, state: Snapshot) -> bytes:
+    """Return a state as bytes that an instance of the same FMU takes back.
+
+    Raises
+    ------
+    InputError
+        If the FMU does not offer it.
+    PlantError
+        If it fails to.
+    """
+    _need_offer(instance)
+    try:
+        body: bytes = instance.fmu.serializeFMUState(state.pointer)
+    except Exception as error:
+        raise instance.failure("the state cannot be serialised", error) from error
+    event = math.nan if state.next_event is None else state.next_event
+    return HEAD.pack(MARK, _digest(instance), state.k, event) + body
+
+
+def unpacked(instance: Instance, data: bytes) -> Snapshot:
+    """Return a state of this instance from the bytes of :func:`packed`.
+
+    Raises
+    ------
+    InputError
+        If the FMU does not offer it, or the bytes are not of this FMU.
+    PlantError
+        If it fails to.
+    """
+    _need_offer(instance)
+    mark, digest, k, event = HEAD.unpack_from(data) if len(data) >= HEAD.size else (b"", b"", 0, math.nan)
+    if mark != MARK or digest != _digest(instance):
+        raise InputError(
+            "a serialised state",
+            expected="bytes that serialize_state of a plant of this FMU returned",
+            got="those of another FMU" if mark == MARK else f"{len(data)} other bytes",
+            remedy="serialise a state of this FMU, of the same version and kind",
+            file=instance.file.path,
+        )
+    try:
+        pointer = instance.fmu.deserializeFMUState(data[HEAD.size :])
+    except Exception as error:
+        raise instance.failure("the state cannot be deserialised", error) from error
+    made = instance.kept(pointer)
+    made.k = k
+    made.next_event = None if math.isnan(event) else event
+    return made
+
+
+def _digest(instance: Instance) -> bytes:
+    """Return what tells one FMU from another."""
+    text = f"{instance.file.description.guid} {instance.version} {instance.kind}"
+    return hashlib.sha256(text.encode()).digest()[:16]
+
+
+def _need_offer(instance: Instance) -> None:
+    """Refuse FMUs that do not serialise states."""
+    if instance.version == 1 or not instance.interface.canSerializeFMUstate:
+        raise InputError(
+            "serialised states",
+            expected="an FMU with canSerializeFMUState",
+            got="one without",
+            remedy="use get_state and set_state, or replay the inputs from reset",
+            file=instance.file.path,
+        )
 
 
 def idle() -> int:

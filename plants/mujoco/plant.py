@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import hypot, isfinite
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, refuse_unknown
 from harness.physics.arms.formats.mjcf_spec import mujoco
 from harness.signals import FloatArray, PlantSpec
 from plants.base import BasePlant
-from plants.checking import checked_inputs, initial_values, refuse_input
-from plants.mujoco.settings import Cone, Integrator, Settings, Solver, built, times
+from plants.checking import checked_inputs, initial_values, refuse_input, with_fields
+from plants.mujoco.settings import Settings, built, times
 from plants.mujoco.signals import Inputs, Outputs, inputs_of, outputs_of, states_of
 
 BLOCK = 4000
@@ -95,64 +96,20 @@ class MujocoPlant(BasePlant):
     ...         assert str(plant.spec) == "tau1 [N m] -> q1 [rad] every 0.01 s"
     """
 
-    def __init__(
-        self,
-        model: str | Path,
-        *,
-        sample_time: float | None = None,
-        timestep: float | None = None,
-        substeps: int | None = None,
-        outputs: Sequence[str] = ("q", "qd"),
-        actuators: Sequence[str] | None = None,
-        forces: Sequence[str] | None = None,
-        joint_names: Sequence[str] | None = None,
-        input_names: Sequence[str] | None = None,
-        input_limit: float | Sequence[float] | None = None,
-        keyframe: str | None = None,
-        integrator: Integrator | None = None,
-        solver: Solver | None = None,
-        cone: Cone | None = None,
-        iterations: int | None = None,
-        tolerance: float | None = None,
-        gravity: float | Sequence[float] | None = None,
-        contact: bool = True,
-        joint_limits: bool = True,
-        joint_damping: float | Sequence[float] | None = None,
-        joint_friction: float | Sequence[float] | None = None,
-        armature: float | Sequence[float] | None = None,
-        friction_time: float | None = None,
-        locked: Sequence[str] = (),
-        shapes: bool | None = None,
-    ) -> None:
-        engine = mujoco()
-        sampled, step, self._substeps = times(model, sample_time, timestep, substeps)
-        given = Settings(
-            timestep=step,
-            integrator=integrator,
-            solver=solver,
-            cone=cone,
-            iterations=iterations,
-            tolerance=tolerance,
-            gravity=gravity,
-            contact=bool(contact),
-            joint_limits=bool(joint_limits),
-            joint_damping=joint_damping,
-            joint_friction=joint_friction,
-            armature=armature,
-            friction_time=friction_time,
-            locked=tuple(locked),
-            shapes=shapes,
-        )
+    __signature__ = with_fields(Settings, "model")
+
+    def __init__(self, model: str | Path, **options: Any) -> None:
+        engine, given = mujoco(), Settings(**options)
+        sampled, step, self._substeps = times(model, given.sample_time, given.timestep, given.substeps)
+        given = replace(given, timestep=step)
         self._model = built(model, given)
         self._data = engine.MjData(self._model)
-        self._key = _keyframe(self._model, keyframe)
-        states = states_of(self._model, joint_names)
+        self._key = _keyframe(self._model, given.keyframe)
+        states = states_of(self._model, given.joint_names)
         if not states.positions:
             raise InputError("a model without joints", expected="a joint", got="none", remedy="give another file")
-        every = inputs_of(
-            self._model, states, actuators=actuators, forces=forces, called=input_names, limits=input_limit
-        )
-        measured = outputs_of(self._model, states, outputs)
+        every = inputs_of(self._model, states, given)
+        measured = outputs_of(self._model, states, given.outputs)
         accelerations = measured.stage >= int(engine.mjtStage.mjSTAGE_ACC)
         self._spec = PlantSpec(every.channels, measured.channels, sampled, states.channels, feedthrough=accelerations)
         self._shape = (len(every.channels),)
@@ -380,10 +337,7 @@ def _keyframe(model: Any, name: str | None) -> int | None:
     if name is None:
         return None
     names = [model.key(k).name for k in range(model.nkey)]
-    if name not in names:
-        raise InputError(
-            "option keyframe", expected=f"one of {', '.join(names) or 'none'}", got=repr(name), remedy="correct it"
-        )
+    refuse_unknown("option keyframe", name, names)
     return names.index(name)
 
 

@@ -24,11 +24,20 @@ WHOLE = 1e-6
 """Relative difference from a whole number of engine steps that is rounding of the two times."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Options that change the model; None keeps what the file says."""
+    """Options of :class:`plants.mujoco.plant.MujocoPlant`; None keeps what the file says."""
 
+    sample_time: float | None = None
     timestep: float | None = None
+    substeps: int | None = None
+    outputs: Sequence[str] = ("q", "qd")
+    actuators: Sequence[str] | None = None
+    forces: Sequence[str] | None = None
+    joint_names: Sequence[str] | None = None
+    input_names: Sequence[str] | None = None
+    input_limit: float | Sequence[float] | None = None
+    keyframe: str | None = None
     integrator: Integrator | None = None
     solver: Solver | None = None
     cone: Cone | None = None
@@ -41,7 +50,7 @@ class Settings:
     joint_friction: float | Sequence[float] | None = None
     armature: float | Sequence[float] | None = None
     friction_time: float | None = None
-    locked: tuple[str, ...] = ()
+    locked: Sequence[str] = ()
     shapes: bool | None = None
 
 

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.physics.arms.formats.mjcf import Drive, drives, joint_names, simple_joints
 from harness.physics.arms.formats.mjcf_spec import mujoco
 from harness.signals import Channel
 from plants.checking import per_item, positive
+from plants.mujoco.settings import Settings
 
 GROUPS = ("q", "qd", "sensors")
 AXES = {1: ("",), 3: ("_x", "_y", "_z"), 4: ("_w", "_x", "_y", "_z")}
@@ -102,15 +103,7 @@ def states_of(model: Any, called: Sequence[str] | None) -> States:
     return States(tuple(positions), tuple(rates), tuple(activations), tuple(simple))
 
 
-def inputs_of(
-    model: Any,
-    states: States,
-    *,
-    actuators: Sequence[str] | None,
-    forces: Sequence[str] | None,
-    called: Sequence[str] | None,
-    limits: float | Sequence[float] | None,
-) -> Inputs:
+def inputs_of(model: Any, states: States, given: Settings) -> Inputs:
     """Return the inputs: chosen actuators, and forces on joints (of a model without actuators, on every joint).
 
     A motor without gear at a joint is ``tau1``, a position or velocity servo ``target1`` or ``rate1``, by the number of
@@ -121,9 +114,9 @@ def inputs_of(
     InputError
         If an actuator or a joint is unknown, or the number of names or limits is not that of the inputs.
     """
-    every = drives(model)
-    chosen = every if actuators is None else [_by_name(every, name) for name in actuators]
-    pushed = _pushed(model, states, every, forces)
+    every, called, limits = drives(model), given.input_names, given.input_limit
+    chosen = every if given.actuators is None else [_by_name(every, name) for name in given.actuators]
+    pushed = _pushed(model, states, every, given.forces)
     channels = [channel for drive in chosen for channel in _controls(model, drive, states)]
     channels += [_force(model, states, place) for place in pushed]
     if called is not None and len(called) != len(channels):
@@ -147,11 +140,7 @@ def _pushed(model: Any, states: States, every: Sequence[Drive], forces: Sequence
     names = joint_names(model)
     simple = [names[k] for k in states.scalar]
     pushed = list(forces) if forces is not None else [] if every else simple
-    wrong = [name for name in pushed if name not in simple]
-    if wrong:
-        raise InputError(
-            "option forces", expected=f"joints among {', '.join(simple)}", got=", ".join(wrong), remedy="correct it"
-        )
+    refuse_unknown("option forces", pushed, simple)
     return [simple.index(name) for name in pushed]
 
 

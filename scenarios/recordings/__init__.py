@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from harness.data import LoadedDataset, load_dataset
-from harness.errors import InputError
+from harness.errors import refuse_unknown
 
 __all__ = [
     "RECORDINGS",
@@ -84,8 +84,5 @@ def load_recording(name: str) -> LoadedDataset:
     InputError
         If the name is unknown, or a file is missing; the message says where to download it.
     """
-    if name not in RECORDINGS:
-        raise InputError(
-            "unknown recording", expected=f"one of {', '.join(RECORDINGS)}", got=repr(name), remedy="correct the name"
-        )
+    refuse_unknown("unknown recording", name, RECORDINGS)
     return load_dataset(RECORDINGS[name])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from harness import api, registry
-from harness.command import main
 from harness.errors import InputError
 from harness.rng import Streams
 from harness.rollout import run
@@ -26,15 +25,12 @@ def record(noise: float):
         return run(plant, scenario, streams=Streams("linear", "prbs", 0), role="estimation/0").measured()
 
 
-def test_a_command_tells_what_the_regulator_of_a_stored_model_costs(tmp_path: Path, capsys):
+def test_a_command_tells_what_the_regulator_of_a_stored_model_costs(tmp_path: Path, sysid):
     model = tmp_path / "model.json"
     fitted = StateLeastSquares(least_excitation=0.0).fit([record(0.0)], rng=np.random.default_rng(0))
     model.write_text(json.dumps(fitted.to_dict()), encoding="utf-8")
     given = f"plant_options={{A={GROWING['A']}, B={GROWING['B']}}}"
-    with pytest.raises(SystemExit) as ended:
-        main(["analyse", "control-worth", str(model), "-O", "plant=linear", "-O", given, "--json"])
-    assert ended.value.code == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(sysid("analyse", "control-worth", model, "-O", "plant=linear", "-O", given, "--json").out)
     assert found["ratio"] == pytest.approx(1.0, abs=1e-9)
     assert [(row["states"], row["controllable"], row["stabilisable"]) for row in found["rows"]] == [(2, 2, True)] * 2
     assert found["rows"][0]["spectral radius"] == pytest.approx(1.1)

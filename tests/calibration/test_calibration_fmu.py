@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from harness import api, calibrate
 from harness.calibration.runs import FreeModel, FreeRuns
 from harness.errors import FitError, InputError, PlantError
-from harness.fmi import build
 from harness.physics.definition.parameters import Parameter
 from harness.signals import Channel, Dataset, PlantSpec, Trajectory
 from plants.fmu.plant import FmuPlant
@@ -225,13 +224,9 @@ def test_what_cannot_be_used_is_refused_in_a_line(asked: dict[str, Any], words: 
     assert "\n" not in str(caught.value)
 
 
-def test_a_solver_that_is_part_of_what_is_fitted_is_said(tmp_path: Path) -> None:
+def test_a_solver_that_is_part_of_what_is_fitted_is_said(odd_fmu: Callable[..., Path]) -> None:
     """An FMU that steps by explicit Euler with the communication step."""
-    if build.compiler() is None:
-        pytest.skip("no C compiler: install gcc")
-    path = tmp_path / "euler.fmu"
-    build.build_fmu(Path(__file__).parents[1] / "vetting" / "fmus" / "faulty", 2, path)
-    notes = {}
+    path, notes = odd_fmu("faulty"), {}
     for mode in (0, 1):
         options = {"sample_time": 0.05, "outputs": ["y"], "parameters": {"mode": mode, "T": 0.3}}
         with FmuPlant(path, **options) as plant:

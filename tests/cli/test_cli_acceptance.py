@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness import api, diagnosis
-from harness.command import main
 from harness.comparison import compare_reports
 from harness.errors import InputError
 from harness.fleet.row import Row
@@ -34,13 +34,6 @@ def report(verdict: str = "effects_found", rms: float = 1e-3, share: float = 0.9
         "effects": [], "warnings": [], "summary": verdict,
         "parameters": {"after": {"J": {"value": 0.25, "low": 0.24, "high": 0.26, "unit": "kg m^2"}}},
     }  # fmt: skip
-
-
-def run(arguments: list[Any], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as caught:
-        main([str(argument) for argument in arguments])
-    said = capsys.readouterr()
-    return int(caught.value.code or 0), said.out, said.err
 
 
 @given(
@@ -73,14 +66,12 @@ def test_an_error_is_held_against_its_limit_in_any_unit(rms: float, limit: float
     ],
 )
 def test_the_exit_status_tells_what_was_asked(
-    asked: list[str], status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    asked: list[str], status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sysid: Callable[..., Any]
 ) -> None:
     monkeypatch.setattr(api, "close_loop", lambda *_, **__: diagnosis.Report(report(), None))
     junit = tmp_path / "junit.xml"
-    code, out, error = run(
-        ["close-loop", "run.csv", "--model", "pendulum", "--out", tmp_path, "--junit", junit, *asked], capsys
-    )
-    assert code == status, error
+    arguments = ["run.csv", "--model", "pendulum", "--out", tmp_path, "--junit", junit, *asked]
+    out, error = sysid("close-loop", *arguments, status=status)
     assert bool(error.strip()) == (status > 0)
     if status < 2:
         assert "effects_found" in out
@@ -99,7 +90,7 @@ def test_the_exit_status_tells_what_was_asked(
 )
 def test_a_fleet_holds_only_if_every_record_does(
     statuses: list[str], asked: list[str], status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    sysid: Callable[..., Any],
 ) -> None:  # fmt: skip
     rows = tuple(
         Row(job=str(k), record=f"r{k}", file="", status=s, reason="" if s == "ok" else "no column")
@@ -112,13 +103,12 @@ def test_a_fleet_holds_only_if_every_record_does(
     monkeypatch.setattr(api, "close_fleet", lambda *_, **__: FleetResult(tmp_path, rows, len(rows)))
     source = tmp_path / "fleet.csv"
     source.write_text("file\na.csv\n", encoding="utf-8")
-    code, out, error = run(["close-loop", source, "--out", tmp_path, *asked], capsys)
-    assert code == status
+    out, error = sysid("close-loop", source, "--out", tmp_path, *asked, status=status)
     assert f"of {len(rows)} records" in out
     assert ("no column" in error) == ("refused" in statuses and status > 0)
 
 
-def test_models_are_held_against_limits_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_models_are_held_against_limits_too(tmp_path: Path, sysid: Callable[..., Any]) -> None:
     rng = np.random.default_rng(0)
     u = rng.normal(size=300)
     y = np.convolve(u, [0.0, 0.5, 0.2])[:300] + 0.1 * rng.normal(size=300)
@@ -129,12 +119,11 @@ def test_models_are_held_against_limits_too(tmp_path: Path, capsys: pytest.Captu
     )
     words = ["--sample-time", "0.1"]
     fit = ["identify", log, "--input", "u", "--output", "y", *words, "-O", "order=2", "-o", model, "--force"]
-    assert run([*fit, "--max-error", "y=20cm"], capsys)[0] == 0
-    code, out, _ = run([*fit, "--max-error", "y=5cm", "--json"], capsys)
-    assert code == 1
+    sysid(*fit, "--max-error", "y=20cm")
+    out = sysid(*fit, "--max-error", "y=5cm", "--json", status=1).out
     assert json.loads(out)["model"]["kind"] == "linear"
-    assert run(["compare", model, log, *words, "--max-error", "y=5cm"], capsys)[0] == 1
-    assert run(["compare", model, log, *words, "--max-error", "y=20cm"], capsys)[0] == 0
+    sysid("compare", model, log, *words, "--max-error", "y=5cm", status=1)
+    sysid("compare", model, log, *words, "--max-error", "y=20cm")
 
 
 @pytest.mark.parametrize(
@@ -164,7 +153,7 @@ def test_junit_tells_failures_from_what_could_not_be_judged(tmp_path: Path) -> N
     assert error.get("message") == "no <file>"
 
 
-def test_two_reports_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_reports_are_told_apart(tmp_path: Path, sysid: Callable[..., Any]) -> None:
     one, two = tmp_path / "a.json", tmp_path / "b.json"
     one.write_text(json.dumps(report()), encoding="utf-8")
     other = report(rms=2e-3) | {"model": "cart-pole"}
@@ -175,15 +164,15 @@ def test_two_reports_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert set(found) == {"model", "parameter J", "simulation error of theta"}
     assert found["simulation error of theta"]["second"] == "0.002 rad"
     assert found["parameter J"]["meaning"] == "the intervals do not meet"
-    assert "what went in differs: model" in run(["compare", one, two], capsys)[1]
-    status, _, said = run(["compare", one, two, "-o", tmp_path / "page.html"], capsys)
-    assert (status, "--out" in said) == (2, True), "no option is left out without a word"
+    assert "what went in differs: model" in sysid("compare", one, two).out
+    said = sysid("compare", one, two, "-o", tmp_path / "page.html", status=2).err
+    assert "--out" in said, "no option is left out without a word"
     with pytest.raises(InputError, match="not a report"):
         compare_reports(one, tmp_path)
 
 
 def test_the_examples_for_ci_are_commands_of_ours(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sysid: Callable[..., Any]
 ) -> None:
     hook = yaml.safe_load((FOLDER / "examples/ci/pre-commit-config.yaml").read_text(encoding="utf-8"))
     flow = yaml.safe_load((FOLDER / "examples/ci/github-actions.yml").read_text(encoding="utf-8"))
@@ -194,7 +183,7 @@ def test_the_examples_for_ci_are_commands_of_ours(
     (tmp_path / "build").mkdir()
     monkeypatch.setattr(api, "close_loop", lambda *_, **__: diagnosis.Report(report(), None))
     for command in commands:
-        assert run(shlex.split(command)[1:], capsys)[0] == 0
+        sysid(*shlex.split(command)[1:])
     for name in ("pre-commit-config.yaml", "github-actions.yml"):
         assert (FOLDER / "examples/ci" / name).read_text(encoding="utf-8") in (FOLDER / "docs/ci.md").read_text(
             encoding="utf-8"

@@ -20,19 +20,13 @@ ESTIMATION = "u [N m],theta [rad],time [s]\n" + "".join(
 DATASET = """
 name = "bench pendulum"
 sample_time = 0.01
+signals.u = { role = "input", unit = "N m", column = "u [N m]" }
+signals.theta = { role = "output", unit = "rad", column = "theta [rad]" }
 [nominal]
 model = "pendulum"
-[signals.u]
-role = "input"
-unit = "N m"
-column = "u [N m]"
-[signals.theta]
-role = "output"
-unit = "rad"
-column = "theta [rad]"
 [[runs]]
-file = "estimation.csv"
 use = "estimation"
+file = "estimation.csv"
 [[runs]]
 file = "validation.csv"
 use = "validation"
@@ -94,7 +88,7 @@ def rewrite(name: str, rows: Callable[[list[str]], list[str]]) -> Callable[[Path
         (edit("dataset.toml", 'role = "output"', 'role = "sensor"'), ["dataset.toml", "sensor"]),
         (edit("dataset.toml", "sample_time = 0.01", "sample_time = -1.0"), ["sample_time"]),
         (edit("dataset.toml", 'model = "pendulum"', 'model = "pendulm"'), ["pendulm", "pendulum"]),
-        (edit("dataset.toml", "[signals.theta]", '[signals.theta]\nport = "u"'), ["u"]),
+        (edit("dataset.toml", "signals.theta = { ", 'signals.theta = { port = "u", '), ["u"]),
         (edit("dataset.toml", "[nominal]", "[nominal"), ["dataset.toml"]),
         (rewrite("estimation.csv", lambda rows: rows[:1]), ["estimation.csv"]),
         (rewrite("estimation.csv", lambda rows: ["0.1,0.0," + row.split(",")[2] for row in rows]), ["never move"]),

@@ -16,14 +16,10 @@ import pytest
 DATASET = """
 name = "bench"
 sample_time = 0.02
+signals.u = { role = "input", unit = "N m" }
+signals.theta = { role = "output", unit = "rad" }
 [nominal]
 model = "pendulum"
-[signals.u]
-role = "input"
-unit = "N m"
-[signals.theta]
-role = "output"
-unit = "rad"
 [[runs]]
 file = "estimation.csv"
 use = "estimation"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,6 @@ from scipy.signal import cont2discrete, lfilter, tf2ss
 
 from harness import api, registry
 from harness.api.comparing import _names
-from harness.command import main
 from harness.comparison import compare, correlations, spectrum
 from harness.comparison.uncertain import pole_rows, transmission_zeros
 from harness.errors import InputError
@@ -142,13 +143,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return where
 
 
-def test_the_better_model_is_seen(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_better_model_is_seen(folder: Path, sysid: Callable[..., Any]) -> None:
     page = folder / "page.html"
     files = [str(folder / name) for name in ("arx1.json", "arx2.json", "dataset.toml")]
-    with pytest.raises(SystemExit) as ended:
-        main(["compare", *files, "-o", str(page), "--json"])
-    assert ended.value.code == 0
-    rows = {(row["model"], row["use"]): row for row in json.loads(capsys.readouterr().out.rpartition("]")[0] + "]")}
+    said = sysid("compare", *files, "-o", page, "--json").out
+    rows = {(row["model"], row["use"]): row for row in json.loads(said.rpartition("]")[0] + "]")}
     assert rows["arx2", "validation"]["fit_free_run"] > 90 > rows["arx1", "validation"]["fit_free_run"]
     assert not rows["arx1", "validation"]["independent"]
     assert rows["arx2", "validation"]["independent"]
@@ -182,7 +181,7 @@ def test_poles_have_the_digits_that_their_interval_leaves(folder: Path) -> None:
         assert 0.0099 < 10 ** -len(value.partition(".")[2]) / float(half) < 0.101
 
 
-def test_a_model_of_other_signals_or_of_python_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_of_other_signals_or_of_python_is_refused(folder: Path, sysid: Callable[..., Any]) -> None:
     stored = json.loads((folder / "arx1.json").read_text())
     (folder / "odd.json").write_text(json.dumps({**stored, "model": "mine.py:evil"}))
     with pytest.raises(InputError, match="a file that runs code"):
@@ -190,17 +189,11 @@ def test_a_model_of_other_signals_or_of_python_is_refused(folder: Path, capsys: 
     (folder / "none.json").write_text("{}")
     with pytest.raises(InputError, match="not a model"):
         api.compare([folder / "none.json"], folder / "dataset.toml")
-    with pytest.raises(SystemExit) as ended:
-        main(["compare", str(folder / "arx1.json")])
-    assert ended.value.code == 2
-    assert "MODEL... DATASET" in capsys.readouterr().err
+    assert "MODEL... DATASET" in sysid("compare", folder / "arx1.json", status=2).err
 
 
-def test_spectrum_on_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["spectrum", str(folder / "dataset.toml"), "--segment", "64", "-o", str(folder / "bode.svg")])
-    assert ended.value.code == 0
-    assert "coherence" in capsys.readouterr().out
+def test_spectrum_on_the_command_line(folder: Path, sysid: Callable[..., Any]) -> None:
+    assert "coherence" in sysid("spectrum", folder / "dataset.toml", "--segment", "64", "-o", folder / "bode.svg").out
     assert (folder / "bode.svg").read_text().startswith("<?xml")
 
 

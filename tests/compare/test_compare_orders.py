@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,6 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from harness import api
-from harness.command import main
 from harness.comparison import order_selection
 from harness.errors import InputError
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
@@ -66,7 +67,7 @@ def test_what_has_no_order_is_refused() -> None:
         order_selection(data(2, 0.1, 0), orders=(0, 1))
 
 
-def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_on_the_command_line(tmp_path: Path, sysid: Callable[..., Any]) -> None:
     one = data(3, 0.05, 1).runs[0].trajectory
     table = np.column_stack([one.t, one.u, one.y])
     np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="time [s],u [V],y [m]", comments="", fmt="%.17g")
@@ -74,23 +75,15 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         'name = "third order"\n[signals.u]\nrole = "input"\n[signals.y]\nrole = "output"\n[[runs]]\nfile = "run.csv"\n'
     )
     arguments = ["order", str(tmp_path / "dataset.toml"), "--identifier", "arx", "--orders", "1..4"]
-    with pytest.raises(SystemExit) as ended:
-        main([*arguments, "-o", str(tmp_path / "order.svg"), "--json"])
-    assert ended.value.code == 0
-    rows = json.loads(capsys.readouterr().out.rpartition("}")[0] + "}")["orders"]
+    rows = json.loads(sysid(*arguments, "-o", tmp_path / "order.svg", "--json").out.rpartition("}")[0] + "}")["orders"]
     assert [row["order"] for row in rows if "one step" in row["note"]] == [3]
     assert (tmp_path / "order.svg").read_text().startswith("<?xml")
-    with pytest.raises(SystemExit) as ended:
-        main([*arguments[:-1], "4..1"])
-    assert ended.value.code == 2
-    assert "--orders" in capsys.readouterr().err
+    assert "--orders" in sysid(*arguments[:-1], "4..1", status=2).err
     with pytest.raises(InputError, match=r"ends in \.svg"):
         api.order(tmp_path / "dataset.toml", out=tmp_path / "order.txt")
 
 
-def test_a_grid_of_arx_orders_on_the_command_line_and_from_python(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_grid_of_arx_orders_on_the_command_line_and_from_python(tmp_path: Path, sysid: Callable[..., Any]) -> None:
     rng, y = np.random.default_rng(1), np.zeros(900)
     u = rng.normal(size=900)
     for k in range(4, 900):
@@ -99,10 +92,7 @@ def test_a_grid_of_arx_orders_on_the_command_line_and_from_python(
     np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="time [s],u [V],y [m]", comments="", fmt="%.17g")
     files = [str(tmp_path / "run.csv"), "--input", "u", "--output", "y"]
     arguments = ["order", *files, "--na", "0..4", "--nb", "1..4", "--nk", "1..5"]
-    with pytest.raises(SystemExit) as ended:
-        main([*arguments, "-o", str(tmp_path / "grid.svg"), "--json"])
-    assert ended.value.code == 0
-    rows = json.loads(capsys.readouterr().out.rpartition("}")[0] + "}")["orders"]
+    rows = json.loads(sysid(*arguments, "-o", tmp_path / "grid.svg", "--json").out.rpartition("}")[0] + "}")["orders"]
     (best,) = [row for row in rows if "best by bic" in row["note"]]
     assert (best["na"], best["nb"], best["nk"]) == (2, 2, 3)
     assert (tmp_path / "grid.svg").read_text().startswith("<?xml")
@@ -110,9 +100,6 @@ def test_a_grid_of_arx_orders_on_the_command_line_and_from_python(
     assert found.best("bic") == {"na": 2, "nb": 2, "nk": 3}
     near = found.values("held-out")
     assert near[2, 1, 2] <= 1.02 * np.nanmin(near)
-    with pytest.raises(SystemExit) as ended:
-        main(arguments[:-4])
-    assert ended.value.code == 2
-    assert "both --na and --nb" in capsys.readouterr().err
+    assert "both --na and --nb" in sysid(*arguments[:-4], status=2).err
     with pytest.raises(InputError, match="from 0 on"):
         api.arx_orders(tmp_path / "run.csv", [-1], [1], input="u", output="y")

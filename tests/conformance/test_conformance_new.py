@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from harness import api
-from harness.command import main
 from harness.errors import InputError
 from harness.scaffold import KINDS, new
 
@@ -23,12 +24,9 @@ NAMES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_begun_passes_its_checks(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_begun_passes_its_checks(kind: str, tmp_path: Path, sysid: Callable[..., Any]) -> None:
     name = NAMES[kind]
-    with pytest.raises(SystemExit) as ended:
-        main(["new", kind, name, "--folder", str(tmp_path)])
-    assert ended.value.code == 0
-    printed = capsys.readouterr().out
+    printed = sysid("new", kind, name, "--folder", tmp_path).out
     project = tomllib.loads((tmp_path / f"sysid-{name}" / "pyproject.toml").read_text())
     points = project["project"]["entry-points"]
     ((entry, target),) = points[f"sysid_harness.{kind}s"].items()

@@ -151,4 +151,4 @@ def test_figures_and_fits_show_themselves() -> None:
     page = fitted._repr_html_()
     assert "data:image/svg+xml;base64," in page
     assert "<td>J</td>" in page
-    assert [line.get_label() for line in fitted.plot().axes[-1].lines][-1] == "free run"
+    assert [line.get_label() for line in fitted.plot().axes[-1].lines] == ["measured", "free run"]

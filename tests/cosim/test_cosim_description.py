@@ -114,7 +114,7 @@ def test_a_mistake_is_named_with_file_place_and_remedy(folder: Path, old: str, n
 
 
 def test_only_how_it_is_stepped_can_be_changed_from_outside(folder: Path) -> None:
-    with pytest.raises(InputError, match=r"option of a coupling.*sample_time, order.*got outputs"):
+    with pytest.raises(InputError, match=r"option of a coupling.*sample_time, order.*got 'outputs'"):
         couple(folder / "loop.toml", make, changes={"outputs": ["arm.theta"]})
     with pytest.raises(InputError, match="no such coupling"):
         couple(folder / "none.toml", make)

@@ -14,7 +14,7 @@ from harness.cosim import Connection, Coupled
 from harness.cosim.controlled import Controlled, Lines
 from harness.cosim.convergence import Convergence, halved
 from harness.cosim.free_run import free_run, hold, window
-from harness.cosim.loops import newton
+from harness.cosim.graph import newton
 from harness.cosim.structure.conversion import Chain, Linear, Table, Unit, change_of_unit, named_unit, undefined_unit
 from harness.cosim.structure.describe import _words
 from harness.cosim.structure.flat import channels_of, each, members, start_of

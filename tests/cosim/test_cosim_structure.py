@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.command import main
 from harness.cosim.structure import opened
 from harness.cosim.structure.conversion import Chain, Linear, Table, change_of_unit, unit_of
 from harness.cosim.structure.flat import FlatSystem
@@ -395,14 +395,7 @@ def test_a_unit_and_back_is_nothing(factor: float, offset: float, x: float) -> N
     assert change_of_unit(odd, unit_of("m", {"m": 1}, 1.0, 0.0)) is None
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as ended:
-        main(list(arguments))
-    shown = capsys.readouterr()
-    return int(ended.value.code or 0), shown.out, shown.err
-
-
-def test_a_folder_runs_and_is_listed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_runs_and_is_listed_as_it_is(tmp_path: Path, sysid: Callable[..., Any]) -> None:
     arm = part("arm", bindings=values(b=0.1)).replace("x.fmu", "arm.fmu")
     law = part("law").replace("x.fmu", "law.fmu")
     wires = wire("arm.theta", "law.y") + wire("law.u", "arm.u") + wire("wish", "law.r") + wire("arm.theta", "angle")
@@ -417,15 +410,13 @@ def test_a_folder_runs_and_is_listed_as_it_is(tmp_path: Path, capsys: pytest.Cap
     for exchange in ("jacobi", "gauss-seidel"):
         out = tmp_path / f"{exchange}.csv"
         chosen = ["--exchange", exchange, "--step", "0.01", "-o", str(out)]
-        code, _, told = run(capsys, "simulate", str(tmp_path), *chosen)
-        assert code == 0, told
+        sysid("simulate", tmp_path, *chosen)
         rows[exchange] = out.read_text().splitlines()
     assert rows["jacobi"][0] == "time [s],wish [1],angle [rad]"
     assert rows["jacobi"][1].startswith("2.0,0.4,")
     assert rows["jacobi"][-1].startswith("3.0,0.4,")
     assert len(rows["jacobi"]) == 102
     assert rows["jacobi"] != rows["gauss-seidel"]
-    code, listed, _ = run(capsys, "list", str(tmp_path))
-    assert code == 0
+    listed = sysid("list", tmp_path).out
     assert "arm.theta" in listed
     assert "stopTime 3 s" in listed

@@ -201,13 +201,13 @@ def test_jitter_from_a_thousandth_is_said_and_from_a_fiftieth_refused(off: float
 
 
 @pytest.mark.parametrize(
-    ("hole", "said"), [(1.5, "time is not uniform (clock jitter)"), (2.0, "(1 gaps)"), (4, "gaps")]
+    ("hole", "said"), [(1.5, "time is not uniform (clock jitter)"), (2.0, "(1 gap)"), (4, "(1 gap)")]
 )
 def test_a_gap_is_longer_than_a_step_and_a_half(hole: float, said: str) -> None:
     time = np.cumsum(np.r_[0.0, np.full(50, STEP), hole * STEP, np.full(50, STEP)])
     found = refusal(time)
     assert said in found.what
-    if "gaps" in said:
+    if "gap" in said:
         assert f"{hole * STEP:g} s between row 50 and row 51 (t = {50 * STEP:g} s)" in found.got
 
 

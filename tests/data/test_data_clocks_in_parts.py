@@ -57,7 +57,7 @@ def test_what_is_no_part_of_the_stamps_is_not_added_to_them(tmp_path: Path, cloc
 
 def test_a_lost_row_shows_in_the_parts(tmp_path: Path) -> None:
     clocks = [f"{stamp(k + (k > 40), '%Y-%m-%d %H:%M:%S')},{250 * (k + (k > 40)) % 1000}" for k in range(ROWS)]
-    with pytest.raises(InputError, match=r"not uniform \(1 gaps\)"):
+    with pytest.raises(InputError, match=r"not uniform \(1 gap\)"):
         api.load_dataset(written(tmp_path / "log.csv", "DateTime,ms,u,y", clocks), input="u", output="y")
 
 

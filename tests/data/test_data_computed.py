@@ -29,14 +29,14 @@ from harness.data.oddities.pace import band_of, trend_of
 from harness.data.oddities.spikes import _is_word, _sizes, alike
 from harness.data.sections import FilterSection, ResampleSection
 from harness.data.tables.cells import measured, numbers_of, refuse_thousands, units_below
-from harness.data.tables.counts import dated, unwrapped
 from harness.data.tables.headers import clock_of, clock_unit, split_header
 from harness.data.tables.long_form import in_long_form
 from harness.data.tables.merging import in_turn, merged
 from harness.data.tables.packing import most_unpacked, refuse_large
 from harness.data.tables.stacked import stacked_titles
-from harness.data.tables.stamps import clock
-from harness.data.tables.written_times import ahead_of_utc, minutes_of, plain_time, span_of
+from harness.data.times.counts import dated, unwrapped
+from harness.data.times.stamps import clock
+from harness.data.times.written_times import ahead_of_utc, minutes_of, plain_time, span_of
 from harness.errors import InputError
 from harness.signals import Channel, PlantSpec, Run, Trajectory
 

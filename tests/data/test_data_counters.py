@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from harness.data import load_dataset
 from harness.data.recipe.contents import contents_of
-from harness.data.tables.counts import dated, unwrapped
 from harness.data.tables.headers import clock_of, fraction_of
+from harness.data.times.counts import dated, unwrapped
 from harness.errors import InputError
 from harness.signals import Dataset
 

@@ -16,7 +16,8 @@ from harness.data.conditioning.timebase import pieces_of
 from harness.data.recipe.contents import contents_of
 from harness.data.recipe.ports import nearest
 from harness.data.sections import ResampleSection
-from harness.data.tables.table import Table, _is_element, open_table
+from harness.data.tables.named import _is_element
+from harness.data.tables.table import Table, open_table
 from harness.data.views import from_fmpy
 from harness.data.whole_files import refused_by_system, whole_file, write_json, write_text
 from harness.errors import InputError

@@ -14,7 +14,7 @@ from harness.data.recipe.contents import contents_of
 from harness.data.recipe.sanity import check_run
 from harness.data.tables.bags import is_bag_folder
 from harness.data.tables.memory import input_and_output
-from harness.data.tables.stamps import clock
+from harness.data.times.stamps import clock
 from harness.errors import InputError
 from harness.signals import Channel, PlantSpec, Trajectory
 

@@ -17,8 +17,8 @@ import pytest
 
 from harness.data import load_dataset
 from harness.data.recipe.draft import draft_dataset
-from harness.data.tables.counts import unwrapped
-from harness.data.tables.stamps import clock
+from harness.data.times.counts import unwrapped
+from harness.data.times.stamps import clock
 from harness.errors import InputError
 from harness.signals import Dataset
 

@@ -18,9 +18,9 @@ from harness.data.conditioning.unstated import refuse_unlikely_seconds
 from harness.data.tables.cells import numbers_of
 from harness.data.tables.headers import split_header
 from harness.data.tables.stacked import stacked_titles
-from harness.data.tables.stamps import clock, with_dates
 from harness.data.tables.table import Table
 from harness.data.tables.text_files import TextFile
+from harness.data.times.stamps import clock, with_dates
 from harness.errors import InputError
 from harness.units import convert
 

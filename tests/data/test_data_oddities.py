@@ -307,3 +307,31 @@ def test_a_number_that_no_sensor_reads_is_left_out(value: float, column: str) ->
     assert np.abs(record.u).max() < 10
     assert np.nanmax(np.abs(record.readings)) < 100
     assert bool(np.isnan(record.readings[2, 0])) is (column == "q")
+
+
+def test_rows_that_were_lost_are_counted_and_clean_records_have_none() -> None:
+    """Without a trace in the clock; a pendulum cut in two places was given two springs, with confidence."""
+    for seed in range(2):
+        u = 0.2 * multisine(seed)
+        y = swing(u, seed, 2e-4)
+        speed = np.abs(np.gradient(y))
+        row = 200 + int(np.flatnonzero(speed[200:] > 0.5 * speed.max())[0])
+        assert found(u, y)[1] == []
+        lost = found(np.delete(u, row), np.delete(y, row))[1]
+        assert [odd.rows for odd in lost if odd.kind == "leap"] == [(row,)]
+        again = found(np.insert(u, row, u[row - 1]), np.insert(y, row, y[row - 1]))[1]
+        assert [odd.rows for odd in again if odd.kind in ("leap", "twice")] in ([], [(row,)])
+
+
+def test_a_reading_that_falls_to_zero_and_stays_there_is_none_from_its_first_row_on() -> None:
+    """Its first zero was a reading: a pendulum with nothing missing got an elastic joint, with confidence."""
+    u = multisine(3)
+    y = swing(u, 3)
+    now, then = y[300:800], y[330:830]
+    row = 300 + int(np.argmax(np.min(np.abs([now, then, then - now]), axis=0)))
+    held = y.copy()
+    y[row : row + 30], held[row : row + 30] = 0.0, held[row]
+    for read, first in ((y, row), (held, row + 1)):
+        missing = found(u, read)[0].missing
+        assert missing is not None
+        assert np.flatnonzero(missing[:, 0]).tolist() == list(range(first, row + 30))

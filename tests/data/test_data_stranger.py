@@ -20,8 +20,8 @@ from harness.data import load_dataset
 from harness.data.tables.cells import numbers_of
 from harness.data.tables.excel import ExcelFile
 from harness.data.tables.headers import split_header
-from harness.data.tables.stamps import clock, with_dates
 from harness.data.tables.table import Table
+from harness.data.times.stamps import clock, with_dates
 from harness.errors import InputError
 from harness.signals import FloatArray
 

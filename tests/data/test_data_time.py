@@ -100,7 +100,7 @@ def test_stamps_rounded_to_milliseconds_are_their_clocks(rate: float, cut: Calla
         assert np.abs(piece.values[:, 1] - values[:, 1]).max() < 1e-9
         assert rate == 1000 / 7 or any("rounded" in note or "declared clock" in note for note in notes)
     keep = np.r_[0:500, 503:n]
-    with pytest.raises(InputError, match=r"row 500: time is not uniform \(1 gaps\)"):
+    with pytest.raises(InputError, match=r"row 500: time is not uniform \(1 gap\)"):
         pieces(time[keep], values[keep])
     for rules in ({}, {"sample_time": 1 / rate}, {"resample": ResampleSection()}):
         parts, _ = pieces(time[keep], values[keep], gaps="split", **rules)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import msgspec
 import pytest
 
 from harness import api, registry
-from harness.command import main
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 REMEDY = "run python docs/make_reference.py"
@@ -57,11 +57,8 @@ def test_every_effect_is_told_with_its_law_and_what_tells_it_apart() -> None:
             assert {"acts on", "law", "easily confused with", "what tells it apart"} <= set(part["facts"]), row["id"]
 
 
-def test_a_part_is_shown_with_its_options(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["list", "arm-bullet"])
-    assert ended.value.code == 0
-    shown = capsys.readouterr().out
+def test_a_part_is_shown_with_its_options(sysid: Callable[..., Any]) -> None:
+    shown = sysid("list", "arm-bullet").out
     assert "Pendulum in PyBullet" in shown
     assert "From hinge to centre of mass [m]" in shown
     part = api.describe_part("dmdc")

@@ -25,6 +25,9 @@ from harness.physics.models import cart_pole, pendulum, two_tanks
 
 DT = 0.005
 PENDULUM, CART = pendulum().system(), cart_pole().system()
+NO_FORCE = {"backlash", "unilateral_backlash", "elastic_load", "elasticity", "hardening_elasticity"} | {
+    f"sensor_{one}" for one in ("cyclic_error", "drift", "nonlinearity", "quantisation", "rectification", "saturation")
+}
 
 
 def put(name, at, **values):
@@ -142,19 +145,7 @@ def test_every_effect_gives_finite_columns_or_none():
         for block in blocks:
             assert block.columns.shape == (400, 1, len(block.names))
             assert np.isfinite(block.columns).all()
-    assert silent == {
-        "backlash",
-        "unilateral_backlash",
-        "elastic_load",
-        "elasticity",
-        "hardening_elasticity",
-        "sensor_cyclic_error",
-        "sensor_drift",
-        "sensor_nonlinearity",
-        "sensor_quantisation",
-        "sensor_rectification",
-        "sensor_saturation",
-    }
+    assert silent == NO_FORCE
     tanks = two_tanks().system()
     still = Signals(signals.t, signals.u, np.zeros((400, 0)), np.zeros((400, 0)), np.zeros((400, 0)))
     assert column_blocks(tanks, put("leak", "lower"), still) == []
@@ -229,16 +220,4 @@ def test_inputs_that_run_straight_are_followed_without_delay():
 
 def test_what_leaves_no_force_on_the_measured_motion_is_not_claimable():
     names = [one for one in place_all(PENDULUM, builtin().values()) if not claimable(PENDULUM, one)]
-    assert {one.effect.name for one in names} == {
-        "elastic_load",
-        "elasticity",
-        "hardening_elasticity",
-        "backlash",
-        "unilateral_backlash",
-        "sensor_cyclic_error",
-        "sensor_drift",
-        "sensor_nonlinearity",
-        "sensor_quantisation",
-        "sensor_rectification",
-        "sensor_saturation",
-    }
+    assert {one.effect.name for one in names} == NO_FORCE

@@ -200,7 +200,7 @@ def test_systems_without_a_sample_time_or_with_another_are_refused():
         from_state_space(control.ss([[-0.5]], [[1.0]], [[1.0]], [[0.0]]))
     with pytest.raises(InputError, match=r"control.ss"):
         from_state_space(control.tf([1.0], [1.0, 1.0]))
-    with pytest.raises(InputError, match=r"names among"):
+    with pytest.raises(InputError, match="units: expected one of"):
         from_state_space(system, units={"force": "N"})
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from harness import api
-from harness.command import main
 from harness.errors import InputError
 from harness.fleet import close_fleet, fleet_table, query
 
@@ -35,7 +36,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_rows_tables_page_and_resume(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_tables_page_and_resume(table: Path, tmp_path: Path, sysid: Callable[..., Any]) -> None:
     out = tmp_path / "out"
     result = close_fleet(table, out=out, model="pendulum", workers=2)
     before, broken, after = result.rows
@@ -66,10 +67,7 @@ def test_rows_tables_page_and_resume(table: Path, tmp_path: Path, capsys: pytest
     assert (out / "effects.parquet").read_bytes() == written
     with pytest.raises(InputError, match="another fleet"):
         close_fleet(table, out=out, model="cart-pole", resume=True)
-    with pytest.raises(SystemExit) as left:
-        main(["query", str(out), "select machine, count(*) as n from records group by machine"])
-    assert not left.value.code
-    assert "one" in capsys.readouterr().out
+    assert "one" in sysid("query", out, "select machine, count(*) as n from records group by machine").out
 
 
 @pytest.mark.slow
@@ -93,13 +91,10 @@ def test_a_cluster_gives_the_same_rows(table: Path, tmp_path: Path) -> None:
         )
 
 
-def test_options_of_the_other_kind_are_refused(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_of_the_other_kind_are_refused(table: Path, tmp_path: Path, sysid: Callable[..., Any]) -> None:
     cases = [
         ([str(table), "--force"], "option of one record"),
         ([str(table.parent / "before.csv"), "--time-limit", "5"], "option of a fleet"),
     ]
     for arguments, says in cases:
-        with pytest.raises(SystemExit) as left:
-            main(["close-loop", *arguments, "--model", "pendulum", "--out", str(tmp_path / "no")])
-        assert left.value.code == 2
-        assert says in capsys.readouterr().err
+        assert says in sysid("close-loop", *arguments, "--model", "pendulum", "--out", tmp_path / "no", status=2).err

@@ -126,13 +126,10 @@ def test_files_that_are_wrong_are_refused_by_name(text, said, tmp_path):
         read_response(file)
 
 
-def test_the_command_fits_a_file_and_stores_a_model(tmp_path, capsys):
+def test_the_command_fits_a_file_and_stores_a_model(tmp_path, sysid):
     write_response(measured(2), tmp_path / "frf.csv")
     arguments = ["identify", str(tmp_path / "frf.csv"), "--option", "order=3", "--option", "zeros=0"]
-    with pytest.raises(SystemExit) as ended:
-        main([*arguments, "-o", str(tmp_path / "tf.json")])
-    assert ended.value.code == 0
-    text = capsys.readouterr().out
+    text = sysid(*arguments, "-o", tmp_path / "tf.json").out
     assert "nothing but noise is left" in text
     assert "dead time" in text
     found = read_model(tmp_path / "tf.json")
@@ -142,9 +139,7 @@ def test_the_command_fits_a_file_and_stores_a_model(tmp_path, capsys):
     between = read_model(tmp_path / "sampled.json")
     assert between.spec.sample_time == 0.05
     assert between.spread is not None
-    with pytest.raises(SystemExit) as ended:
-        main([*arguments, "--identifier", "arx"])
-    assert ended.value.code == 2
+    sysid(*arguments, "--identifier", "arx", status=2)
 
 
 def test_records_give_a_model_in_seconds_and_its_dead_time():

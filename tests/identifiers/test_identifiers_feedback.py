@@ -17,11 +17,7 @@ B = np.array([[0.0], [1.0]])
 GAIN = np.array([[-0.3, -0.5]])
 STATES = PlantSpec((Channel("u", "N"),), (Channel("q", "m"), Channel("v", "m/s")), 0.1)
 METHODS = [
-    ("least-squares", {}),
-    ("least-squares", {"method": "iv"}),
-    ("least-squares", {"method": "tls"}),
-    ("least-squares", {"method": "l1"}),
-    ("least-squares", {"method": "linf"}),
+    *(("least-squares", {"method": method}) for method in ("ls", "iv", "tls", "l1", "linf")),
     ("arx", {"order": 1}),
     ("dmdc", {}),
     ("dmdc", {"rank": 2}),

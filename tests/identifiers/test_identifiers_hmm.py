@@ -16,9 +16,9 @@ from harness.rollout import run
 from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.finite import hmm_pass
-from identifiers.finite.beliefs import compress_beliefs
 from identifiers.finite.hmm import HiddenMarkov, HmmModel, _from_moments
 from identifiers.finite.mdp import MdpCounting
+from identifiers.finite.smaller import compress_beliefs
 from plants.finite.pomdp import FinitePomdp
 
 RNG = np.random.default_rng(0)

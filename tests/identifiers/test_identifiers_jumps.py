@@ -17,8 +17,7 @@ from harness.rollout import run
 from harness.scoring import equation_error, simulation_error
 from harness.scoring.regret import regret
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.hybrid.automaton import HybridAutomaton, HybridModel
-from identifiers.hybrid.facets import grouped
+from identifiers.hybrid.automaton import HybridAutomaton, HybridModel, grouped
 from identifiers.hybrid.jumps import find_jumps
 from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel
 from identifiers.online.leader import FollowTheLeader

@@ -7,8 +7,8 @@ import pytest
 
 from harness.physics.models import pendulum
 from harness.signals import PlantSpec, Trajectory
-from identifiers.mechanics.kalman import rts
 from identifiers.mechanics.lumped import lumped_torque
+from identifiers.mechanics.motion import rts
 
 
 def test_rate_and_acceleration_beat_differences_by_far() -> None:

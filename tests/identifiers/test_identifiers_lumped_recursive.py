@@ -128,8 +128,9 @@ def test_its_regret_is_far_below_that_of_a_linear_recursion() -> None:
 
 
 def test_options_and_models_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match="odd width"):
-        RecursiveLumped(width=4)
+    for width, said in ((4, r"width: .*a number >= 5"), (6, "odd width")):
+        with pytest.raises(InputError, match=said):
+            RecursiveLumped(width=width)
     with pytest.raises(InputError, match="forgotten"):
         RecursiveLumped(forgetting=0.9, intervals=20)
     spec = PlantSpec((Channel("u", "N"),), (Channel("x", "m"),), DT)

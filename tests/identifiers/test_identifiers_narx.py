@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.errors import FitError
+from harness.errors import FitError, InputError
 from harness.models.estimate import estimate_of
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
@@ -172,7 +172,7 @@ def test_a_free_run_that_leaves_the_data_is_infinitely_wrong_and_ends_in_nan():
 
 
 def test_options_without_sense_are_refused_in_a_line():
-    with pytest.raises(FitError, match="options") as said:
+    with pytest.raises(InputError, match="lags: option of narx") as said:
         fitted(record(0), lags=0)
     assert "\n" not in str(said.value)
 

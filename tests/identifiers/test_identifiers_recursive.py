@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from harness import api
-from harness.errors import FitError
+from harness.errors import InputError
 from harness.scoring import regret
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from identifiers.online.parameter_trajectory import ParameterTrajectory, recursion_along
@@ -134,5 +134,5 @@ def test_regret_grows_slowly(kind):
     "options", [{"forgetting": 0.0}, {"order": 0}, {"nk": 0}, {"structure": "bj"}, {"nf": 2}], ids=str
 )
 def test_options_that_make_no_sense_are_refused(options):
-    with pytest.raises(FitError, match="recursive-polynomial"):
+    with pytest.raises(InputError, match="recursive-polynomial"):
         RecursivePolynomial(**options).init(SPEC, rng=RNG)

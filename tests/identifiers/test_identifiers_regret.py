@@ -93,7 +93,7 @@ def test_they_say_what_they_need():
     data = stream([0.5], 15, 0.1)
     with pytest.raises(FitError, match="nothing predicted"):
         SpectralFiltering().hindsight([data])
-    with pytest.raises(FitError, match="options"):
+    with pytest.raises(InputError, match=r"filters: option of .*<= 5"):
         SpectralFiltering(filters=10, window=5).init(SPEC, rng=rng())
     with pytest.raises(FitError, match="options"):
         GradientDescent(block=2).init(SPEC, rng=rng())

@@ -119,7 +119,7 @@ def test_positions_alone_give_second_order_equations():
     [{"degree": 0}, {"threshold": 1.0}, {"order": 3}, {"time": "discrete", "order": 2}, {"rule": "best"}, {"half": 1}],
 )
 def test_options_that_make_no_sense_are_refused(options):
-    with pytest.raises(FitError, match="options"):
+    with pytest.raises(InputError, match="option of stlsq"):
         Stlsq(**options).fit([lorenz_run(50)], rng=RNG)
 
 

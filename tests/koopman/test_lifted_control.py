@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness import api
-from harness.command import main
 from harness.errors import InputError
 from harness.models.lifted import LiftedController, deviations, eigenfunctions, lifted_lqr, lifted_mpc
 from harness.models.lqr import lqr_gain
@@ -173,19 +174,14 @@ def _costs(
     return regulation_costs(plant, controller, starts, steps=200, q=Q, r=R, target=goal, hold=np.zeros(1))
 
 
-def test_eigenfunctions_by_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_eigenfunctions_by_a_command(tmp_path: Path, sysid: Callable[..., Any]) -> None:
     model = tmp_path / "model.json"
     model.write_text(json.dumps(fitted(records(duffing(), 2.0, count=20), degree=3).to_dict()), encoding="utf-8")
     asked = ["analyse", "eigenfunctions", str(model), "-O", "count=3"]
-    with pytest.raises(SystemExit) as ended:
-        main([*asked, "-o", str(tmp_path / "plane.png"), "--json"])
-    assert ended.value.code == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]
+    rows = json.loads(sysid(*asked, "-o", tmp_path / "plane.png", "--json").out)["rows"]
     assert len(rows) == 3
     assert [row["modulus"] for row in rows] == sorted((row["modulus"] for row in rows), reverse=True)
     assert (tmp_path / "plane.png").stat().st_size > 10_000
-    with pytest.raises(SystemExit) as ended:
-        main([*asked, "-O", "low=[3, 3]"])
-    assert ended.value.code == 2
+    sysid(*asked, "-O", "low=[3, 3]", status=2)
     with pytest.raises(InputError, match="picture of bisimulation"):
         api.analyse("bisimulation", "corridors-mdp", out=tmp_path / "none.svg")

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from harness import api
-from harness.command import main
 from harness.errors import InputError
 from harness.physics.fitting.output_error import fit_output_error
 from harness.physics.fitting.residual_force import LABEL
@@ -76,17 +75,10 @@ def loop(folder: Path, verdict: str = "unexplained", values: dict[str, float] | 
     return folder / "loop"
 
 
-def sysid(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main([str(one) for one in arguments])
-    return int(ended.value.code or 0)
-
-
-def test_the_command_learns_labels_and_exports_into_the_same_fmu(tmp_path, capsys):
+def test_the_command_learns_labels_and_exports_into_the_same_fmu(tmp_path, sysid):
     folder, dataset = loop(tmp_path), data(tmp_path, 0.15)
     out = tmp_path / "learned"
-    assert sysid("learn-residual", folder, dataset, "--out", out, "--argument", "theta_rate") == 0
-    said = capsys.readouterr().out
+    said = sysid("learn-residual", folder, dataset, "--out", out, "--argument", "theta_rate").out
     assert LABEL in said
     found = json.loads((out / "learned.json").read_text())
     rms = found["errors"]["validation"]["theta"]
@@ -97,12 +89,12 @@ def test_the_command_learns_labels_and_exports_into_the_same_fmu(tmp_path, capsy
     page = (out / "learned.html").read_text()
     assert LABEL in page
     assert "with the force" in page
-    assert sysid("export", out, "-o", tmp_path / "repaired.fmu", "--fmi", "2") == 0
+    sysid("export", out, "-o", tmp_path / "repaired.fmu", "--fmi", "2")
     with zipfile.ZipFile(tmp_path / "repaired.fmu") as archive:
         described = ElementTree.fromstring(archive.read("modelDescription.xml"))
     assert LABEL in described.attrib["description"]
     assert "known for theta_rate in [" in described.attrib["description"]
-    assert sysid("learn-residual", folder, dataset, "--out", out) == 2, "an earlier result is not overwritten"
+    sysid("learn-residual", folder, dataset, "--out", out, status=2)  # an earlier result is not overwritten
     with pytest.raises(InputError, match="not a finished closed loop"):
         api.learn_residual(out, dataset, out=tmp_path / "twice")
 

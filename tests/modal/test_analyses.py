@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,19 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness import api
-from harness.command import main
 from harness.errors import InputError
 from harness.models.analysis import Analysis
 from harness.registry import create, entries
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from identifiers.finite.mdp import MdpModel
 from identifiers.finite.smaller import Bisimulation
-
-
-def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(list(arguments))
-    return int(ended.value.code or 0)
 
 
 def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
@@ -82,24 +77,19 @@ def test_copies_of_states_fall_into_one_class(copies: int, states: int, seed: in
     assert sum(row["size"] for row in found.rows) == len(owner)
 
 
-def test_a_process_counted_from_data_and_a_wrong_reward(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_process_counted_from_data_and_a_wrong_reward(tmp_path: Path, sysid: Callable[..., Any]) -> None:
     spec = PlantSpec((Channel("a", "1", 0, 1, "category"),), (Channel("s", "1", 0, 2, "category"),), 1.0)
     table = np.array([[[0, 0.5, 0.5]] * 2, [[1, 0, 0]] * 2, [[1, 0, 0]] * 2], dtype=float)
     (tmp_path / "model.json").write_text(json.dumps(MdpModel(spec, table, np.ones((3, 2))).to_dict()), encoding="utf-8")
     asked = ["analyse", "bisimulation", str(tmp_path / "model.json")]
-    assert run(*asked, "-O", "reward=[0, 1, 1]", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["labels"] == [0, 1, 1]
-    assert run(*asked, "-O", "reward=[0, 1]") == 2
-    assert "expected shape (3, 2) or (3,)" in capsys.readouterr().err
-    assert run(*asked) == 2
-    assert "-O reward=" in capsys.readouterr().err
-    assert run("analyse", "bisimulations", "corridors-mdp") == 2
-    assert "did you mean bisimulation" in capsys.readouterr().err
+    assert json.loads(sysid(*asked, "-O", "reward=[0, 1, 1]", "--json").out)["labels"] == [0, 1, 1]
+    assert "expected shape (3, 2) or (3,)" in sysid(*asked, "-O", "reward=[0, 1]", status=2).err
+    assert "-O reward=" in sysid(*asked, status=2).err
+    assert "did you mean bisimulation" in sysid("analyse", "bisimulations", "corridors-mdp", status=2).err
 
 
-def test_corridors_that_are_alike_are_one(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("analyse", "bisimulation", "corridors-mdp", "-P", "length=4") == 0
-    assert "9 states in 5 classes" in capsys.readouterr().out
+def test_corridors_that_are_alike_are_one(sysid: Callable[..., Any]) -> None:
+    assert "9 states in 5 classes" in sysid("analyse", "bisimulation", "corridors-mdp", "-P", "length=4").out
     slippery = api.analyse("bisimulation", "corridors-mdp", subject_options={"length": 4, "slip": 0.2})
     assert len(slippery.rows) == 9
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import harness
 from harness import api
-from harness.command import main
 from harness.errors import InputError
 from harness.physics.models.chain import chain_modes
 
@@ -29,17 +30,10 @@ def ambient(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(list(arguments))
-    return int(ended.value.code or 0)
-
-
-def test_on_the_command_line(ambient: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_on_the_command_line(ambient: Path, tmp_path: Path, sysid: Callable[..., Any]) -> None:
     folder = tmp_path / "found"
     asked = ["modes", str(ambient), "--input", "none", "--output", "q1", "--output", "q2", "--output", "q3"]
-    assert run(*asked, "--order", "2..12", "-o", str(folder), "--json") == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(sysid(*asked, "--order", "2..12", "-o", str(folder), "--json").out)
     exact = chain_modes()[0]
     assert [mode["frequency"] for mode in found["modes"][:2]] == pytest.approx(exact[:2], rel=0.01)
     assert found["orders"] == [2, 4, 6, 8, 10, 12]
@@ -52,10 +46,8 @@ def test_on_the_command_line(ambient: Path, tmp_path: Path, capsys: pytest.Captu
     assert page.count("<img") == 3
     assert "natural" in page or "frequency [Hz]" in page
     assert json.loads((folder / "modes.json").read_text(encoding="utf-8"))["modes"] == found["modes"]
-    assert run(*asked, "-o", str(folder)) == 2
-    assert "--force" in capsys.readouterr().err
-    assert run(*asked, "--order", "2..12") == 0
-    text = capsys.readouterr().out
+    assert "--force" in sysid(*asked, "-o", str(folder), status=2).err
+    text = sysid(*asked, "--order", "2..12").out
     assert "frequency [Hz]" in text
     assert "no input: shapes have no scale" in text
 
@@ -71,11 +63,9 @@ def test_on_the_command_line(ambient: Path, tmp_path: Path, capsys: pytest.Captu
         (["--window", "100000"], "too short"),
     ],
 )
-def test_wrong_words_are_one_line(
-    ambient: Path, more: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("modes", str(ambient), "--model", "mass-chain", *more) == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("sysid: ")]
+def test_wrong_words_are_one_line(ambient: Path, more: list[str], said: str, sysid: Callable[..., Any]) -> None:
+    shown = sysid("modes", ambient, "--model", "mass-chain", *more, status=2).err
+    lines = [line for line in shown.splitlines() if line.startswith("sysid: ")]
     assert len(lines) == 1
     assert said in lines[0]
 

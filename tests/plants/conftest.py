@@ -1,8 +1,7 @@
-"""What the plants' tests share: golden records, and FMUs that misbehave, built once for a test session."""
+"""What the plants' tests share: golden records."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,26 +10,6 @@ import numpy as np
 import pytest
 
 from harness.signals import FloatArray
-
-FOLDER = Path(__file__).resolve().parent / "fmus"
-
-
-@pytest.fixture(scope="session")
-def odd_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Return a builder: name of a folder under fmus/, FMI version -> path of the FMU."""
-    from harness.fmi import build
-
-    if build.compiler() is None:
-        pytest.skip("no C compiler: install gcc")
-    folder = tmp_path_factory.mktemp("fmus")
-
-    def built(name: str, version: int = 2) -> Path:
-        target = folder / f"{name}-{version}.fmu"
-        if not target.is_file():
-            build.build_fmu(FOLDER / name, version, target)
-        return target
-
-    return built
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from harness import api, registry, trusting
-from harness.command import main
 from harness.cosim import Connection, Coupled
 from harness.errors import PlantError
 from harness.fmi.build import build_fmu
@@ -79,7 +79,7 @@ SYSTEM = """<?xml version="1.0"?>
 
 
 def test_commands_name_the_part_that_ended_the_process(
-    odd_fmu: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    odd_fmu: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sysid: Callable[..., Any]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copy(odd_fmu("hostile"), "hostile.fmu")
@@ -90,10 +90,7 @@ def test_commands_name_the_part_that_ended_the_process(
         archive.write("hostile.fmu", "resources/hostile.fmu")
 
     def said(*words: str) -> str:
-        with pytest.raises(SystemExit) as caught:
-            main([*words, "--trust", "."])
-        assert caught.value.code == 2
-        return capsys.readouterr().err.splitlines()[-1]
+        return sysid(*words, "--trust", ".", status=2).err.splitlines()[-1]
 
     assert "loop.toml: part 'odd': killed by SIGABRT during " in said("simulate", "loop.toml")
     assert "plant.ssp: part 'cellar.odd': killed by SIGSEGV during reset" in said("simulate", "plant.ssp")

@@ -4,30 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from harness import api
-from harness.command import main
 from harness.data import read_trajectory
 from harness.errors import InputError, PlantError
 from plants.mockups import mockup
 
 
-def sysid(*words: str | Path) -> int:
-    """Run the command and return its exit status."""
-    with pytest.raises(SystemExit) as caught:
-        main([str(word) for word in words])
-    return int(caught.value.code or 0)
-
-
-def test_arrays_texts_and_chosen_outputs_go_into_a_file(odd_fmu: Callable[..., Path], tmp_path: Path) -> None:
+def test_arrays_texts_and_chosen_outputs_go_into_a_file(
+    odd_fmu: Callable[..., Path], tmp_path: Path, sysid: Callable[..., Any]
+) -> None:
     out = tmp_path / "run.csv"
     chosen = ["-O", "inputs=['u', 'w']", "-O", "outputs=['y', 'label_length']", "-O", "sample_time=0.1"]
     parameters = ["-O", "parameters.A=[[1, 2], [3, 4]]", "-O", "parameters.label=four"]
     command = ["simulate", odd_fmu("zoo", 3), "--scenario", "steps", *chosen, *parameters, "-o", out]
-    assert sysid(*command) == 0
+    sysid(*command)
     run = read_trajectory(out, inputs=["u[1]", "u[2]", "w"])
     assert [channel.name for channel in run.spec.outputs] == ["y[1]", "y[2]", "label_length"]
     assert run.y[1:, :2] == pytest.approx(run.u[:-1, :2] @ np.array([[1.0, 3.0], [2.0, 4.0]]))
@@ -45,12 +40,14 @@ def test_local_variables_parameters_and_substeps_by_name() -> None:
 
 @pytest.mark.parametrize(("mode", "words"), [(1, "killed by SIGSEGV"), (2, "killed by SIGABRT"), (3, "exited with")])
 def test_an_fmu_that_takes_its_process_down_does_not_take_the_command(
-    odd_fmu: Callable[..., Path], mode: int, words: str, capsys: pytest.CaptureFixture[str], temporary_folder: Path
+    odd_fmu: Callable[..., Path], mode: int, words: str, sysid: Callable[..., Any], temporary_folder: Path
 ) -> None:
     path = odd_fmu("hostile")
     options = ["-O", "sample_time=0.01", "-O", f"parameters.mode={mode}"]
-    assert sysid("simulate", path, "--scenario", "multisine", *options, "-S", "duration=1") == 2
-    assert f"hostile-2.fmu: {words}" in capsys.readouterr().err
+    assert (
+        f"hostile-2.fmu: {words}"
+        in sysid("simulate", path, "--scenario", "multisine", *options, "-S", "duration=1", status=2).err
+    )
     assert not list(temporary_folder.iterdir())
 
 

@@ -14,9 +14,8 @@ import pytest
 from harness.errors import InputError
 from plants.fmu import engine as fmu_engine
 from plants.fmu.archive import read_fmu
-from plants.fmu.options import encoded
+from plants.fmu.options import encode, encoded
 from plants.fmu.plant import FmuPlant, describe
-from plants.fmu.values import encode
 from plants.fmu.variables import channels, choose, resize
 
 RNG = np.random.default_rng(0)

@@ -11,20 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.signals import Channel, PlantSpec, Trajectory
-from harness.testing import (
-    DEFECTS,
-    EXCITATIONS,
-    NOISES,
-    Defective,
-    Noise,
-    defective_recordings,
-    excitations,
-    mechanisms,
-    noises,
-    placed_effects,
-    simulate_linear,
-    tempered_systems,
-)
+from harness.testing import DEFECTS, EXCITATIONS, NOISES, Defective, Noise, simulate_linear, tempered_systems
+from harness.testing.records import defective_recordings, excitations, mechanisms, noises, placed_effects
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("a", "m"), Channel("b", "rad")), 0.1)
 T = np.arange(200) * 0.1

@@ -31,14 +31,10 @@ from plants.mockups import mockup
 N = 60
 TOML = """
 name = "broken"
+signals.u = { role = "input", unit = "N m" }
+signals.theta = { role = "output", unit = "rad" }
 [time]
 column = "time"
-[signals.u]
-role = "input"
-unit = "N m"
-[signals.theta]
-role = "output"
-unit = "rad"
 [nominal]
 model = "pendulum"
 [nominal.parameters]
@@ -75,6 +71,11 @@ axes = { "scenarios.noise" = [0.0, 0.1] }
 """
 COUPLING = """
 sample_time = 0.01
+connections = [
+  { from = "wish", to = "law.r" },
+  { from = "arm.theta", to = "law.y" },
+  { from = "law.u", to = "arm.u", gain_unit = "N m" },
+]
 inputs = { wish = "law.r" }
 outputs = ["arm.theta", "law.u"]
 initial = { "arm.theta" = 0.3 }
@@ -83,16 +84,6 @@ plant = "pendulum-fmu"
 [parts.law]
 mockup = "pi_controller"
 options = { sample_time = 0.01, parameters = { Kp = 0.5, Ki = 0.2 } }
-[[connections]]
-from = "wish"
-to = "law.r"
-[[connections]]
-from = "arm.theta"
-to = "law.y"
-[[connections]]
-from = "law.u"
-to = "arm.u"
-gain_unit = "N m"
 """
 
 
@@ -165,8 +156,8 @@ def write_inputs(folder: Path) -> dict[str, Callable[[Path], object]]:
             toml = path.with_name(f"of-{path.name}.toml")
             text = TOML.replace("FILE", path.name)
             if path.suffix == ".mcap":
-                text = text.replace("[signals.u]", '[signals.u]\ncolumn = "/arm.u"')
-                text = text.replace("[signals.theta]", '[signals.theta]\ncolumn = "/arm.theta"')
+                text = text.replace("signals.u = { ", 'signals.u = { column = "/arm.u", ')
+                text = text.replace("signals.theta = { ", 'signals.theta = { column = "/arm.theta", ')
             toml.write_text(text, encoding="utf-8")
             return load_dataset(toml)
 

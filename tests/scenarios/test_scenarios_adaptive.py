@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from harness.command import main
 from harness.errors import InputError
 from harness.physics import load_model, lumped
 from harness.rng import Streams
@@ -123,20 +122,17 @@ def test_what_does_not_fit_is_refused():
     for options, words in (
         ({"mechanism": "cart-pole"}, "each with a motor"),
         ({"move": {"elbow": 1.0}}, "option move"),
-        ({"method": "guess"}, "options of adaptive-control"),
+        ({"method": "guess"}, "option of adaptive-control"),
         ({"method": "identifier", "identifier": "no-such"}, "option identifier"),
     ):
         with pytest.raises(InputError, match=words):
             AdaptiveControl(**options).prepare(pendulum.spec, streams=Streams("a", "b", seed=0), role="r")
 
 
-def test_a_command_tells_what_was_tracked_and_what_was_learned(tmp_path, capsys):
+def test_a_command_tells_what_was_tracked_and_what_was_learned(tmp_path, sysid):
     given = 'scenario={duration=6, amplitude=1.0, band=[0.1, 1.0], lines=4, method="identifier"}'
     asked = ["analyse", "adaptive-tracking", "pendulum-ode", "-P", "sample_time=0.02", "-O", given, "--json"]
-    with pytest.raises(SystemExit) as ended:
-        main([*asked, "-o", str(tmp_path / "learned.svg")])
-    assert ended.value.code == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(sysid(*asked, "-o", tmp_path / "learned.svg").out)
     assert found["parameters off"][0] == pytest.approx(0.8)
     assert found["parameters off"][1] < 0.02
     assert max(found["rms"]) < 0.05

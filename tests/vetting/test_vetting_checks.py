@@ -34,30 +34,13 @@ TERMINATES = 8
 
 
 @pytest.fixture(scope="session")
-def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if build.compiler() is None:
-        pytest.skip("no C compiler: install gcc")
-    target = tmp_path_factory.mktemp("vetting") / "faulty.fmu"
-    build.build_fmu(Path(__file__).parent / "fmus" / "faulty", 2, target)
-    return target
+def faulty(odd_fmu: Callable[..., Path]) -> Path:
+    return odd_fmu("faulty")
 
 
 @pytest.fixture(scope="session")
-def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if build.compiler() is None:
-        pytest.skip("no C compiler: install gcc")
-    target = tmp_path_factory.mktemp("vetting") / "hostile.fmu"
-    build.build_fmu(Path(__file__).parents[1] / "plants" / "fmus" / "hostile", 2, target)
-    return target
-
-
-@pytest.fixture(scope="session")
-def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if build.compiler() is None:
-        pytest.skip("no C compiler: install gcc")
-    target = tmp_path_factory.mktemp("vetting") / "ball.fmu"
-    build.build_fmu(Path(__file__).parents[1] / "plants" / "fmus" / "ball", 2, target)
-    return target
+def hostile(odd_fmu: Callable[..., Path]) -> Path:
+    return odd_fmu("hostile")
 
 
 @pytest.fixture(scope="session")
@@ -177,7 +160,8 @@ def test_no_run_goes_beyond_the_own_experiment(tmp_path: Path) -> None:
     assert samples_of(describe_fmu(mockup("pendulum")), 0.01) == 200
 
 
-def test_derivatives_by_states_are_held_against_differences(ball: Path) -> None:
+def test_derivatives_by_states_are_held_against_differences(odd_fmu: Callable[..., Path]) -> None:
+    ball = odd_fmu("ball")
     content = describe_fmu(ball)
     subject = Subject(ball, content, {"path": str(ball), "sample_time": 0.02}, 10.0)
     _, record = excited(replace(subject, samples=10))

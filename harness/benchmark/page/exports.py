@@ -16,7 +16,7 @@ from harness.benchmark.summary import (
     optional_scores,
     pairs_in_words,
 )
-from harness.errors import InputError
+from harness.errors import refuse_unknown
 
 HEAD = (
     "plant",
@@ -49,10 +49,7 @@ def render(result: BenchResult, form: str) -> str:
     InputError
         If there is no such form.
     """
-    if form not in FORMATS:
-        raise InputError(
-            "format of a table", expected=", ".join(FORMATS), got=repr(form), remedy="choose one", place="--format"
-        )
+    refuse_unknown("format of a table", form, FORMATS, remedy="choose one")
     return FORMATS[form](result)
 
 

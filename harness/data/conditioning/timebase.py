@@ -214,7 +214,7 @@ def _jumps(
     if jumps.any() and rules.gaps == "refuse":
         k = int(np.argmax(jumps))
         raise InputError(
-            f"time is not uniform ({int(jumps.sum())} gaps)",
+            f"time is not uniform ({int(jumps.sum())} gap{'' if jumps.sum() == 1 else 's'})",
             expected=f"a step of {dt:g} s between rows",
             got=f"{steps[k]:g} s between {where(k)} and {where(k + 1)} (t = {stamps[k]:g} s)",
             remedy=(

@@ -11,10 +11,11 @@ from scipy.ndimage import maximum_filter1d
 
 from harness.data.oddities.between import mismatched
 from harness.data.oddities.held import held_readings, stuck_rows
-from harness.data.oddities.leaps import POSITIONS, leaps_of
+from harness.data.oddities.leaps import POSITIONS, SIDE, STRIDES, leaps_of
 from harness.data.oddities.levels import coarse_step, saturated, stuck
 from harness.data.oddities.numbers import ODD
 from harness.data.oddities.pace import band_of, trend_of
+from harness.data.oddities.rows import slips_of
 from harness.data.oddities.spikes import Spikes, alike, spikes_of, unfelt
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, Oddity, Trajectory
@@ -116,6 +117,8 @@ class _Look:
         for column, channel in enumerate(self.spec.outputs):
             if channel.kind == "real" and np.ptp(self.y[:, column]) > 0:
                 self._output(column, channel)
+        if self.n >= ODD.fewest:
+            self._slips()
 
     def _beyond_all(self) -> None:
         """Leave out numbers so large that their squares are none: a damaged row, which no average survives."""
@@ -203,7 +206,9 @@ class _Look:
             self.resting[first : first + length, column] = True
             after = abs(plain[first + length] - plain[first])
             if after > ODD.catch_up * length * typical:  # a plant that stands still starts slowly
-                fresh[first + 1 : first + length] = False
+                before = np.abs(np.diff(plain[max(first - SIDE - 1, 0) : first + 1]))
+                fell = before[-1] > STRIDES * before[:-1].max(initial=np.inf if len(before) < 2 else 0.0)
+                fresh[first + int(not fell) : first + length] = False  # a drop-out to 0 is no reading from the start
         if not fresh.all():
             self._leave(column, fresh, plain)
         rows = np.concatenate([np.arange(first, first + length) for first, length in found])
@@ -252,6 +257,30 @@ class _Look:
                 "a record of its own"
             )
             self._add("leap", channel, np.array([row]), words)
+
+    def _slips(self) -> None:
+        """Find places where rows are missing or written twice, none of which the clock shows."""
+        real = [k for k, one in enumerate(self.spec.outputs) if one.kind == "real" and not self.uneven[k]]
+        if not real or self.missing[:, real].mean() > ODD.most:
+            return
+        plain = [
+            self.y[:, k] if (period := self.spec.outputs[k].period) is None else _unwrapped(self.y[:, k], period)
+            for k in real
+        ]
+        known = {row for odd in self.oddities if odd.kind == "leap" for row in odd.rows}
+        for slip in slips_of(np.column_stack(plain), self.u, np.asarray(self.missing[:, real].any(axis=1))):
+            if any(abs(slip.row - row) <= ODD.order for row in known):
+                continue
+            when = f"row {slip.row} (t = {self.record.t[slip.row]:g} s)"
+            rows = "a row is" if slip.lost == 1 else f"{slip.lost} rows are"
+            kind, words = (
+                ("twice", f"{when} repeats the one before in every channel, and what follows goes on as if it were not "
+                 "there: leave it out")
+                if slip.lost < 0
+                else ("leap", f"{rows} missing before {when}: with unknown ones there, what follows is foretold as "
+                      "elsewhere; close-loop takes it as a record of its own")
+            )  # fmt: skip
+            self._add(kind, self.spec.outputs[real[0]], np.array([slip.row]), words)
 
     def _leave(self, column: int, fresh: npt.NDArray[np.bool_], plain: FloatArray) -> None:
         """Count readings as missing, with what those beside them foretell in their place."""

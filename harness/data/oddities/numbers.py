@@ -52,6 +52,7 @@ class OddNumbers:
         "log-likelihood of the output that tells a glitch of the logged input from one that the plant felt",
         "one in a million",
     )
+    lost: int = _number(3, "rows that a log may lose at a place and that are counted", "more are a leap of positions")
     repeats: float = _number(
         0.01, "share of readings equal to the one before that are worth a look", "one in a hundred"
     )

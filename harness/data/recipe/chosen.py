@@ -279,7 +279,8 @@ class Chosen:
             "which columns are inputs and which are outputs",
             expected=f"{' and '.join(f'{word} NAME' for word in missing)}, or a model whose ports name the columns",
             got=f"columns {shown or '(none)'}",
-            remedy="name them (--input none where nothing drives the outputs), give --model, or write a dataset.toml",
+            remedy="name them, give --model, or write a dataset.toml; --input none where nothing drives the outputs "
+            "(identify and modes fit free motion)",
             file=table.path,
         )
 

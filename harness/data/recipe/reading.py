@@ -76,7 +76,8 @@ class Reader:
 
             arm = is_arm(plan.nominal.model)
         for number, section in enumerate(self.description.runs):
-            file, place = self._file(number, section), f"runs[{number}]"
+            file = self._file(number, section)
+            place, name = self._place(number, section, file)
             try:
                 pieces, notes = self._pieces(
                     section, open_table(file, self.tables, section.sheet), None if spec is None else spec.sample_time
@@ -87,16 +88,17 @@ class Reader:
                     trajectory, extra = self._trajectory(piece, spec)
                     whole = len(piece.values) == longest
                     notes += check_run(
-                        trajectory, measured, recorded=self.recorded, inverse_dynamics=arm, fitted=fitted, whole=whole
-                    )
+                        trajectory, measured, recorded=self.recorded, inverse_dynamics=arm, fitted=fitted, whole=whole,
+                        of=self._divided(section),
+                    )  # fmt: skip
                     label = section.label + (f"/{order}" if len(pieces) > 1 else "")
                     runs.append(Run(trajectory, section.use, label.lstrip("/")))
                     references.append(extra)
                     records.append(number)
-                    names.append(f"{place} ({file.name})" + (f", piece {order}" if len(pieces) > 1 else ""))
+                    names.append(name + (f", piece {order}" if len(pieces) > 1 else ""))
             except InputError as error:
                 raise error.located(file=file, place=place) from error
-            self.notes += [f"{place} ({file.name}): {note}" for note in dict.fromkeys(notes)]
+            self.notes += [f"{name}: {note}" for note in dict.fromkeys(notes)]
         for table in self.tables.values():
             self.notes += [f"{table.path.name}: {note}" for note in table.notes]
         self.notes += check_runs(runs, records)
@@ -118,6 +120,21 @@ class Reader:
             ),
         )
         return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
+
+    def _place(self, number: int, section: RunSection, file: Path) -> tuple[str | None, str]:
+        """Return what a run is called in its file, and everywhere: of a bare table nobody has numbered the runs."""
+        if self.path.suffix == ".toml":
+            return f"runs[{number}]", f"runs[{number}] ({file.name})"
+        if section.rows is None:
+            return None, file.name
+        part = f"rows {section.rows[0]} to {section.rows[1]}"
+        return part, f"{file.name}, {part}"
+
+    def _divided(self, section: RunSection) -> int | None:
+        """Return the rows of a table of which nobody said that the last third validates; None where rows are said."""
+        if self.path.suffix == ".toml" or section.rows is None:
+            return None
+        return max(run.rows[1] for run in self.description.runs if run.rows is not None)
 
     def _refuse_conditioning(self) -> None:
         """Refuse trends and bands taken from signals that a nonlinear model is to explain."""

@@ -41,6 +41,7 @@ def check_run(
     inverse_dynamics: bool = False,
     fitted: bool = True,
     whole: bool = True,
+    of: int | None = None,
 ) -> list[str]:
     """Return the warnings about one run, and refuse one that cannot be used.
 
@@ -59,6 +60,8 @@ def check_run(
     whole : bool
         False for one of several pieces of a record, which the longest of them speaks for: in a short one chance may
         make an input follow an output.
+    of : int, optional
+        Rows of the table whose last third was set aside without being asked for.
 
     Raises
     ------
@@ -69,12 +72,16 @@ def check_run(
     recorded = recorded or {}
     spec, own = trajectory.spec, own_record(trajectory, recorded)
     if fitted and len(trajectory) < SHORTEST:
+        rows, least = (len(trajectory), SHORTEST) if of is None else (of, 3 * SHORTEST - 2)
         raise InputError(
-            f"a record of {len(trajectory)} row{'s' if len(trajectory) > 1 else ''}",
-            expected=f"at least {SHORTEST} rows: the smallest model has five unknowns (three parameters, two initial "
-            "values), and four readings for each leave something to judge it by",
-            got=str(len(trajectory)),
-            remedy="record longer, or check rows, discard and the export",
+            f"a record of {rows} row{'s' if rows > 1 else ''}",
+            expected=f"at least {least} rows{', of which the last third validates' * (of is not None)}: the smallest "
+            "model has five unknowns (three parameters, two initial values), and four readings for each leave "
+            "something to judge it by",
+            got=str(rows),
+            remedy="record longer, or check rows, discard and the export"
+            if of is None
+            else f"record longer, or give data that validate (--run validation=FILE): {SHORTEST} rows of either",
         )
     for values, channels in ((trajectory.u, spec.inputs), (trajectory.y, spec.outputs)):
         for column, channel in enumerate(channels):

@@ -13,8 +13,8 @@ from harness.data.tables.cells import numbers_of, say_truths, seconds_of, with_u
 from harness.data.tables.headers import TIME_UNITS, split_header, words_of
 from harness.data.tables.packing import NUMBER, refuse_large
 from harness.data.tables.selectors import parse_selector, vector
-from harness.data.tables.stamps import clock
 from harness.data.tables.texts import suffix_by_content
+from harness.data.times.stamps import clock
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
@@ -452,8 +452,71 @@ class MatV73File(Hdf5File):
     transposed = True
 
 
-def open_mat(path: Path) -> MatFile | MatV73File:
+class ModelicaFile:
+    """A result that Dymola or OpenModelica wrote: the variables that move, by their names in the model.
+
+    Reference: Modelica Association, *Modelica 3.4*, result files "Atrajectory"; the layout is that of Dymola's manual:
+    ``dataInfo`` says of each name in which matrix and column (below 0: with the other sign) it stands.
+    """
+
+    def __init__(self, content: dict[str, Any], path: Path) -> None:
+        head = [str(line).strip() for line in content["Aclass"]]
+        across = head[-1] == "binTrans"
+        names, said = (_lines_of(content[key], across=across) for key in ("name", "description"))
+        info = np.asarray(content["dataInfo"]).T if across else np.asarray(content["dataInfo"])
+        moving = content.get("data_2")
+        if moving is None or len(names) != len(info):
+            raise broken(path, "Modelica result", ValueError("no trajectories"))
+        data = np.asarray(moving, dtype=np.float64)
+        data = data.T if across else data
+        self._columns: dict[str, FloatArray] = {}
+        self._units: dict[str, str] = {}
+        for name, text, (matrix, column, *_) in zip(names, said, info.astype(int), strict=True):
+            if matrix == 1:
+                continue  # a parameter, or what does not move
+            self._columns[name] = np.copysign(1.0, column) * data[:, abs(column) - 1]
+            found = re.search(r"\[([^\[\]|:#]+)[^\[\]]*\]$", text)
+            if found is not None:
+                self._units[name] = found[1].strip()
+        still = len(names) - len(self._columns)
+        self.titles = list(self._columns)
+        self.notes = [f"{still} names of what does not move are left out"] if still else []
+
+    def values(self, title: str) -> FloatArray:
+        """Return the trajectory (N,) of a variable."""
+        return self._columns[title].copy()
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: variables go by their names."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit at the end of a variable's description."""
+        return self._units.get(title)
+
+
+def _lines_of(value: Any, *, across: bool) -> list[str]:
+    """Return the texts of a matrix of characters, one in each row, or down each column."""
+    rows = [str(row) for row in np.asarray(value).reshape(-1)]
+    if across:
+        width = max(map(len, rows), default=0)
+        rows = ["".join(column) for column in zip(*(row.ljust(width) for row in rows), strict=True)]
+    return [row.strip() for row in rows]
+
+
+def open_mat(path: Path) -> MatFile | MatV73File | ModelicaFile:
     """Return the reader for the version of a MAT file."""
     with path.open("rb") as file:
         head = file.read(128)
-    return MatV73File(path) if head.startswith(b"MATLAB 7.3") else MatFile(path)
+    if head.startswith(b"MATLAB 7.3"):
+        return MatV73File(path)
+    if b"Aclass" in head:
+        from scipy.io import loadmat
+
+        try:
+            content = loadmat(path)
+        except Exception as error:
+            raise broken(path, "MAT", error) from error
+        if str(content["Aclass"][0]).strip() == "Atrajectory":
+            return ModelicaFile(content, path)
+    return MatFile(path)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.data.tables.headers import TIME_UNITS, split_header, unit_of_time
-from harness.data.tables.stamps import clock
+from harness.data.times.stamps import clock
 from harness.errors import InputError
 from harness.signals import FloatArray
 from harness.units import convert, fits, is_unit

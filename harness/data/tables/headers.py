@@ -6,6 +6,7 @@ import re
 import unicodedata
 from collections.abc import Collection, Iterator, Sequence
 
+from harness.data.times.parts import PARTS
 from harness.errors import InputError
 from harness.units import fits, is_unit
 
@@ -18,6 +19,11 @@ TRUTH = "truth:"
 _HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 _INDEX = re.compile(r"(?!\s*1?\s*$)\s*(?:\d+|:)\s*(?:,\s*(?:\d+|:)\s*)*")
 _ROUND = re.compile(r"^(?P<name>.*?)\s*[(<{](?P<unit>[^()<>{}]*)[)>}]\s*$")
+_BEHIND = re.compile(r"^(?P<name>.*\S)\s+(?:/|in)\s+(?P<unit>[^\s/\[\](){}][^\[\](){}]*)$")
+_OF_NODE = {"V": ("V", "m^3", "m/s"), "I": ("A", "kg m^2", "m^4", "W/m^2", "cd", "%")}
+"""What V and I stand for: in brackets behind them no other unit stands, but a node or a part (SPICE's ``V(in)``)."""
+_ALONE = frozenset("smgVAWNJKCFHTh%°")
+"""Units of one sign that may stand behind ``in`` or a slash: ``y / u`` is a ratio, and no atomic mass."""
 _GROUP = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
 _WIDE = str.maketrans("（）［］｛｝【】〔〕〈〉《》＜＞／：，、；．＿－　＊･・｡˚∘", "()[]{}[][]<><><>/:,,;._- *··.°°")
 _BREAK = re.compile(r"[\s_,;:/.|=\-]+(?:in[\s_]+)?|(?<=[a-z])(?=[A-Z])")
@@ -33,9 +39,9 @@ _FACTOR = re.compile(r"[x*^×·]?\d.*|.*[*^×·].*")
 # ruff: noqa: RUF001 - words of other alphabets
 
 TIME_WORDS = frozenset(
-    "time times t ts timestamp timestamps stamp datetime elapsed clock epoch unix unixtime zeit zeitstempel uhrzeit "
-    "zeitpunkt dauer temps horodatage durée duree instant tiempo instante tempo istante durata tijd tijdstempel tid "
-    "czas čas cas aika idő zaman vreme vrijeme waktu час время "
+    "time times t tout ts timestamp timestamps stamp datetime elapsed clock epoch unix unixtime zeit zeitstempel "
+    "uhrzeit zeitpunkt dauer temps horodatage durée duree instant tiempo instante tempo istante durata tijd "
+    "tijdstempel tid czas čas cas aika idő zaman vreme vrijeme waktu час время "
     "χρόνος ώρα เวลา زمن الزمن وقت الوقت समय laikas timp timpul aeg laiks thời gian "
     "时间 時間 时间戳 時間戳 时刻 時刻 经过时间 経過時間 采样时间 测量时间 測定時間 タイム "
     "タイムスタンプ 시간 시각".split()
@@ -56,7 +62,7 @@ _BESIDE = frozenset(
     "rec publish header msg system sys local utc gps gmt ros sim simulation run test total measured measurement value "
     "values val data array vec vector axis col column base code seit ab beginn messung écoulé ecoule écoulée depuis "
     "début debut transcurrido decorrido desde inicio trascorso da inizio en em i achse axe eje asse 轴 軸 "
-    "real wall date datum fecha de du la le el il da di der die das and".split()
+    "real wall date datum fecha today de du la le el il da di der die das and".split()
 )
 """Words beside one for time that say nothing of its unit, in small letters."""
 
@@ -66,7 +72,7 @@ TIME_UNITS = {
         "s": "s sec secs second seconds sek sekunde sekunden seconde seconden secondes seg segs segundo segundos "
         "secondo secondi sekunda sekundy sekund sekunder saniye sn sekundės secunde sekundit "
         "δευτερόλεπτα ثانية сек секунда секунды секунд с 秒 初 초",
-        "ms": "ms msec msecs msek mseg milli millis millisec millisecs millisecond milliseconds millisekunde "
+        "ms": "ms msec msecs msek mseg milli millis millitm millisec millisecs millisecond milliseconds millisekunde "
         "millisekunden milliseconde milliseconden millisecondes milisegundo milisegundos milissegundo milissegundos "
         "millisecondo millisecondi milisekunda milisekundy milisekund millisekunder milisaniye msn milisekundės "
         "milisecunde millisekundit миллисекунда миллисекунды миллисекунд мс мсек 毫秒 ミリ秒 밀리초",
@@ -104,7 +110,8 @@ COUNTS = frozenset("tick ticks count counts cycle cycles sample samples frame fr
 def split_header(header: str) -> tuple[str, str | None]:
     """Return name and unit of a column title that has the unit in brackets; in round ones only where it is a unit.
 
-    A number in brackets is the index of an element, but for 1, which is the unit of plain numbers.
+    So it is behind ``in`` or a slash between blanks (ISO 80000-1). A number in brackets is the index of an element, but
+    for 1, which is the unit of plain numbers.
 
     Examples
     --------
@@ -112,6 +119,8 @@ def split_header(header: str) -> tuple[str, str | None]:
     (('tau_J[0]', None), ('data[:,1]', None), ('share', '1'))
     >>> split_header("u [N m]"), split_header("theta"), split_header("theta (deg)"), split_header("theta (raw)")
     (('u', 'N m'), ('theta', None), ('theta', 'deg'), ('theta (raw)', None))
+    >>> split_header("u / V"), split_header("CH1 in mV"), split_header("V(in)")
+    (('u', 'V'), ('CH1', 'mV'), ('V(in)', None))
     """
     header = header.translate(_WIDE) if not header.isascii() else header
     found = _HEADER.match(header)
@@ -120,9 +129,18 @@ def split_header(header: str) -> tuple[str, str | None]:
     if found is not None and found["name"]:
         return _bare(found["name"]), found["unit"].strip() or "1"
     found = _ROUND.match(header)
-    if found is not None and found["name"] and _says_unit(found["unit"]):
+    if found is not None and found["name"] and _says_unit(found["unit"]) and not _is_of_node(**found.groupdict()):
+        return _bare(found["name"]), found["unit"].strip()
+    found = _BEHIND.match(header.strip())
+    if found is not None and _says_unit(found["unit"]) and (len(found["unit"]) > 1 or found["unit"] in _ALONE):
         return _bare(found["name"]), found["unit"].strip()
     return header.strip(), None
+
+
+def _is_of_node(name: str, unit: str) -> bool:
+    """Return True for a voltage or current as SPICE titles it, whose node only looks like a unit of something else."""
+    of = _OF_NODE.get(name.upper())
+    return of is not None and not any(fits(unit, one) for one in of)
 
 
 def _bare(name: str) -> str:
@@ -245,6 +263,45 @@ _WHOLE = {
 """Words for whole seconds, and those for their fraction beside them (``timespec``, ``timeval``, stamps of ROS)."""
 
 
+_PART_WORDS = {
+    **dict.fromkeys("year jahr année annee año ano anno jaar rok год 年".split(), "year"),
+    **dict.fromkeys("month monat mois mes mês mese maand месяц 月".split(), "month"),
+    "d": "day", "日": "day",
+}  # fmt: skip
+"""Words for parts of a date that are no units of time, in small letters."""
+
+
+def parts_of(titles: Sequence[str]) -> dict[str, str]:
+    """Return by part (:data:`harness.data.times.parts.PARTS`) the columns that hold one time together; else nothing.
+
+    They are called by a part alone, and none between the coarsest and the finest is left out.
+
+    Examples
+    --------
+    >>> parts_of(["Jahr", "Monat", "Tag", "Stunde", "u"])
+    {'year': 'Jahr', 'month': 'Monat', 'day': 'Tag', 'h': 'Stunde'}
+    >>> parts_of(["s", "ms", "u"]), parts_of(["Year", "Minute", "u"])
+    ({'s': 's', 'ms': 'ms'}, {})
+    """
+    found: dict[str, str] = {}
+    for title in titles:
+        word = title.strip(" ()").lower()
+        part = _PART_WORDS.get(word) or TIME_UNITS.get(word, "").replace("d", "day")
+        if part in PARTS and found.setdefault(part, title) != title:
+            return {}
+    places = [place for place, part in enumerate(PARTS) if part in found]
+    plain = any(
+        title.strip(" ()").lower() not in _OTHERWISE and len(title.strip(" ()")) > 1 for title in found.values()
+    )
+    if (
+        len(places) < 3 - plain
+        or places != list(range(places[0], places[-1] + 1))
+        or PARTS[places[-1]] in ("month", "day")
+    ):
+        return {}
+    return {PARTS[place]: found[PARTS[place]] for place in places}
+
+
 def part_unit(name: str) -> str | None:
     """Return the unit of a column that is called by a part of a second alone; None for any other.
 
@@ -296,9 +353,19 @@ def clock_of(titles: Sequence[str], taken: Collection[str | int] = ()) -> str | 
         spoken = [title for title in free if _is_clock(title, compounds=compounds)]
         if spoken:
             return _only(spoken)
-    bare = {title: title.strip().lower().removesuffix("()") for title in free}  # millis() of an Arduino
-    units = [title for title, word in bare.items() if len(word) > 1 and word in TIME_UNITS and word not in _OTHERWISE]
+    if parts := parts_of(free):
+        return list(parts.values())[-1]
+    units = [title for title in free if _counts_time(title)]
     return _only(units or [title for title in free if _leads(*split_header(title))])
+
+
+def _counts_time(title: str) -> bool:
+    """Return True if a title is a unit of time, perhaps with words that say nothing: millis(), ``in s``, ms_today."""
+    words = words_of(title) or [""]
+    if words[0] == "in":
+        return len(words) == 2 and words[1] in TIME_UNITS
+    first = words[0] in TIME_UNITS and words[0] not in _OTHERWISE and len(words[0]) > 1
+    return first and all(word in _BESIDE for word in words[1:])
 
 
 def _leads(name: str, unit: str | None) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.data.tables.cells import EMPTY, is_number, numbers_of, with_unit
 from harness.data.tables.headers import clock_of, says_time, split_header
+from harness.data.times.stamps import is_time, is_time_of_day
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -51,9 +52,10 @@ class LongTable:
 
     def __init__(self, source: Any, columns: tuple[str, str, str, str], tags: Sequence[str]) -> None:
         clock, name, value, unit = columns
-        self._source, self._clock = source, clock
+        self._source, self._title = source, clock
+        self._clock = clock if clock_of([clock]) else "time"
         names = list(dict.fromkeys(tags))
-        self.titles = [clock, *names]
+        self.titles = [self._clock, *names]
         stamps: FloatArray = source.values(clock)
         written = np.array(tags)
         own = {one: np.flatnonzero(written == one) for one in names}
@@ -68,7 +70,7 @@ class LongTable:
             for one, rows in own.items():
                 filled[one][rows] = readings[rows]
             self._columns = {one: column[self._rows] for one, column in filled.items()}
-        self._columns[clock] = stamps[self._rows]
+        self._columns[self._clock] = stamps[self._rows]
         self._units = inside | (_units_of(source.texts(unit), own, source.where) if unit else {})
         shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
         self.notes = [
@@ -88,7 +90,7 @@ class LongTable:
         """Return the unit that the rows of a signal state, and s for dates."""
         if title != self._clock:
             return self._units.get(title)
-        stated: str | None = self._source.unit(title)
+        stated: str | None = self._source.unit(self._title)
         return stated
 
     def where(self, row: int) -> str:
@@ -130,6 +132,26 @@ def _units_of(units: Sequence[str], own: dict[str, Any], where: Callable[[int], 
     return found
 
 
+def _is_dated(cell: str) -> bool:
+    """Return True for a time with its date."""
+    return is_time(cell) and not is_time_of_day(cell)
+
+
+def _clock_of(source: Any, titles: Sequence[str], taken: Sequence[str]) -> str | None:
+    """Return the column of times; of several that of dates, which is said; None where nobody can say which counts."""
+    spoken = [title for title in titles if says_time(title) and title not in taken]
+    dated = [] if len(spoken) < 2 else [title for title in spoken if all(map(_is_dated, source.texts(title, 1)))]
+    try:
+        clock = dated[0] if len(dated) == 1 else clock_of(titles, taken)
+    except InputError:
+        return None
+    if len(spoken) > 1 and len(dated) != 1:
+        return None
+    if len(spoken) > 1:
+        source.notes.append(f"the dates in {clock!r} count, not {', '.join(one for one in spoken if one != clock)}")
+    return clock
+
+
 def in_long_form(source: Any) -> LongTable | None:
     """Return the signals of a table in long form as columns; None for any other table.
 
@@ -146,12 +168,9 @@ def in_long_form(source: Any) -> LongTable | None:
     taken = [title for some in found for title in some]
     if split_header(found[1][0])[1] is not None:
         return None  # one unit for all: readings of one kind, of which nobody says that they are signals apart
-    try:
-        clock = clock_of(titles, taken)
-    except InputError:
+    clock = _clock_of(source, titles, taken)
+    if clock is None:
         return None
-    if clock is None or any(says_time(title) for title in titles if title not in (clock, *taken)):
-        return None  # nobody can say which time counts
     tags = [tag.strip() for tag in source.texts(found[0][0])]
     counts = Counter(tags)
     if (

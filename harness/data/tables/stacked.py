@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from harness.data.tables.cells import is_number, is_unit_cell, units_below
+from harness.data.times.stamps import is_time
 
 MOST_ROWS = 6
 """Rows that a header may have."""
@@ -42,6 +43,7 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
     >>> stacked_titles([["t", "u"], ["0", "1"]]) is None
     True
     """
+    rows, named = _with_index_name(rows)
     count = _head_rows(rows)
     if count < 2:
         return None
@@ -60,7 +62,7 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
     if names is None:
         return None
     titles = units_below(names, units) if any(units) else names
-    return None if titles is None else (titles, count)
+    return None if titles is None else (titles, count + named)
 
 
 def are_counted(rows: Sequence[Sequence[str]]) -> bool:
@@ -89,6 +91,46 @@ def are_counted(rows: Sequence[Sequence[str]]) -> bool:
     return len(first) < 3 or abs(first[2] - 2 * first[1] + first[0]) > UNEVEN * abs(first[2] - first[1])
 
 
+def is_reading(rows: Sequence[Sequence[str]]) -> bool:
+    """Return True for a first row that is one of readings: numbers and times where others have them, the same words.
+
+    Examples
+    --------
+    >>> is_reading([["7", "base", "1.5"], ["8", "base", "1.6"], ["9", "base", "1.7"], ["10", "base", "1.8"]])
+    True
+    >>> is_reading([["1", "a", "b"], ["1", "2", "3"], ["2", "3", "4"], ["3", "4", "5"]])
+    False
+    """
+    titles, *below = rows
+    if len(below) < 3 or any(len(row) != len(titles) for row in below) or not any(map(_is_reading_cell, titles)):
+        return False
+    for k, cell in enumerate(titles):
+        column = [row[k] for row in below]
+        kind = next((kind for kind in (_is_reading_cell, is_time) if kind(cell)), None)
+        if not (all(map(kind, column)) if kind is not None else set(column) == {cell}):
+            return False
+    return True
+
+
+def _is_reading_cell(cell: str) -> bool:
+    """Return True for a number, perhaps with a decimal comma."""
+    return is_number(cell) or is_number(cell.replace(",", ".", 1))
+
+
+def are_stamps(rows: Sequence[Sequence[str]]) -> bool:
+    """Return True if the first two cells of all rows are whole seconds from 1970 and the nanoseconds between them.
+
+    Examples
+    --------
+    >>> are_stamps([["1732874400", "990000000"], ["1732874401", "10000000"]]), are_stamps([["0", "1"], ["1", "2"]])
+    (True, False)
+    """
+    if not all(len(row) == 2 and row[0].isdecimal() and row[1].isdecimal() for row in rows):
+        return False
+    whole = [(int(seconds), int(rest)) for seconds, rest in rows]
+    return whole == sorted(whole) and all(10**9 <= seconds < 5 * 10**9 and rest < 10**9 for seconds, rest in whole)
+
+
 def logger_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | None:
     """Return the titles of a logger's own header, and its rows; None for any other.
 
@@ -108,58 +150,18 @@ def logger_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | None
     ], 4
 
 
-def siglent_titles(lines: Sequence[str]) -> tuple[str, int] | None:
-    """Return the line of titles that the settings of a Siglent scope give, and how many lines stand for it.
-
-    Channels and their units stand in rows of their own, above ``Second,Value,Value``.
-
-    Examples
-    --------
-    >>> siglent_titles(["Record Length,Analog:9", "Vertical Units,CH1:V,CH2:A", "Source,CH1,CH2", "Second,Value,Value"])
-    ('time [s],CH1 [V],CH2 [A]', 4)
-    """
-    rows = {line.split(",")[0]: [cell.strip() for cell in line.split(",")[1:]] for line in lines}
-    end = next((row for row, line in enumerate(lines, start=1) if line.startswith("Second,Value")), None)
-    if end is None or not lines[0].startswith("Record Length,") or "Source" not in rows:
-        return None
-    units = dict(cell.partition(":")[::2] for cell in rows.get("Vertical Units", []))
-    names = [f"{name} [{units[name]}]" if units.get(name) else name for name in rows["Source"] if name]
-    return ",".join(("time [s]", *names)), end
-
-
-Cells = Callable[[list[str]], list[str]]
-
-
-def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str] | None:
-    """Return the titles of a scope's waveform, its rows above, what takes the cells of a row, and what to say of it.
-
-    Rigol counts the samples, and start and increment of the time stand once, behind the titles. Tektronix writes its
-    settings beside the first rows, in the first three columns.
-
-    Examples
-    --------
-    >>> rows = [["X", "CH1", "Start", "Increment"], ["Sequence", "Volt", "-0.5", "0.01"], ["0", "1.5", ""]]
-    >>> titles, above, cells_of, _ = scope_of(rows)
-    >>> titles, above, cells_of(["3", "1.25", ""])
-    (['time [s]', 'CH1 [Volt]'], 2, ['-0.47', '1.25'])
-    """
-    names, units = ([cell for cell in row if cell] for row in rows[:2]) if len(rows) > 1 else ([], [])
-    if names[:1] + units[:1] == ["X", "Sequence"] and names[-2:] == ["Start", "Increment"] and len(names) == len(units):
-        if not all(map(is_number, units[-2:])):
-            return None
-        start, step = map(float, units[-2:])
-        titles = [f"{name} [{unit}]" for name, unit in zip(names[1:-2], units[1:-2], strict=True)]
-
-        def counted(cells: list[str]) -> list[str]:
-            time = f"{start + step * float(cells[0]):.12g}" if is_number(cells[0]) else cells[0]
-            return [time, *cells[1 : len(titles) + 1]]
-
-        return ["time [s]", *titles], 2, counted, f"time: sample 0 at {start:g} s, every {step:g} s, as line 2 says"
-    settings = {row[0]: row[1] for row in rows if len(row) > 4 and row[0]}
-    if names[:1] + units[:1] != ["Record Length", "Sample Interval"] or settings.get("Horizontal Units") != "s":
-        return None
-    titles = ["time [s]", f"{settings.get('Source', 'y')} [{settings.get('Vertical Units', '1')}]"]
-    return titles, 0, lambda cells: cells[3:5], "the settings of the scope beside the first rows are left aside"
+def _with_index_name(rows: Sequence[Sequence[str]]) -> tuple[Sequence[Sequence[str]], int]:
+    """Return rows with the name of the index among the names, and 1 where pandas gave it a row of its own (else 0)."""
+    for row in range(1, min(len(rows) - 1, MOST_ROWS)):
+        if (
+            rows[row][0]
+            and not any(rows[row][1:])
+            and all(_is_head(one[1:]) for one in rows[:row])
+            and len(rows[0]) > 2
+        ):
+            head = [["", *one[1:]] for one in rows[: row - 1]] + [[rows[row][0], *rows[row - 1][1:]]]
+            return [*head, *rows[row + 1 :]], 1
+    return rows, 0
 
 
 def _head_rows(rows: Sequence[Sequence[str]]) -> int:

@@ -24,23 +24,32 @@ from harness.data.tables.cells import (
     with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
-from harness.data.tables.stacked import MOST_ROWS, are_counted, logger_titles, scope_of, siglent_titles, stacked_titles
-from harness.data.tables.stamps import is_time
+from harness.data.tables.keyed import keyed
+from harness.data.tables.labelled import labelled
+from harness.data.tables.stacked import (
+    MOST_ROWS,
+    are_counted,
+    are_stamps,
+    is_reading,
+    logger_titles,
+    stacked_titles,
+)
 from harness.data.tables.texts import CODINGS, closed_lines, text_of
+from harness.data.times.stamps import clock, is_time
 from harness.errors import InputError
 from harness.signals import FloatArray
 
 _DELIMITERS = (",", ";", "\t")
 _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
-NUMBERED, SETTINGS = 200, 30
-"""Rows that are asked whether the first one numbers the columns, and beside which a scope may write its settings."""
+NUMBERED = 200
+"""Rows that are asked whether the first one numbers the columns."""
 MOST_ABOVE = 100
 """Lines that a logger may write above its table."""
 _RULE = re.compile(r"[\s|+:=\-]*-{3,}[\s|+:=\-]*")
 _FRAME = re.compile(r"\+[-=+]{3,}\+")
-_END_OF_HEADER = "***End_of_Header***"
 _OTHER_COMMENTS = (";", "//", "!", "*")
+_SETTING = re.compile(r"\w+\s*=\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*[a-zA-Zµ]*")
 _MINUS = re.compile("\u2212(?=[\\d.,])")
 _PARTS = re.compile(r"[+-]?\d*(?:[.,](?P<decimals>\d*))?(?:[eEdD][+-]?(?P<power>\d*))?")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
@@ -81,7 +90,10 @@ class TextFile:
             for number, line in (closed_lines(lines) if '"' in text else enumerate(lines, start=1))
             if line.strip() and not line.lstrip().startswith(_COMMENTS)
         ]
-        spoken_of = self._leave_out_labview()
+        for other in (labelled, keyed):
+            if (found := other(self._lines)) is not None:
+                self._lines = found[0]
+                self.notes.append(found[1])
         while len(self._lines) > 1 and not self._lines[-1][1].strip(" ,;\t|"):  # rows of a workbook that hold nothing
             self._lines.pop()
         hint = _HINT.fullmatch(self._lines[0][1].strip(" \t")) if self._lines else None
@@ -89,13 +101,10 @@ class TextFile:
         if not self._lines:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
         self._leave_out_comments()
-        if (scope := siglent_titles([line for _, line in self._lines[:SETTINGS]])) is not None:
-            self._lines = [(self._lines[scope[1] - 1][0], scope[0]), *self._lines[scope[1] :]]
         self._leave_out_above(hint)
         self._leave_out_settings()
         above = self._lines
         self._read_header(lines, hint)
-        self.titles = [f"{title} [s]" if title == "X_Value" and spoken_of else title for title in self.titles]
         self._leave_out_again({line for _, line in above[: len(above) - len(self._lines)]}, text)
         if not self._lines:
             raise InputError(
@@ -110,10 +119,13 @@ class TextFile:
             self._leave_out_cut_end()
         self._body: bytes | None = None
         self._stated: dict[str, str] = {}
+        self._leave_out_twins()
+        if self.titles[0] == "" and not self._has_clock() and clock(self.texts("", 3)) is not None:
+            self.titles[0] = "time"  # the index of a table of pandas
 
     def _read_header(self, lines: list[str], hint: re.Match[str] | None) -> None:
         """Find the delimiter and the titles, and leave the rows of numbers."""
-        first = self._lines[0][1]
+        first = self._first = self._lines[0][1]
         best = _delimiter_of(first)
         self._delimiter = best if best in first else "|" if "|" in first else None
         if hint is not None:
@@ -122,40 +134,36 @@ class TextFile:
         numbers = sum(map(is_number, titles))
         mostly = any(titles) and 2 * numbers > len(titles) and not any(map(says_time, titles))
         named = self._named(lines, len(titles)) if mostly else None
-        plain = _are_numbers([cell for cell in titles if cell]) and any(titles)
+        plain = any(titles) and (_are_numbers([cell for cell in titles if cell]) or is_reading(self._head()))
         if plain and named is None and are_counted([self._cells(line) for _, line in self._lines[:NUMBERED]]):
             self.titles, self._lines = titles, self._lines[1:]
         elif named is not None or plain:
             self.titles = named or [str(number) for number in range(len(titles))]
             if named is None:
                 self.notes.append(f"line {self._lines[0][0]} holds numbers: the columns are called 0, 1, ... in order")
+                if are_stamps([self._cells(line)[:2] for _, line in self._lines[:NUMBERED]]):
+                    self.titles[:2] = ["sec", "nanosec"]
+                    self.notes.append("columns 0 and 1 are seconds from 1970 and nanoseconds, as ROS writes a stamp")
         else:
             self._read_titles(titles)
+
+    def _head(self) -> list[list[str]]:
+        """Return the cells of the first rows."""
+        return [self._cells(line) for _, line in self._lines[: MOST_ROWS + 2]]
 
     def _read_titles(self, titles: list[str]) -> None:
         """Take titles that are no numbers, with the lines below them that belong to them."""
         self.titles = titles
-        if not self._is_of_scope():
-            head = [self._cells(line) for _, line in self._lines[: MOST_ROWS + 2]]
-            stacked = logger_titles(head) or stacked_titles(head)
-            count = 1 if stacked is None else stacked[1]
-            if stacked is not None:
-                self.titles = stacked[0]
-                self.notes.append(f"lines {self._lines[0][0]} to {self._lines[count - 1][0]} are read as one header")
-            self._lines = self._lines[count:]
-            below = units_below(titles, self._cells(self._lines[0][1])) if stacked is None and self._lines else None
-            if below is not None:
-                self.titles, self._lines = below, self._lines[1:]
-
-    def _is_of_scope(self) -> bool:
-        """Return True for a waveform as scopes write them, of which time and readings are taken."""
-        found = scope_of([self._cells(line) for _, line in self._lines[:SETTINGS]])
-        if found is None:
-            return False
-        self.titles, above, cells_of, said = found
-        self._lines = [(n, self._joined(cells_of(self._cells(line)))) for n, line in self._lines[above:]]
-        self.notes.append(said)
-        return True
+        head = self._head()
+        stacked = logger_titles(head) or stacked_titles(head)
+        count = 1 if stacked is None else stacked[1]
+        if stacked is not None:
+            self.titles = stacked[0]
+            self.notes.append(f"lines {self._lines[0][0]} to {self._lines[count - 1][0]} are read as one header")
+        self._lines = self._lines[count:]
+        below = units_below(titles, self._cells(self._lines[0][1])) if stacked is None and self._lines else None
+        if below is not None:
+            self.titles, self._lines = below, self._lines[1:]
 
     def values(self, title: str) -> FloatArray:
         """Return one column (N,)."""
@@ -192,18 +200,6 @@ class TextFile:
             self._lines = [pair for pair in self._lines if not _FRAME.fullmatch(pair[1].strip())] or self._lines
         if len(self._lines) > 2 and _RULE.fullmatch(self._lines[1][1]):
             del self._lines[1]
-
-    def _leave_out_labview(self) -> bool:
-        """Leave out what LabVIEW writes above a table; return True if it says that the first column is time in seconds.
-
-        Reference: National Instruments, *Specification for the LabVIEW Measurement File (.lvm)*.
-        """
-        ends = [row for row, (_, line) in enumerate(self._lines[:MOST_ABOVE]) if line.startswith(_END_OF_HEADER)]
-        if not ends or len(self._lines) - ends[-1] < 3:
-            return False
-        dimensions = [line.split() for _, line in self._lines[: ends[-1]] if line.startswith("X_Dimension")]
-        self._leave_out(ends[-1] + 1)
-        return any(set(words[1:]) == {"Time"} for words in dimensions)
 
     def _leave_out_again(self, head: set[str], text: str) -> None:
         """Leave out lines that repeat one of the header, where a logger began anew, and say so."""
@@ -270,27 +266,26 @@ class TextFile:
             self._leave_out(begin)
 
     def _leave_out_settings(self) -> None:
-        """Leave out rows of settings (``Sample Interval,0.01,``) above titles that name a clock, above numbers."""
+        """Leave out rows above titles: settings (``Sample Interval,0.01,``), or a cell that Excel fills up to a row."""
         sign = _delimiter_of(self._lines[-1][1])
-        rows = [[cell.strip(' "') for cell in line.split(sign)] for _, line in self._lines[: MOST_ABOVE + 3]]
+        head = [line.rstrip(f" {sign}").split(sign) for _, line in self._lines[: MOST_ABOVE + 3]]
+        rows = [[cell.strip(' "') for cell in row] for row in head]
         width = len(rows[-1])
         numbers = [len(row) == width and _are_readings(row) for row in rows]
         begin = next((row for row in range(1, len(rows) - 2) if all(numbers[row : row + 3])), 0) - 1
         if begin > 1 and len(rows[begin - 1]) == width and all(map(is_unit_cell, rows[begin])):
             begin -= 1  # titles above their units
-        if begin < 1 or len(set(rows[begin])) < width or any(map(is_number, rows[begin])):
+        if begin < 1 or len(set(rows[begin])) < width or any(map(is_number, rows[begin])) or _is_table(rows[:begin]):
             return
-        plain = (cell.replace(",", ".", 1) for row in rows[:begin] for cell in row)
-        if not any(map(is_number, plain)) or _is_table(rows[:begin]):
-            return  # no settings, or another table
-        if all(map(is_unit_cell, rows[begin])) or not all(rows[begin]) or stacked_titles(rows) is not None:
+        if not all(rows[begin]) or all(map(is_unit_cell, rows[begin])) or stacked_titles(rows) is not None:
             return
+        settings = any(is_number(cell.replace(",", ".", 1)) for row in rows[:begin] for cell in row)
+        padded = width > 1 and all(len([cell for cell in row if cell]) < 2 for row in rows[:begin])
         try:
-            spoken = clock_of(rows[begin]) is not None
+            if padded or (settings and clock_of(rows[begin]) is not None):
+                self._leave_out(begin)
         except InputError:
-            return
-        if spoken:
-            self._leave_out(begin)
+            return  # two clocks: nobody can say
 
     def _begins_at(self, begin: int, sign: str) -> bool:
         """Return True if titles begin at a line, and those above are no table of their own: another run, perhaps."""
@@ -376,8 +371,13 @@ class TextFile:
         Empty cells behind the last column are surplus separators. A last line that stops short was cut. Row names of R
         are quoted while the numbers are not, and have no title. Anything else could belong to any column.
         """
-        width = len(self.titles)
+        while len(self.titles) > 2 and _SETTING.fullmatch(self.titles[-1]):  # t0 = -0.5, tInc = 0.01 of a scope
+            self.titles = self.titles[:-1]
         lengths = self._lengths()
+        apart = re.split(r"\s{2,}", self._first.strip()) if self._delimiter is None else []
+        if 1 < len(apart) < len(self.titles) and (lengths == len(apart)).all():  # titles of several words
+            self.titles = apart
+        width = len(self.titles)
         if (lengths == width).all():
             return
         if self.titles[-1] == "" and (lengths == width - 1).all():  # the separator ends the header only
@@ -410,6 +410,14 @@ class TextFile:
         if self._delimiter is None or any('"' in line for _, line in self._lines):
             return np.array([len(self._cells(line)) for _, line in self._lines])
         return np.array([line.count(self._delimiter) + 1 for _, line in self._lines])
+
+    def _leave_out_twins(self) -> None:
+        """Leave out columns that repeat another with its title, as a clock stands beside each channel of TwinCAT."""
+        for column, title in enumerate(self.titles):
+            first = self.titles.index(title)
+            if title and first < column and self.texts_of(column) == self.texts_of(first):
+                self.titles[column] = ""
+                self.notes.append(f"column {column} repeats column {first}, {title!r}: it is left out")
 
     def _names_row(self, line: str) -> bool:
         """Return True if the first cell of a row is a quoted name, or no number, and the others are numbers."""

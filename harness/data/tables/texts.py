@@ -60,7 +60,9 @@ def _refuse_other_text(text: str) -> None:
     """
     begin = text[:200].lstrip().lower()
     if begin.startswith(('{"', '[{"', "[[")):
-        kind, remedy = "JSON", "pandas.read_json(...).to_csv(...), with lines=True where each line is a row"
+        if text.count("\n{") > 1:  # an object in each line
+            return
+        kind, remedy = "JSON", "pandas.read_json(...).to_csv(...)"
     elif re.match(r"<(?:\?xml|html|!doctype|table|svg)\b", begin):
         kind, remedy = "XML or HTML", "save it as CSV from the program that wrote it, or from a spreadsheet"
     else:

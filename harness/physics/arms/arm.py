@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.physics.arms.formats.mjcf import Stated, load_mjcf
 from harness.physics.arms.formats.mjcf_spec import parsed
 from harness.physics.arms.formats.urdf import dynamics_of, load_urdf, refuse_dependent, rotors_of
@@ -202,11 +202,7 @@ def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] 
     stated = load_mjcf(path, locked=locked) if of_mujoco else _stated_by_urdf(path, locked)
     arm = stated.arm
     names = [joint.name for joint in arm.joints]
-    for joint_name in locked:
-        if joint_name not in names:
-            raise InputError(
-                "locked joint", expected=f"one of {', '.join(names)}", got=repr(joint_name), remedy="correct it"
-            )
+    refuse_unknown("locked joint", locked, names)
     arm = Arm(arm.name, tuple(replace(joint, kind="fixed") if joint.name in locked else joint for joint in arm.joints))
     if not arm.n:
         raise InputError(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.physics.arms.arm import ArmModel
 from harness.physics.arms.joints import MOVING
 from harness.physics.arms.vectorised import OnRecords
@@ -105,14 +105,7 @@ class MarkedArm:
         InputError
             If a name is unknown.
         """
-        unknown = sorted(set(given or {}) - set(self.parameters))
-        if unknown:
-            raise InputError(
-                f"parameter of the marker on {self.arm.name}",
-                expected=f"one of {', '.join(self.parameters)}",
-                got=", ".join(unknown),
-                remedy="correct the name",
-            )
+        refuse_unknown(f"parameter of the marker on {self.arm.name}", given or (), self.parameters)
         return np.array(list((self.parameters | dict(given or {})).values()))
 
     def places(

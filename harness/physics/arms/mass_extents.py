@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.models.analysis import Findings, Takes
 from harness.physics.arms.inertial_fit import Bodies, Problem, extent_of
 from harness.physics.arms.mechanism import arm_of
@@ -47,13 +47,7 @@ class MassExtents:
         joints = arm.arm.joints
         names = [joint.name for joint in joints]
         asked = list(self.bodies) if self.bodies is not None else [j.name for j in joints if j in arm.arm.moving]
-        if wrong := [name for name in asked if name not in names]:
-            raise InputError(
-                "bodies of an arm",
-                expected=f"among {', '.join(names)}",
-                got=", ".join(wrong),
-                remedy="name their joints",
-            )
+        refuse_unknown("bodies of an arm", asked, names, remedy="name their joints")
         truth = np.asarray(arm.arm.parameters, dtype=float)
         light = [names[k] for k, row in enumerate(truth.reshape(-1, 10)) if not is_consistent(row)]
         if light:

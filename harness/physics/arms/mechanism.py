@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import sympy as sp
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.physics.arms.arm import GRAVITY, REST, ArmModel, load_arm
 from harness.physics.arms.inertia import TEN, UNITS
 from harness.physics.arms.joints import MOVING, Joint
@@ -189,11 +189,7 @@ def _passive(arm: ArmModel, given: Sequence[str] | None) -> set[str]:
     names = [joint.name for joint in arm.arm.moving]
     if given is None:
         return set(arm.idle)
-    unknown = sorted(set(given) - set(names))
-    if unknown:
-        raise InputError(
-            "passive joint", expected=f"one of {', '.join(names)}", got=", ".join(unknown), remedy="correct the name"
-        )
+    refuse_unknown("passive joint", given, names)
     return set(given)
 
 

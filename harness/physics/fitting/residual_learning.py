@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError, InputError, refuse_unknown
 from harness.physics.compiled.windows import data_states
 from harness.physics.fitting.output_error import fit_output_error, simulate_error
 from harness.physics.fitting.residual_force import Hull, ResidualForce, argument_columns
@@ -142,13 +142,7 @@ def learn_residual_force(
             remedy="give a mechanical model and a validation run",
         )
     names = [candidate.name for candidate in system.coordinates]
-    if coordinate is not None and coordinate not in names:
-        raise InputError(
-            "coordinate of a residual force",
-            expected=f"one of {', '.join(names)}",
-            got=repr(coordinate),
-            remedy="correct",
-        )
+    refuse_unknown("coordinate of a residual force", [] if coordinate is None else [coordinate], names)
     known = {parameter.name: float(values.get(parameter.name, parameter.value)) for parameter in system.parameters}
     base = _at(system, known)
     how: dict[str, Any] = {"horizon": horizon, "intersample": intersample}

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.models.analysis import Findings, Takes
 from harness.physics.lumps.lumped_model import lumped
 from harness.physics.symbolic.mechanism import Mechanism
@@ -46,13 +46,7 @@ class BaseParameters:
                 remedy="write it as a Mechanism",
             )
         names = {str(symbol) for symbol in mechanism.p}
-        if wrong := sorted(set(self.known) - names):
-            raise InputError(
-                "known parameters",
-                expected=f"among {', '.join(sorted(names))}",
-                got=", ".join(wrong),
-                remedy="correct the names",
-            )
+        refuse_unknown("known parameters", self.known, sorted(names))
         found = lumped(mechanism, known=self.known)
         rows = []
         inside: dict[str, int] = {}

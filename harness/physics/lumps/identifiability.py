@@ -133,10 +133,8 @@ def determined(
 
     Parameters
     ----------
-    rows : array (M, k)
-        The regressor.
-    names : sequence of str
-        One for each column.
+    rows, names : array (M, k), sequence of str
+        The regressor and its columns.
     noise : array (any, k), optional
         What errors change in the rows: those of a record with as much noise again, minus the rows; and those of
         another smoothing, minus the rows, below.

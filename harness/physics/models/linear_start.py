@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
 
 
@@ -36,6 +37,13 @@ class _Starts:
 
     def __call__(self, trajectories: Sequence[Trajectory]) -> Mapping[str, float]:
         """Return parameter values by name (the caller's fit refines them)."""
+        if not self.nu:
+            raise InputError(
+                "a linear model without an input",
+                expected="a recorded input to start from",
+                got="outputs alone",
+                remedy="name the input (sysid: --input NAME); sysid identify --identifier n4sid fits free motion",
+            )
         a, b, mean = _subspace(trajectories, self.n)
         return self._canonical(a, b, mean, trajectories[0].spec.sample_time)
 

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from harness.errors import as_described
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
@@ -24,7 +23,7 @@ START = 12
 
 
 @dataclass(frozen=True, eq=False)
-class ArmDynamics:
+class ArmDynamics(Described):
     """``M(q) a = tau - bias(q, v) - damping v - friction sgn(v)``, with reflected inertia on the diagonal of M.
 
     The state is joint positions, then rates.
@@ -47,6 +46,7 @@ class ArmDynamics:
     friction: FloatArray
     motor_inertia: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "arm"
     burn_in: ClassVar[int] = 0
     """No samples: the initial state is read off the record."""
 
@@ -154,35 +154,6 @@ class ArmDynamics:
             gain = 0.15 / self.spec.sample_time * miss[..., position] if rate is None else 0.5 * miss[..., rate]
             new[..., n + joint] += gain
         return new
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {
-            "kind": "arm",
-            "spec": spec_to_dict(self.spec),
-            "model": self.model,
-            "inertial": self.inertial.tolist(),
-            "damping": self.damping.tolist(),
-            "friction": self.friction.tolist(),
-            "motor_inertia": self.motor_inertia.tolist(),
-            "notes": self.notes,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> ArmDynamics:
-        """Return the model of a description.
-
-        Raises
-        ------
-        InputError
-            If it is none.
-        """
-        with as_described("an arm model"):
-            bodies, damping, friction, motor = (
-                np.array(content[key], dtype=float) for key in ("inertial", "damping", "friction", "motor_inertia")
-            )
-            spec, notes = spec_from_dict(content["spec"]), dict(content.get("notes", {}))
-            return cls(spec, str(content["model"]), bodies, damping, friction, motor, notes)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from harness.errors import FitError, InputError, as_described
+from harness.errors import FitError, InputError
 from harness.models.estimate import Estimate, RankDecision, null_words
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.described import Described
 from identifiers.common.records import real_signals, usable
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ TIGHT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class MarkerModel:
+class MarkerModel(Described):
     """Where the marker is at joint readings: a model without a state.
 
     Parameters
@@ -49,6 +49,7 @@ class MarkerModel:
     marker: tuple[float, float, float]
     parameters: dict[str, float]
     notes: dict[str, Any] = field(default_factory=dict)
+    kind = "marker"
     burn_in: ClassVar[int] = 0
     """No samples: there is no state."""
 
@@ -76,43 +77,16 @@ class MarkerModel:
         """Return the empty state."""
         return np.asarray(x, dtype=float)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {
-            "kind": "marker",
-            "spec": spec_to_dict(self.spec),
-            "model": self.model,
-            "marker": list(self.marker),
-            "parameters": self.parameters,
-            "notes": self.notes,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> MarkerModel:
-        """Return the model of a description; raises InputError if it is none."""
-        with as_described("a marker model"):
-            x, y, z = (float(value) for value in content["marker"])
-            values = {str(name): float(value) for name, value in content["parameters"].items()}
-            notes = dict(content.get("notes", {}))
-            return cls(spec_from_dict(content["spec"]), str(content["model"]), (x, y, z), values, notes)
-
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}
 
 
-@dataclass(frozen=True)
-class JointCalibration:
-    """Offsets of the joints, and lengths of the links, that bring the marker to where it was seen.
-
-    Maximum likelihood by Gauss-Newton: white noise of one variance on every coordinate of the marker, and of a known
-    deviation on the readings, which enters through the derivative of the place by the readings. What the pairs do not
-    determine stays as the URDF has it and is named: the offset of a joint whose axis goes through the marker, or of two
-    joints on one axis.
+@dataclass(frozen=True, kw_only=True)
+class Calibrated:
+    """What is calibrated of an arm with a marker.
 
     Parameters
     ----------
-    model : str
-        ``iiwa`` or a URDF file.
     marker : (x, y, z)
         In the frame of the last body [m].
     lengths : bool
@@ -128,6 +102,36 @@ class JointCalibration:
         9:698).
     fixed : sequence of str
         Parameters that stay as the URDF has them.
+    """
+
+    marker: Sequence[float] = (0.05, 0.0, 0.1)
+    lengths: bool = False
+    axes: bool = False
+    free_marker: bool = False
+    camera: bool = False
+    fixed: Sequence[str] = ()
+
+    def free(self, arm: MarkedArm) -> list[str]:
+        """Return the names of the parameters that are fitted."""
+        kinds = ["offset"] + ["length"] * self.lengths + ["tilt", "shift"] * self.axes
+        kinds += ["marker_"] * self.free_marker + ["camera_"] * self.camera
+        left = {*self.fixed, "length_marker"} if self.free_marker else {*self.fixed}  # a free place has its length
+        return [name for name in arm.parameters if name.startswith(tuple(kinds)) and name not in left]
+
+
+@dataclass(frozen=True)
+class JointCalibration(Calibrated):
+    """Offsets of the joints, and lengths of the links, that bring the marker to where it was seen.
+
+    Maximum likelihood by Gauss-Newton: white noise of one variance on every coordinate of the marker, and of a known
+    deviation on the readings, which enters through the derivative of the place by the readings. What the pairs do not
+    determine stays as the URDF has it and is named: the offset of a joint whose axis goes through the marker, or of two
+    joints on one axis.
+
+    Parameters
+    ----------
+    model : str
+        ``iiwa`` or a URDF file.
     reading_noise : float
         Standard deviation of the joint readings [rad or m]; 0 if they are exact beside the marker.
 
@@ -138,12 +142,6 @@ class JointCalibration:
     """
 
     model: str = "iiwa"
-    marker: Sequence[float] = (0.05, 0.0, 0.1)
-    lengths: bool = False
-    axes: bool = False
-    free_marker: bool = False
-    camera: bool = False
-    fixed: Sequence[str] = ()
     reading_noise: float = 0.0
 
     def channels(self) -> tuple[list[str], list[str]]:
@@ -204,9 +202,7 @@ class JointCalibration:
                 got=f"fixed {', '.join(self.fixed) or 'none'}; reading_noise {self.reading_noise}",
                 remedy="correct them",
             )
-        return free_parameters(
-            arm, self.fixed, lengths=self.lengths, axes=self.axes, free_marker=self.free_marker, camera=self.camera
-        )
+        return self.free(arm)
 
     def _solved(self, arm: MarkedArm, names: list[str], q: FloatArray, p: FloatArray) -> tuple[FloatArray, Estimate]:
         """Return all parameters (k,), and the record of those that were fitted."""
@@ -308,22 +304,6 @@ def marked(model: str, marker: tuple[float, float, float]) -> MarkedArm:
     from harness.physics.arms.marked_arm import MarkedArm
 
     return MarkedArm(load_arm(model), marker)
-
-
-def free_parameters(
-    arm: MarkedArm,
-    fixed: Sequence[str] = (),
-    *,
-    lengths: bool = False,
-    axes: bool = False,
-    free_marker: bool = False,
-    camera: bool = False,
-) -> list[str]:
-    """Return the names of what a calibration fits; options as of :class:`JointCalibration`."""
-    kinds = ["offset"]
-    kinds += ["length"] * lengths + ["tilt", "shift"] * axes + ["marker_"] * free_marker + ["camera_"] * camera
-    left = {*fixed, "length_marker"} if free_marker else {*fixed}  # a free place has its length
-    return [name for name in arm.parameters if name.startswith(tuple(kinds)) and name not in left]
 
 
 def _camera(arm: MarkedArm, q: FloatArray, p: FloatArray) -> dict[str, float]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from harness.errors import FitError, InputError
 from harness.models.estimate import Estimate, RankDecision
+from harness.options import check_options
 from harness.physics.arms.inertia import TEN, UNITS
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.records import moving, real_signals, usable
@@ -90,14 +91,7 @@ class Inertial:
     intersample: Literal["zoh", "smooth"] = "zoh"
 
     def __post_init__(self) -> None:
-        wrong = self.trust is not None and not self.trust > 0
-        if self.method not in ("sdp", "log-cholesky", "least-squares") or wrong:
-            raise InputError(
-                "options of inertial",
-                expected="method sdp, log-cholesky or least-squares; trust > 0 or none",
-                got=f"method {self.method!r}, trust {self.trust}",
-                remedy="correct it",
-            )
+        check_options(self, "inertial", trust="> 0")
         if self.method == "log-cholesky" and (self.trust is None or self.hull):
             raise InputError(
                 "options of inertial",

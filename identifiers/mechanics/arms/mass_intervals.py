@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from harness.errors import InputError
 from harness.models.analysis import Findings, Takes
+from harness.options import check_options
 from harness.signals import Dataset, FloatArray
 from identifiers.common.records import real_signals, usable
 from identifiers.mechanics.arms.inertial import Equations, Inertial, speaks
@@ -134,8 +134,7 @@ class MassIntervals:
     def _arm(self) -> ArmModel:
         from harness.physics.arms.arm import load_arm
 
-        if not self.trust > 0:
-            raise InputError("option trust", expected="> 0", got=repr(self.trust), remedy="correct it")
+        check_options(self, "mass-intervals", trust="> 0")
         return load_arm(self.model)
 
     def _ends(

@@ -10,8 +10,9 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.models.analysis import Findings, Takes
+from harness.options import check_options
 from harness.signals import FloatArray
-from identifiers.mechanics.arms.calibration import free_parameters
+from identifiers.mechanics.arms.calibration import Calibrated
 
 if TYPE_CHECKING:
     from harness.physics.arms.marked_arm import MarkedArm
@@ -27,7 +28,7 @@ Criterion = Literal["D", "A", "E"]
 
 
 @dataclass(frozen=True)
-class CalibrationPoses:
+class CalibrationPoses(Calibrated):
     """Postures that tell the geometry of an arm best, and how well they and random ones do.
 
     Of random postures within the limits of the joints those are kept that make the covariance of what can be told
@@ -37,12 +38,6 @@ class CalibrationPoses:
 
     Parameters
     ----------
-    marker : (x, y, z)
-        In the frame of the last body [m].
-    lengths, axes, free_marker, camera : bool
-        What is calibrated beside the offsets of the joints, as in ``joint-calibration``.
-    fixed : sequence of str
-        Parameters that are not.
     postures : int
         How many are wanted.
     among : int
@@ -62,12 +57,6 @@ class CalibrationPoses:
     """
 
     takes: ClassVar[Takes] = "definition"
-    marker: Sequence[float] = (0.05, 0.0, 0.1)
-    lengths: bool = False
-    axes: bool = False
-    free_marker: bool = False
-    camera: bool = False
-    fixed: Sequence[str] = ()
     postures: int = 20
     among: int = 400
     criterion: Criterion = "D"
@@ -81,16 +70,9 @@ class CalibrationPoses:
         from harness.physics.arms.mechanism import arm_of
 
         own = arm_of(subject, "postures")
-        if self.criterion not in ("D", "A", "E") or not 2 <= self.postures <= self.among or not self.noise > 0:
-            raise InputError(
-                "options of calibration-poses",
-                expected="criterion D, A or E; 2 <= postures <= among; noise > 0",
-                got=f"{self.criterion}, {self.postures}, {self.among}, {self.noise}",
-                remedy="correct them",
-            )
+        check_options(self, "calibration-poses", postures=f">= 2, <= {self.among}", noise="> 0")
         arm = MarkedArm(own, self.marker)
-        names = free_parameters(arm, self.fixed, lengths=self.lengths, axes=self.axes, free_marker=self.free_marker,
-                                camera=self.camera)  # fmt: skip
+        names = self.free(arm)
         q, places = self._reachable(arm, rng)
         rows, free = self._rows(arm, names, q)
         _, singular, directions = np.linalg.svd(rows.reshape(-1, len(names)), full_matrices=False)

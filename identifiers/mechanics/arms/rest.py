@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError
 from harness.models.analysis import Findings, Takes
+from harness.options import check_options
 from harness.signals import Dataset, FloatArray, Trajectory
 from identifiers.common.records import real_signals, usable
 from identifiers.mechanics.arms.inertial import speaks
@@ -149,9 +150,7 @@ class GravityAtRest:
     def _arm(self) -> ArmModel:
         from harness.physics.arms.arm import load_arm
 
-        if not (self.still > 0 and self.dwell > 0):
-            raise InputError("options still and dwell", expected="> 0", got=f"{self.still}, {self.dwell}",
-                             remedy="correct them")  # fmt: skip
+        check_options(self, "gravity-at-rest", still="> 0", dwell="> 0")
         return load_arm(self.model)
 
     def _rests(self, arm: ArmModel, record: Trajectory) -> list[_Rest]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from harness.data.tables.written_times import ahead_of_utc, minutes_of, plain_time, span_of
+from harness.data.times.written_times import ahead_of_utc, minutes_of, plain_time, span_of
 from harness.errors import InputError
 from harness.signals import FloatArray
 

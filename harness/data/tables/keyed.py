@@ -1,0 +1,216 @@
+"""Heads whose rows begin with a key: names, units and the sampling of all channels, each in a row of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from harness.data.tables.cells import is_number, is_unit_cell
+from harness.data.tables.headers import split_header
+
+Line = tuple[int, str]
+"""Number of a line in its file, and its text."""
+
+NAMES = ("tracename", "path", "name", "symbolname")
+"""Keys of the row of names, in small letters, the fullest first where a head has several."""
+UNITS = ("vunit", "unit", "units", "y_unit_label")
+STEPS = {"hresolution": "hunit", "delta_x": "", "sampletime[ms]": ""}
+"""Keys of the row of sample times, and that of their unit where it is no other."""
+STARTS = ("hoffset", "x0")
+UNEVEN = 1e-3
+"""Milliseconds by which the first step of a clock may differ from the stated one: else it counts something else."""
+_END = "***End_of_Header***"
+MOST_ABOVE, SETTINGS = 100, 30
+"""Lines that a logger may write above its table, and rows beside which a scope may write its settings."""
+
+
+def keyed(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
+    """Return the lines of a table under titles that its keyed head gives, and what to say; None for any other head.
+
+    LabVIEW writes its settings above a table with titles, of which only the sampling counts; Yokogawa's recorders and
+    ControlDesk leave the first cell of every row to the keys; TwinCAT's scope gives each channel a key, and a clock.
+
+    References: National Instruments, *Specification for the LabVIEW Measurement File (.lvm)*; Yokogawa, *DL850 ASCII
+    file format*; Beckhoff, *TwinCAT Scope: export to CSV*.
+
+    Examples
+    --------
+    >>> head = ["TraceName,u,y", "VUnit,V,mm", "HResolution,0.01,0.01", "HUnit,s,s"]
+    >>> keyed(list(enumerate([*head, ",1,2", ",3,4", ",5,6"], start=1)))[0][:2]
+    [(4, 'time [s],u [V],y [mm]'), (5, '0,1,2')]
+    >>> keyed(list(enumerate(["t,u", "0,1", "1,2", "2,3"], start=1))) is None
+    True
+    """
+    ends = [row for row, (_, line) in enumerate(lines[:MOST_ABOVE]) if line.startswith(_END)]
+    if ends and len(lines) - ends[-1] > 2:
+        return _of_labview(lines, ends[-1])
+    begin = next((row for row in range(1, min(len(lines), MOST_ABOVE) - 2) if _is_row(lines[row][1])), 0)
+    return _of_scope(lines) or (_of_keys(lines, begin) if begin else None)
+
+
+def _of_scope(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
+    """Return the table below the head of a scope; None for any other."""
+    head = [line for _, line in lines[:SETTINGS]]
+    if (siglent := siglent_titles(head)) is not None:
+        title, end = siglent
+        said = f"lines {lines[0][0]} to {lines[end - 1][0]} are read as one header"
+        return [(lines[end - 1][0], title), *lines[end:]], said
+    if (scope := scope_of([[cell.strip() for cell in line.split(",")] for line in head])) is None:
+        return None
+    titles, above, cells_of, said = scope
+    taken = ((number, [cell.strip() for cell in line.split(",")]) for number, line in lines[above:])
+    return [(lines[0][0], ",".join(titles)), *((n, ",".join(cells_of(cells))) for n, cells in taken)], said
+
+
+def _of_keys(lines: Sequence[Line], begin: int) -> tuple[list[Line], str] | None:
+    """Return the table that begins at a line, below rows with keys; None where these do not name its columns."""
+    sign = max(",;\t", key=lines[begin][1].count)
+    head = [[cell.strip(' "') for cell in line.split(sign)] for _, line in lines[:begin]]
+    by_key = {row[0].lower(): row for row in head if len(row) > 1 and row[0]}
+    key = next((key for key in NAMES if key in by_key), None)
+    if key is None or not {*UNITS, *STEPS} & set(by_key):
+        return None
+    paired = len(by_key[key]) > 3 and len(set(by_key[key][::2])) == 1
+    if not paired and any(line[0] != sign for _, line in lines[begin:]):
+        return None
+    body = [(number, line.split(sign)[0 if paired else 1 :]) for number, line in lines[begin:]]
+    titled = _titled(by_key, key, [row for _, row in body], paired=paired)
+    if titled is None:
+        return None
+    titles, clock = titled
+    if clock is not None:
+        body = [(number, [f"{clock[0] + clock[1] * k:.12g}", *row]) for k, (number, row) in enumerate(body)]
+    said = f"lines {lines[0][0]} to {lines[begin - 1][0]} hold names, units and sampling, and are read as one header"
+    return [(lines[begin - 1][0], sign.join(titles)), *((number, sign.join(row)) for number, row in body)], said
+
+
+def _titled(
+    by_key: dict[str, list[str]], key: str, rows: Sequence[Sequence[str]], *, paired: bool
+) -> tuple[list[str], tuple[float, float] | None] | None:
+    """Return the titles of rows, and start and step of a clock that stands in the head alone; None if they do not fit.
+
+    Parameters
+    ----------
+    by_key : dict
+        Rows of the head.
+    key : str
+        Of the row of names.
+    rows : sequence of sequence of str
+        Cells below the head, without those of keys.
+    paired : bool
+        True where each channel has a key and a clock of its own.
+    """
+    width = len(rows[0])
+    names = by_key[key][1 :: 2 if paired else 1]
+    if any(len(row) != width for row in rows) or width != len(names) * (2 if paired else 1):
+        return None
+    if paired:
+        stated = by_key.get("sampletime[ms]", ["", ""])[1]
+        counted = is_number(stated) and abs(float(rows[1][0]) - float(rows[0][0]) - float(stated)) < UNEVEN
+        return [title for name in names for title in ("time [ms]" if counted else "time", name)], None
+    units = next((by_key[one][1:] for one in UNITS if one in by_key), [])
+    titles = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, [*units, *[""] * width], strict=False)]
+    if not names[0] and units:
+        return [f"time [{units[0]}]", *titles[1:]], None
+    step = _sampling(by_key)
+    return None if step is None else ([f"time [{step[2]}]", *titles], step[:2])
+
+
+def _is_row(line: str) -> bool:
+    """Return True for a row of readings: numbers, behind an empty cell perhaps."""
+    cells = [cell.strip() for cell in line.split(max(",;\t", key=line.count))]
+    return len(cells) > 1 and all(map(is_number, cells[1:])) and (not cells[0] or is_number(cells[0]))
+
+
+def _sampling(by_key: dict[str, list[str]]) -> tuple[float, float, str] | None:
+    """Return start, step and unit of the time that a head states once for all channels; None where it does not."""
+    key = next((key for key in STEPS if key in by_key), None)
+    steps = {cell for cell in by_key[key][1:] if cell} if key is not None else set()
+    starts = {cell for one in STARTS for cell in by_key.get(one, [])[1:] if cell} or {"0"}
+    if key is None or len(steps) != 1 or len(starts) != 1 or not all(map(is_number, steps | starts)):
+        return None
+    units = {cell for cell in by_key.get(STEPS[key], ["", "s"])[1:] if cell}
+    return (float(min(starts)), float(min(steps)), min(units)) if len(units) == 1 else None
+
+
+def _of_labview(lines: Sequence[Line], end: int) -> tuple[list[Line], str]:
+    """Return the table below a head of LabVIEW, with its time where only the head gives it, and without comments."""
+    sign = "\t" if "\t" in lines[end + 1][1] else ","
+    head = [line.replace(",", ".").split(sign) if sign == "\t" else line.split(sign) for _, line in lines[:end]]
+    by_key = {row[0].lower(): [cell.strip() for cell in row] for row in head}
+    titles = [cell.strip() for cell in lines[end + 1][1].split(sign)]
+    spoken = set(by_key.get("x_dimension", [])[1:]) - {""} == {"Time"}
+    body = [(number, line.split(sign)) for number, line in lines[end + 2 :]]
+    if titles[-1] == "Comment":
+        titles = titles[:-1]
+        body = [
+            (number, row[: max(len(titles), 1)]) if len(row) > len(titles) else (number, row) for number, row in body
+        ]
+    said = f"lines {lines[0][0]} to {lines[end][0]} stand above the table: they are left aside"
+    if by_key.get("x_columns", ["", ""])[1] == "No" and spoken and (step := _sampling(by_key)) is not None:
+        empty = titles[0] == "X_Value"
+        body = [
+            (number, [f"{step[0] + step[1] * k:.12g}", *(row[1:] if empty and not row[0].strip() else row)])
+            for k, (number, row) in enumerate(body)
+        ]
+        titles = ["time", *titles[1:]] if empty else ["time", *titles]
+        said += f", but for its sampling: every {step[1]:g} s"
+    titles = [f"{title} [s]" if spoken and title in ("X_Value", "time") else title for title in titles]
+    units = [cell for cell in by_key.get("y_unit_label", [])[1:] if cell]
+    signals = [place for place, title in enumerate(titles) if title not in ("X_Value [s]", "X_Value", "time [s]")]
+    for place, unit in zip(signals, units, strict=False) if len(units) == len(signals) else ():
+        titles[place] += f" [{unit}]" if is_unit_cell(unit) and split_header(titles[place])[1] is None else ""
+    return [(lines[end + 1][0], sign.join(titles)), *((number, sign.join(row)) for number, row in body)], said
+
+
+def siglent_titles(lines: Sequence[str]) -> tuple[str, int] | None:
+    """Return the line of titles that the settings of a Siglent scope give, and how many lines stand for it.
+
+    Channels and their units stand in rows of their own, above ``Second,Value,Value``.
+
+    Examples
+    --------
+    >>> siglent_titles(["Record Length,Analog:9", "Vertical Units,CH1:V,CH2:A", "Source,CH1,CH2", "Second,Value,Value"])
+    ('time [s],CH1 [V],CH2 [A]', 4)
+    """
+    rows = {line.split(",")[0]: [cell.strip() for cell in line.split(",")[1:]] for line in lines}
+    end = next((row for row, line in enumerate(lines, start=1) if line.startswith("Second,Value")), None)
+    if end is None or not lines[0].startswith("Record Length,") or "Source" not in rows:
+        return None
+    units = dict(cell.partition(":")[::2] for cell in rows.get("Vertical Units", []))
+    names = [f"{name} [{units[name]}]" if units.get(name) else name for name in rows["Source"] if name]
+    return ",".join(("time [s]", *names)), end
+
+
+Cells = Callable[[list[str]], list[str]]
+
+
+def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str] | None:
+    """Return the titles of a scope's waveform, its rows above, what takes the cells of a row, and what to say of it.
+
+    Rigol counts the samples, and start and increment of the time stand once, behind the titles. Tektronix writes its
+    settings beside the first rows, in the first three columns.
+
+    Examples
+    --------
+    >>> rows = [["X", "CH1", "Start", "Increment"], ["Sequence", "Volt", "-0.5", "0.01"], ["0", "1.5", ""]]
+    >>> titles, above, cells_of, _ = scope_of(rows)
+    >>> titles, above, cells_of(["3", "1.25", ""])
+    (['time [s]', 'CH1 [Volt]'], 2, ['-0.47', '1.25'])
+    """
+    names, units = ([cell for cell in row if cell] for row in rows[:2]) if len(rows) > 1 else ([], [])
+    if names[:1] + units[:1] == ["X", "Sequence"] and names[-2:] == ["Start", "Increment"] and len(names) == len(units):
+        if not all(map(is_number, units[-2:])):
+            return None
+        start, step = map(float, units[-2:])
+        titles = [f"{name} [{unit}]" for name, unit in zip(names[1:-2], units[1:-2], strict=True)]
+
+        def counted(cells: list[str]) -> list[str]:
+            time = f"{start + step * float(cells[0]):.12g}" if is_number(cells[0]) else cells[0]
+            return [time, *cells[1 : len(titles) + 1]]
+
+        return ["time [s]", *titles], 2, counted, f"time: sample 0 at {start:g} s, every {step:g} s, as line 2 says"
+    settings = {row[0]: row[1] for row in rows if len(row) > 4 and row[0]}
+    if names[:1] + units[:1] != ["Record Length", "Sample Interval"] or settings.get("Horizontal Units") != "s":
+        return None
+    titles = ["time [s]", f"{settings.get('Source', 'y')} [{settings.get('Vertical Units', '1')}]"]
+    return titles, 0, lambda cells: cells[3:5], "the settings of the scope beside the first rows are left aside"

@@ -1,0 +1,215 @@
+"""Readings that carry their names: ``u:1.2 y:3.4`` of a serial port, JSON lines, InfluxDB's line protocol, CAN logs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from harness.data.tables.cells import is_number
+from harness.data.times.stamps import is_time
+from harness.errors import InputError
+
+Line = tuple[int, str]
+"""Number of a line in its file, and its text."""
+Named = list[tuple[str, str]]
+"""Names and values of one line."""
+
+FEWEST = 3
+"""Lines of readings that make a table."""
+MOST_ABOVE = 100
+"""Lines that a program may write before its first reading."""
+_STAMPED = re.compile(r"\[?(?P<stamp>[\dT:., /-]*\d:\d\d:\d\d[\d.,]*Z?)\]?\s*(?:->|[:,;|-])?\s+(?P<rest>\D.*)")
+_ARROW = re.compile(r"\s*([\dT:., /-]*\d:\d\d:\d\d[\d.,]*)\s*->\s*(\S.*)")
+_ITEM = re.compile(
+    r"(?P<name>[^\W\d][\w.\[\]/²³°%-]*)\s*[:=]\s*"
+    r'(?P<value>"[^"]*"|\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d[^\s,;|]*|[^\s,;|]+)'
+    r"(?:[ ]?(?P<unit>(?:[^\W\d_]|[°%])[^\s,;|:=]*)(?=\s*(?:[,;|]|$)|\s+[^\W\d][^\s:=]*\s*[:=]))?[\s,;|]*"
+)
+_INFLUX = re.compile(
+    r"(?P<series>[^\s,=]+(?:,[^\s,=]+=[^\s,]+)*) (?P<fields>[^\s,=]+=[^\s,]+(?:,[^\s,=]+=[^\s,]+)*)(?: (?P<at>\d+))?"
+)
+_EPOCH_UNITS = {19: "ns", 16: "us", 13: "ms", 10: "s"}
+"""Units of the time from 1970 by the number of its digits, until 2286."""
+_VECTOR = re.compile(r"base\s+(?:hex|dec)\s+timestamps\s+(?P<kind>absolute|relative)", re.IGNORECASE)
+_VARIABLE = re.compile(
+    r"\s*(?P<at>\d+\.\d+)\s+(?:SV:(?:\s+\d+)+\s+)?(?P<name>[^\W\d][\w.]*|::\S+)\s*:?=\s*(?P<value>\S+)\s*"
+)
+
+
+def labelled(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
+    """Return the table that readings with names amount to, titles first, and what to say; None for any other lines.
+
+    Parameters
+    ----------
+    lines : sequence of (int, str)
+
+    Raises
+    ------
+    InputError
+        If the log is one of a bus whose messages hold signals only by a description of them, or a line among the
+        others holds no readings.
+
+    Examples
+    --------
+    >>> labelled([(1, "u:1.5 y:3"), (2, "u:1.6 y:4"), (3, "u:1.7 y:5")])[0]
+    [(1, 'u,y'), (1, '1.5,3'), (2, '1.6,4'), (3, '1.7,5')]
+    >>> labelled([(1, "m u=1,y=2i 1732874400000000000")] * 3)[0][:2]
+    [(1, 'time [ns],u,y'), (1, '1732874400000000000,1,2')]
+    >>> labelled([(1, "t,u"), (2, "0,1"), (3, "1,1")]) is None
+    True
+    """
+    if (bus := next((found for _, line in lines[:5] if (found := _VECTOR.search(line))), None)) is not None:
+        return _of_bus(lines, bus["kind"].lower())
+    for read in (_of_json, _of_influx, _of_items):
+        if len(lines) < FEWEST or not (last := _names_in(lines[-2][1], read)):
+            continue  # settings above a table may read so, its rows do not
+        above = [_names_in(line, read) & last for _, line in lines[: MOST_ABOVE + FEWEST]]
+        first = next((row for row in range(len(above) - FEWEST + 1) if all(above[row : row + FEWEST])), None)
+        if first is not None:
+            return _table(lines[first:], read, lines[0][0] if first else None)
+    return _of_arrows(lines)
+
+
+def _of_arrows(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
+    """Return readings without names behind a stamp and an arrow as a table without titles; None for other lines."""
+    if len(lines) < FEWEST or not all(_ARROW.fullmatch(line) for _, line in lines[:FEWEST]):
+        return None
+    stamped = [(number, _ARROW.fullmatch(line)) for number, line in lines]
+    rows = [(number, one) for number, one in stamped if one is not None]
+    if len(rows) < len(lines) - 1:
+        return None
+    return [(n, _joined([one[1], *re.split(r"[,;\s]+", one[2].strip(" ,;"))])) for n, one in rows], (
+        "stamps before an arrow, as a serial monitor writes them, are the first column"
+    )
+
+
+def _names_in(line: str, read: Callable[[str], Named | None]) -> set[str]:
+    """Return the names of the readings in a line."""
+    return {name for name, _ in read(line) or ()}
+
+
+def _table(lines: Sequence[Line], read: Callable[[str], Named | None], above: int | None) -> tuple[list[Line], str]:
+    """Return the table of lines that are read so."""
+    found: list[tuple[int, dict[str, str]]] = []
+    for place, (number, line) in enumerate(lines):
+        items = read(line)
+        if place == len(lines) - 1 and (items is None or len(items) < len(found[-1][1])):
+            break  # the last line is cut
+        if items is None:
+            raise InputError(
+                "a line without readings among lines that name theirs",
+                expected=f"such as {lines[0][1].strip()[:60]!r}",
+                got=repr(line.strip()[:60]),
+                remedy="remove it",
+                place=f"line {number}",
+            )
+        found.append((number, dict(items)))
+    rows = [items for _, items in found]
+    if read is _of_influx and len(series := {row.pop("series") for row in rows}) == 1:
+        rows = [{name.removeprefix(f"{min(series)}."): cell for name, cell in row.items()} for row in rows]
+    titles = list(dict.fromkeys(name for row in rows for name in row))
+    body = [_joined([row.get(title, "") for title in titles]) for row in rows]
+    said = f"the readings carry their names: {', '.join(titles[:8])}{' ...' if len(titles) > 8 else ''} are columns"
+    said += "" if above is None else f"; lines {above} to {lines[0][0] - 1} stand above them"
+    return [
+        (found[0][0], _joined(titles)),
+        *((number, row) for (number, _), row in zip(found, body, strict=True)),
+    ], said
+
+
+def _joined(cells: Sequence[str]) -> str:
+    """Return cells as a line, parted by commas."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow(cells)
+    return text.getvalue()
+
+
+def _of_items(line: str) -> Named | None:
+    """Return the readings of ``u:1.2 y=3.4``, perhaps behind a stamp; None for any other line."""
+    stamped = _STAMPED.fullmatch(line.strip())
+    found: Named = [("time", stamped["stamp"].strip())] if stamped is not None else []
+    rest = line.strip() if stamped is None else stamped["rest"]
+    at = 0
+    while at < len(rest):
+        item = _ITEM.match(rest, at)
+        if item is None:
+            return None
+        value = item["value"].strip('"')
+        if item["unit"] and not is_number(value):
+            return None
+        found.append((item["name"], f"{value} {item['unit']}" if item["unit"] else value))
+        at = item.end()
+    names = [name for name, _ in found]
+    readings = sum(is_number(value.split(" ")[0]) or is_time(value) for _, value in found)
+    return found if readings and len(set(names)) == len(names) else None
+
+
+def _of_json(line: str) -> Named | None:
+    """Return the readings of an object of JSON in one line; None for any other line."""
+    if not line.lstrip().startswith("{"):
+        return None
+    try:
+        content = json.loads(line)
+    except ValueError:
+        return None
+    return list(_flat("", content)) or None
+
+
+def _flat(prefix: str, content: Any) -> Named:
+    """Return the plain values inside an object, by their paths."""
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    if isinstance(content, dict | list):
+        path = "{}.{}" if isinstance(content, dict) else "{}[{}]"
+        return [pair for key, value in items for pair in _flat(path.format(prefix, key) if prefix else str(key), value)]
+    text = "" if content is None else str(content).lower() if isinstance(content, bool) else str(content)
+    return [(prefix, text)]
+
+
+def _of_influx(line: str) -> Named | None:
+    """Return the fields of a point of InfluxDB's line protocol, its series and its time; None for any other line.
+
+    Reference: InfluxData, *Line protocol*: integers end in i, the time counts ns unless its writer says otherwise.
+    """
+    found = _INFLUX.fullmatch(line.strip())
+    if found is None or (found["at"] is not None and len(found["at"]) not in _EPOCH_UNITS):
+        return None
+    fields = [pair.split("=", 1) for pair in found["fields"].split(",")]
+    stamp: Named = [] if found["at"] is None else [(f"time [{_EPOCH_UNITS[len(found['at'])]}]", found["at"])]
+    values = [(name, re.sub(r"(?<=\d)[iu]$", "", value)) for name, value in fields]
+    if found["at"] is None or not any(is_number(value) for _, value in values):
+        return None  # "t=1 u=2,y=3" is no point of a series
+    return [("series", found["series"]), *stamp, *((f"{found['series']}.{name}", value) for name, value in values)]
+
+
+def _of_bus(lines: Sequence[Line], kind: str) -> tuple[list[Line], str]:
+    """Return the variables in a CAN log of Vector in text; its messages hold signals only by a DBC file.
+
+    Raises
+    ------
+    InputError
+        If there are none, or the stamps count from line to line.
+    """
+    found = [(number, one) for number, line in lines if (one := _VARIABLE.fullmatch(line)) and is_number(one["value"])]
+    if not found or kind == "relative":
+        raise InputError(
+            "a log of a CAN bus",
+            expected="signals: bytes of messages hold them only by a DBC file"
+            if not found
+            else "stamps from one origin",
+            got=f"{len(lines)} lines of messages" if not found else "stamps from line to line",
+            remedy="export the signals as CSV or MF4 from CANalyzer, CANoe or CANape, or by asammdf's bus logging with "
+            "the DBC file",
+        )
+    titles = list(dict.fromkeys(one["name"] for _, one in found))
+    rows = [
+        (number, _joined([one["at"], *(one["value"] if one["name"] == title else "" for title in titles)]))
+        for number, one in found
+    ]
+    head = _joined(["time [s]", *titles])
+    return [(found[0][0], head), *rows], (
+        f"variables of a CAN log: {', '.join(titles[:8])}; its messages hold signals only by a DBC file"
+    )
