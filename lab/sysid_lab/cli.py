@@ -140,6 +140,26 @@ def answer_study(
     say(f"wrote {out}: {len(answers)} answers")
 
 
+@app.command(name="baseline")
+def baseline_study(
+    method: Annotated[str, typer.Argument(metavar="METHOD", help="lasso, best-subset, stlsq or output-error")],
+    records: Annotated[Path, typer.Argument(metavar="RECORDS", help="records.csv")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="answers.csv")],
+    workers: Annotated[int, typer.Option(help="processes")] = 2,
+    resume: Resume = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write the answer file of what others would do: sparse regression of the leftover force, or free runs and BIC."""
+    from sysid_lab.baselines import answer_all
+
+    with jobs_bar("baseline", method) as show:
+        failed = answer_all(method, records, out, workers=workers, resume=resume, show=show)
+    if as_json:
+        print_json({"written": str(out), "failed": failed})
+        return
+    say("\n".join([f"wrote {out}", *(f"not answered: {name}: {reason}" for name, reason in failed.items())]))
+
+
 @app.command(name="score")
 def score_study(
     truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.csv")],

@@ -15,7 +15,7 @@ from sysid_lab.truths.disturbances import KINDS, STRUCTURES, TRUTH_ONLY, named
 
 STUDIES = ("confusion", "false-alarms", "coverage", "cost")
 PLANTS = ("pendulum", "cart-pole")
-BASES = {"tuning": 0, "judged": 560_000}
+BASES = {"tuning": 0, "judged": 570_000}
 """Records from 10 000, 20 000, ..., 550 000 on judged earlier versions or were seen: they judge no more."""
 SHARES = {"confusion": 12, "none": 10, "two": 5, "outside": 3, "cost": 1}
 """Of the strata in any first part of a plan, while they last."""
@@ -124,7 +124,7 @@ def plan(
     study : str
         One of :data:`STUDIES`, or ``all``.
     base : int
-        0 (tuning) or 560000 (judged).
+        0 (tuning) or 570000 (judged).
     plants : sequence of str
     records : int, optional
         Only the first so many tasks.

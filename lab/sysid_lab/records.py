@@ -218,36 +218,23 @@ def _simulated(
     disturbance: FloatArray,
     start: FloatArray,
 ) -> FloatArray:
-    """Return the coordinates (N, ny) as the sensors see them, before what sensors do to them."""
-    if task.engine in ("bullet", "pymunk", "fmu"):
-        return _by_engine(task, parameters, values, hidden, use, u, disturbance, start)
-    full = dict(values)
-    for effect in hidden:
-        full.update(effect.truth)
-        full.update(effect.own.get(use, {}))
-    motion: Motion = simulate(full, u, start=start, disturbance=disturbance)
-    return motion.reading
+    """Return the coordinates (N, ny) as the sensors see them, before what sensors do to them.
 
-
-def _by_engine(
-    task: Task,
-    parameters: Mapping[str, float],
-    values: Mapping[str, float],
-    hidden: tuple[Hidden, ...],
-    use: str,
-    u: FloatArray,
-    disturbance: FloatArray,
-    start: FloatArray,
-) -> FloatArray:
-    """Return the same by an engine with what it has itself; the others are put around it in fine steps."""
+    An engine has what it has itself; the others are put around it in fine steps.
+    """
+    outside = task.engine in ("bullet", "pymunk", "fmu")
+    own = set(OPTIONS[task.engine, task.plant]) if outside else set()
     options: dict[str, Any] = {}
     applied = dict(values)
     for effect in hidden:
-        if effect.engine.keys() & set(OPTIONS[task.engine, task.plant]):
+        if effect.engine.keys() & own:
             options.update(effect.engine)
         else:
             applied.update(effect.truth)
             applied.update(effect.own.get(use, {}))
+    if not outside:
+        motion: Motion = simulate(applied, u, start=start, disturbance=disturbance)
+        return motion.reading
     force = actuated(applied, u) + np.repeat(disturbance, SUBSTEPS)
     law = force_law(applied, task.plant)
     y = engine_run(task.engine, task.plant, parameters, options, force, start, law)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, refuse_unknown
 from harness.signals import FloatArray
 
 DT = 0.004
@@ -186,11 +186,7 @@ def simulate(
     >>> motion.q[:, 0].round(6).tolist()
     [0.0, 0.5, 2.0]
     """
-    unknown = sorted(set(values) - set(_VALUES))
-    if unknown:
-        raise InputError(
-            f"parameter {unknown[0]} of a truth", expected=", ".join(_VALUES), got=unknown[0], remedy="correct it"
-        )
+    refuse_unknown("parameter of a truth", values, _VALUES)
     p = np.array([float(values.get(name, value)) for name, value in _VALUES.items()])
     dof, n = int(p[0]), len(u)
     first = np.zeros(4)
