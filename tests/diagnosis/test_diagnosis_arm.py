@@ -18,8 +18,6 @@ from harness.errors import InputError
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 pytest.importorskip("pybullet", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
 
 SECONDS = 10.0
@@ -59,6 +57,7 @@ def found(data: dict[str, Any]) -> dict[str, dict[str, float]]:
     }
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_in_the_right_urdf() -> None:
     report = close_loop(record(11), arm())
     assert report.verdict == "nothing_missing", report.data["summary"]
@@ -66,6 +65,7 @@ def test_nothing_is_missing_in_the_right_urdf() -> None:
     json.dumps(report.data, allow_nan=False)
 
 
+@pytest.mark.slow
 def test_friction_larger_than_all_else_that_a_joint_does_is_named_though_the_joint_sticks() -> None:
     """While a joint stands still its friction is anything; a filter carried that into the rows where it moves."""
     report = close_loop(record(22, joint_friction=(0, 0, 1.0, 0, 0, 0, 0)), arm())
@@ -76,6 +76,7 @@ def test_friction_larger_than_all_else_that_a_joint_does_is_named_though_the_joi
     assert any("no elastic joint was looked for" in text for text in report.data["warnings"]), "it rings as it starts"
 
 
+@pytest.mark.slow
 def test_friction_of_one_joint_and_gain_of_another_are_named_there_and_nowhere_else(tmp_path: Path) -> None:
     data = record(12, (1.0, 1.05, 1.0, 1.0, 1.0, 1.0, 1.0), joint_friction=(0, 0, 0, 2.0, 0, 0, 0))
     report = close_loop(data, arm(), out=tmp_path / "out")
@@ -91,6 +92,7 @@ def test_friction_of_one_joint_and_gain_of_another_are_named_there_and_nowhere_e
     assert "coulomb friction" in page
 
 
+@pytest.mark.slow
 def test_payload_is_named_with_its_mass_from_bare_files(tmp_path: Path) -> None:
     data = record(13, payload=2.0)
     titles = ["t [s]", *(f"tau_{k} [N m]" for k in range(1, 8)), *(f"q_{k} [rad]" for k in range(1, 8))]
@@ -108,6 +110,7 @@ def test_payload_is_named_with_its_mass_from_bare_files(tmp_path: Path) -> None:
     assert masses[-1] == pytest.approx(2.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_simulated_arm_goes_into_the_loop_with_its_rates(tmp_path: Path) -> None:
     """``sysid simulate iiwa-bullet``, then ``sysid close-loop``: rates beside the angles were refused."""
     options = ["--scenario", "arm-computed-torque", "-S", "noise=1e-4", "-S", "duration=10"]
@@ -124,6 +127,7 @@ def test_a_simulated_arm_goes_into_the_loop_with_its_rates(tmp_path: Path) -> No
     assert not any("swapped" in one for one in report.data["warnings"])
 
 
+@pytest.mark.slow
 def test_one_file_of_a_simulated_arm_lacks_nothing(tmp_path: Path) -> None:
     """The engine's own steps looked like a viscous friction of a thousandth of a joint's torque."""
     path = tmp_path / "run.csv"
@@ -134,6 +138,7 @@ def test_one_file_of_a_simulated_arm_lacks_nothing(tmp_path: Path) -> None:
     assert report.data["adequacy"] == "explained"
 
 
+@pytest.mark.slow
 def test_a_flexible_joint_is_named_with_its_compliance() -> None:
     # the motor of a flexible joint stands at the link's position plus torque over stiffness
     stiff = record(11)

@@ -12,8 +12,6 @@ from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import load_arm
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 DT, N = 0.005, 2000
 T = np.arange(N) * DT
 SPEC = PlantSpec(tuple(Channel(f"tau{k}", "N m") for k in (1, 2)), tuple(Channel(f"q{k}", "rad") for k in (1, 2)), DT)
@@ -61,6 +59,7 @@ def test_noise_from_feedback_and_steps_of_friction_are_no_fault() -> None:
     assert check_torques(runs(lambda u: u + np.random.default_rng(9).normal(0, 5, N))) == []
 
 
+@pytest.mark.slow
 def test_the_report_of_an_arm_says_it() -> None:
     arm = load_arm("iiwa")
     spec = PlantSpec(arm.inputs, arm.outputs, DT)

@@ -13,8 +13,6 @@ from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
-pytestmark = pytest.mark.slow  # whole loops
-
 
 def log_likelihood(error: Coloured, values: FloatArray, before: Before) -> float:
     """Return the log-density of the rows that count, each given those before it."""
@@ -81,6 +79,7 @@ class Line:
         return []
 
 
+@pytest.mark.slow
 def test_intervals_hold_under_a_coloured_error() -> None:
     inside = []
     for seed in range(60):

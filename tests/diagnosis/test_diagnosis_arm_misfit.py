@@ -21,8 +21,6 @@ from harness.physics.arms.arm import ArmModel, load_arm
 from harness.physics.arms.urdf_write import urdf_with
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 pytest.importorskip(
     "pybullet_data", reason="the URDF of the iiwa comes with pybullet, which has wheels for CPython 3.10 and 3.11 only"
 )
@@ -61,6 +59,7 @@ def weightless(arm: ArmModel, u: FloatArray, q: FloatArray) -> tuple[FloatArray,
     return u - arm.torques(q, still, still), q
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mistake", "words"),
     [
@@ -101,6 +100,7 @@ def test_one_joint_that_nothing_explains_is_enough() -> None:
     assert misfit._explained(wrong, range(7))[1] > 0.25
 
 
+@pytest.mark.slow
 def test_an_arm_that_does_not_fit_gets_no_green_badge_and_no_urdf(tmp_path: Path) -> None:
     """The torques have nothing to do with the motion: the residual was 1600 % of the torque, and nothing missing."""
 
@@ -116,6 +116,7 @@ def test_an_arm_that_does_not_fit_gets_no_green_badge_and_no_urdf(tmp_path: Path
     assert not (tmp_path / "out" / "repaired.urdf").exists()
 
 
+@pytest.mark.slow
 def test_the_right_log_fits_and_says_how_much_is_explained() -> None:
     report = close_loop(*log(lambda arm, u, q: (u, q)), dictionary=[])
     assert report.verdict == "nothing_missing", report.data["summary"]
@@ -130,6 +131,7 @@ def test_the_right_log_fits_and_says_how_much_is_explained() -> None:
     }
 
 
+@pytest.mark.slow
 def test_friction_is_found_beside_inertia_that_is_calibrated_on_few_rows() -> None:
     """Forty inertial parameters on a hundred rows predict no other record: validation must not judge them."""
 
@@ -142,6 +144,7 @@ def test_friction_is_found_beside_inertia_that_is_calibrated_on_few_rows() -> No
     assert report.data["effects"][0]["parameters"]["Fc"]["value"] == pytest.approx(2.0, rel=0.03)
 
 
+@pytest.mark.slow
 def test_several_wrong_links_are_named_and_the_reader_is_told_to_check_the_urdf(tmp_path: Path) -> None:
     data, arm = log(lambda arm, u, q: (u, q))
     bodies = arm.arm.parameters.reshape(-1, 10).copy()
@@ -153,6 +156,7 @@ def test_several_wrong_links_are_named_and_the_reader_is_told_to_check_the_urdf(
     assert any("a URDF with other masses or lengths can look like that" in text for text in report.data["warnings"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.7, 1.3])
 def test_a_urdf_with_other_lengths_is_said_to_be_another_arms(tmp_path: Path, factor: float) -> None:
     """A link and gains of two or three torques explained 96 to 99 % of it, under a green grade."""

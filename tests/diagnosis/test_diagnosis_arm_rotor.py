@@ -14,8 +14,6 @@ from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 pytest.importorskip("pybullet", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
 
 DT = 0.01
@@ -72,6 +70,7 @@ def rotors(data: dict[str, Any]) -> dict[str, float]:
     return {f"{one['name']}@{one['at']}": one["parameters"]["J"]["value"] for one in data["effects"]}
 
 
+@pytest.mark.slow
 def test_a_rotor_is_named_at_its_joint_and_nothing_else_is() -> None:
     report = close_loop(log((0, 0, 0, 0.5, 0, 0, 0)), arm())
     assert rotors(report.data) == {"rotor_inertia@q4": pytest.approx(0.5, rel=0.02)}, report.data["summary"]
@@ -79,6 +78,7 @@ def test_a_rotor_is_named_at_its_joint_and_nothing_else_is() -> None:
     assert len(report.data["tie_sets"][0]) == 1, "bodies cannot do it"
 
 
+@pytest.mark.slow
 def test_rotors_of_all_joints_are_named_and_no_link_is_heavy() -> None:
     true = (0.8, 0.8, 0.4, 0.4, 0.2, 0.1, 0.1)
     report = close_loop(log(true), arm())
@@ -90,6 +90,7 @@ def test_rotors_of_all_joints_are_named_and_no_link_is_heavy() -> None:
     assert said == [True, True, False, False, False, False, False], "links 1 and 2 turn with their joints alone"
 
 
+@pytest.mark.slow
 def test_rotors_are_named_where_the_motion_is_two_slow_sines() -> None:
     """What they leave then is two sines, which an autoregressive error of four coefficients predicts.
 
@@ -107,6 +108,7 @@ def test_rotors_are_named_where_the_motion_is_two_slow_sines() -> None:
         assert inertia["value"] == pytest.approx(true[int(one["at"][1]) - 1], abs=three)
 
 
+@pytest.mark.slow
 def test_where_bodies_are_free_masses_stay_within_reason_beside_a_rotor() -> None:
     """Its neighbours became three times as heavy, and no body that mass can make explained the log."""
     report = close_loop(log((0, 0, 0, 0.5, 0, 0, 0)), arm("calibrated"))

@@ -16,8 +16,6 @@ from harness.physics.arms.arm import ArmModel, load_arm
 from harness.physics.arms.formats.urdf import load_urdf
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 DT, ROWS = 0.005, 800
 T = np.arange(ROWS) * DT
 USES: tuple[Literal["estimation", "validation"], ...] = ("estimation", "validation")
@@ -68,6 +66,7 @@ def named(data: dict[str, Any]) -> dict[str, float]:
     return {one["name"]: next(iter(one["parameters"].values()))["value"] for one in data["effects"]}
 
 
+@pytest.mark.slow
 def test_a_geared_joint_with_free_inertia_is_not_explained_by_a_torque_near_zero(urdf: str) -> None:
     """The gain fell to 0.002: the measured torque stood on both sides, and explained itself."""
     arm = load_arm(urdf, inertia="calibrated")
@@ -79,6 +78,7 @@ def test_a_geared_joint_with_free_inertia_is_not_explained_by_a_torque_near_zero
     assert not report.data["stand_in"]["flagged"]
 
 
+@pytest.mark.slow
 def test_a_rotor_of_many_times_the_link_is_no_gain_of_another_unit(urdf: str) -> None:
     arm = load_arm(urdf)
     report = close_loop(log(arm, dry=2.0, viscous=2.0, rotor=0.9), arm, dictionary=LAWS)
@@ -151,6 +151,7 @@ def loaded(folder: Any, text: str) -> ArmModel:
     return load_arm(path)
 
 
+@pytest.mark.slow
 def test_a_urdf_with_half_of_the_masses_is_not_explained_away(tmp_path: Any) -> None:
     data = two_links(loaded(tmp_path, TWO))
     light = TWO

@@ -23,10 +23,11 @@ def test_the_worst_output_says_how_much_further() -> None:
     rng = np.random.default_rng(0)
     errors = [rng.standard_normal((4000, 2)) * size for size in ([1.0, 2.0], [1.1, 12.0])]
     after: Any = SimpleNamespace(finite=True, estimation=(errors[0][:1500], errors[0][1500:]), validation=(errors[1],))
-    found = FreeRuns(cast(Any, None), cast(Any, None), None, after, 0.0, np.ones(2), np.zeros(2), 0)
+    found = FreeRuns(cast(Any, None), cast(Any, None), None, after, 0.0, 0.0, np.ones(2), np.zeros(2), 0)
     assert found.further == pytest.approx(6.0, rel=0.05)
     lost: Any = SimpleNamespace(finite=False)
-    assert FreeRuns(cast(Any, None), cast(Any, None), None, lost, 0.0, np.ones(2), np.zeros(2), None).further == np.inf
+    none = cast(Any, None)
+    assert FreeRuns(none, none, None, lost, 0.0, 0.0, np.ones(2), np.zeros(2), None).further == np.inf
 
 
 @pytest.mark.slow

@@ -32,8 +32,6 @@ from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 USED = 240_000
 """The base of records that were looked at while this was written."""
 
@@ -354,6 +352,7 @@ def test_friction_of_another_engine_without_bristles_is_not_refined() -> None:
     assert [str(effect.placed) for effect in found.outcome.accepted] == ["coulomb_friction@theta"]
 
 
+@pytest.mark.slow
 def test_a_width_that_the_samples_do_not_show_is_no_parameter() -> None:
     """Faint friction under an unknown torque: a width that the samples do not show was asked 4 in log-likelihood."""
     _, found = closed("confusion|pendulum|laws|load_dependent_friction@theta|quarter|high|0.02|0", shape="wheel")

@@ -21,8 +21,6 @@ from harness.effects import builtin
 from harness.physics import load_model
 from harness.signals import FloatArray
 
-pytestmark = pytest.mark.slow  # whole loops
-
 N, DT = 2000, 0.01
 T = np.arange(N) * DT
 PARTS = POLICY.line_parts
@@ -130,6 +128,7 @@ def test_the_parts_of_a_direction_are_the_direction() -> None:
 TRUE = ("periodic_disturbance@theta",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("task", "hidden"),
     [

@@ -24,8 +24,6 @@ from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import NoiseModel
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 DT, N = 0.02, 600
 J, B, MGL = 0.1, 0.05, 1.0
 

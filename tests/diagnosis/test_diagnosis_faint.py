@@ -21,8 +21,6 @@ from harness.physics.compiled.kalman_pass import KalmanPass
 from harness.physics.compiled.latent import without_latent_forces
 from harness.signals import Channel, PlantSpec, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 DT = 0.002
 PENDULUM = {"J": 0.25, "b": 0.05, "mgl": 4.9}
 RATE = [load_model("pendulum").states[1].name]

@@ -33,8 +33,6 @@ from harness.specs import spec_to_dict
 from harness.trust import trusting
 from plants.mockups import mockup
 
-pytestmark = pytest.mark.slow  # whole loops
-
 DT, N = 0.01, 1000
 EFFECTS = builtin()
 PENDULUM = {"J": 0.06, "b": 0.04, "mgl": 1.1}
@@ -158,6 +156,7 @@ def dry(tmp_path_factory):
     return report, folder, data
 
 
+@pytest.mark.slow
 def test_friction_inside_the_fmu_is_found_from_the_angle_alone(dry):
     report, folder, _ = dry
     assert report.verdict == "effects_found"
@@ -176,6 +175,7 @@ def test_friction_inside_the_fmu_is_found_from_the_angle_alone(dry):
     assert json.loads((folder / "report.json").read_text())["verdict"] == "effects_found"
 
 
+@pytest.mark.slow
 def test_the_repaired_fmu_is_one_package_that_repeats_the_report(dry, tmp_path):
     report, folder, data = dry
     target = tmp_path / "repaired.ssp"
@@ -266,12 +266,14 @@ def test_a_package_around_an_fmu_in_degrees_leaves_the_conversion_to_the_units(t
     assert (degree.get("rad"), float(degree.get("factor"))) == ("1", pytest.approx(np.pi / 180))
 
 
+@pytest.mark.slow
 def test_with_nothing_hidden_nothing_is_missing():
     report = closed(records(), ("coulomb_friction", "input_delay", "sensor_offset"))
     assert report.verdict == "nothing_missing"
     assert report.data["effects"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("around", "rivals", "name", "parameter", "value"),
     [
@@ -313,6 +315,7 @@ def test_what_lies_before_and_behind_the_fmu_is_named(around, rivals, name, para
     assert found == pytest.approx(value, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_cubic_spring_inside_the_fmu_is_found():
     data = records("mass_spring", {**SPRING, "k3": 0.8}, size=0.5)
     report = closed(data, ("cubic_spring", "quadratic_spring", "coulomb_friction", "input_delay"), model="mass_spring")

@@ -13,8 +13,6 @@ from harness.effects import builtin
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 from plants.mockups import mockup
 
-pytestmark = pytest.mark.slow  # whole loops
-
 DT, N, NOISE = 0.01, 500, 1e-4
 TRUE = {"mc": 0.8, "mp": 0.25, "l": 0.45}
 START = {"mc": 1.0, "mp": 0.2, "l": 0.5}
@@ -58,6 +56,7 @@ def test_windows_are_as_long_as_the_unstable_pole_allows(dry: Dataset) -> None:
     assert "in 0 s" not in found.reason
 
 
+@pytest.mark.slow
 def test_a_friction_is_found_on_an_unstable_fmu(dry: Dataset) -> None:
     report = close_loop(dry, mockup("cart_pole"), parameters=START, dictionary=[builtin()["coulomb_friction"]])
     assert report.data["horizon"]["seconds"] < 2.0

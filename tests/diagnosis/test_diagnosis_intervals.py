@@ -17,8 +17,6 @@ from harness.physics import load_model
 from harness.physics.compiled.windows import Windows
 from harness.signals import PlantSpec, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 N, DT = 2000, 0.015
 RINGING = [1.0, -2 * np.exp(-0.5 * DT) * np.cos(6 * DT), np.exp(-1.0 * DT)]
 """A plant with its pole at 6 rad/s, damped by 8 %: what shakes it rings for some 2 s."""
@@ -172,6 +170,7 @@ def test_windows_tell_what_their_initial_states_can_do() -> None:
         assert np.abs(basis.T @ part).max() < 1e-9 * np.abs(part).max()
 
 
+@pytest.mark.slow
 def test_intervals_of_free_runs_hold_the_truth_though_their_errors_are_coloured() -> None:
     """Least squares of a slow and a fast column under an error that lasts 20 samples, 200 times."""
     rng, held = np.random.default_rng(0), np.zeros(2)

@@ -24,11 +24,10 @@ from harness.diagnosis.search.scores import score_test
 from harness.effects import Placed, builtin, compose
 from harness.physics import load_model
 
-pytestmark = pytest.mark.slow  # whole loops
-
 TASK = Task("confusion", "pendulum", "bullet", (), "nominal", "high", 0.0, 0, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "held", "within"),
     [
@@ -50,6 +49,7 @@ def test_what_imitates_other_effects_gets_its_own_name(effect: str, held: tuple[
         assert found.final.values[f"{effect}.{name}"] == pytest.approx(records.hidden[0].named[name], rel=within)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("level", "root", "name"),
     [
@@ -93,6 +93,7 @@ def test_a_damping_that_drives_somewhere_is_no_damping(share: float, allowed: bo
     assert not impossible(blind, law, fit)
 
 
+@pytest.mark.slow
 def test_a_damping_that_falls_along_the_way_is_named_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     def falling(name: str, at: str, _: str, context: Context, __: np.random.Generator) -> Hidden:
         value = -0.5 * context.values["b0"] / float(np.abs(context.q(at)).max()) ** 2
@@ -104,6 +105,7 @@ def test_a_damping_that_falls_along_the_way_is_named_all_the_same(monkeypatch: p
     assert [str(one.placed) for one in found.outcome.accepted] == [effect]
 
 
+@pytest.mark.slow
 def test_no_refit_starts_below_what_it_adds_to() -> None:
     """What nominal parameters and initial states take up nearly whole started 8000 units too low, and was lost."""
     records = make_records(replace(TASK, plant="cart-pole", engine="pymunk", effects=("sensor_gain@x",), noise="low"))
@@ -122,6 +124,7 @@ def test_no_refit_starts_below_what_it_adds_to() -> None:
     assert begun > 3
 
 
+@pytest.mark.slow
 def test_a_gain_of_a_sensor_is_found_beside_a_drive_that_tires() -> None:
     """The nominal parameters take up nine tenths of it, and a hysteresis with a cogging imitated the rest."""
     task = replace(TASK, plant="cart-pole", engine="pymunk", effects=("sensor_gain@x",), structure="tiring-drive")
@@ -129,6 +132,7 @@ def test_a_gain_of_a_sensor_is_found_beside_a_drive_that_tires() -> None:
     assert [str(one.placed) for one in found.outcome.accepted] == ["sensor_gain@x"]
 
 
+@pytest.mark.slow
 def test_a_force_over_speed_and_command_together_is_seen() -> None:
     """A drive that tires at speed: no axis alone shows it, and no effect has its law."""
     task = Task("outside", "pendulum", "laws", ("tiring_drive@theta",), "nominal", "high", 0.0, 1, 0)
@@ -141,6 +145,7 @@ def test_a_force_over_speed_and_command_together_is_seen() -> None:
 DRIFTS = ("drifting_damping", "drifting_gain")
 
 
+@pytest.mark.slow
 def test_what_drifts_is_seen_where_the_dictionary_has_no_name_for_it() -> None:
     """Its mean is in the nominal damping; what is left follows the speed, and changes sign within every record."""
     task = replace(TASK, effects=(), study="none", level="", structure="warming-damper")

@@ -16,8 +16,6 @@ from harness.errors import InputError
 from harness.physics.models import pendulum
 from harness.signals import Run
 
-pytestmark = pytest.mark.slow  # whole loops
-
 
 def dry(q: float, v: float, u: float, t: float) -> float:
     return -0.05 * math.copysign(1.0, v) if v else 0.0
@@ -30,6 +28,7 @@ def dry_report(foreign_pendulum, tmp_path_factory):
     return close_loop(data, "pendulum", out=out), out, data
 
 
+@pytest.mark.slow
 def test_dry_friction_is_named_with_its_size(dry_report) -> None:
     report, _, _ = dry_report
     assert report.verdict == "effects_found"
@@ -80,6 +79,7 @@ def test_page_is_one_file_that_says_the_verdict_first(dry_report) -> None:
     assert page.count("<svg") >= 5
 
 
+@pytest.mark.slow
 def test_a_report_is_not_overwritten_and_resume_uses_what_is_there(dry_report) -> None:
     report, out, data = dry_report
     with pytest.raises(InputError, match="--force"):
@@ -92,6 +92,7 @@ def test_a_report_is_not_overwritten_and_resume_uses_what_is_there(dry_report) -
         assert second["parameters"]["after"][name]["value"] == pytest.approx(one["value"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_nothing_missing_on_white_noise(foreign_pendulum) -> None:
     report = close_loop(foreign_pendulum(2), pendulum())
     assert report.verdict == "nothing_missing"
@@ -126,6 +127,7 @@ def test_cogging_of_three_periods_a_turn_is_named(foreign_pendulum) -> None:
     assert report.data["effects"][0]["parameters"]["k"]["value"] == pytest.approx(3.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_tilt_offset_and_eccentric_load_are_tied(foreign_pendulum) -> None:
     report = close_loop(foreign_pendulum(6, lambda q, v, u, t: -0.05 * math.cos(q)), "pendulum")
     tied = {member["name"] for member in report.data["tie_sets"][0]}
@@ -158,6 +160,7 @@ def test_data_that_cannot_be_judged_are_refused(foreign_pendulum) -> None:
         close_loop(still, "pendulum")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law",
     [
@@ -175,6 +178,7 @@ def test_a_strong_law_outside_the_dictionary_is_never_a_disturbance(foreign_pend
     assert report.data["adequacy"] in ("proxy_or_incomplete", "does_not_fit")
 
 
+@pytest.mark.slow
 def test_three_percent_of_coloured_torque_stay_a_disturbance(foreign_pendulum) -> None:
     few = [builtin()[name] for name in ("coulomb_friction", "sensor_offset", "input_delay", "force_bias")]
     report = close_loop(foreign_pendulum(4, coloured=0.03), "pendulum", dictionary=few)

@@ -15,8 +15,6 @@ from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 DT, FINER, NOISE = 2e-3, 16, 2e-4
 PLANT = {"m": 5e-6, "c": 2e-4, "k": 1.0}
 
@@ -72,6 +70,7 @@ def late_cart(seed: int, n: int = 2500) -> Trajectory:
     return Trajectory(np.arange(n) * 4e-3, u, y + 1e-4 * rng.normal(size=y.shape), spec)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_went_to_nothing_comes_back() -> None:
     """Through a logarithm no derivative brings it back: without its lag the cart has no friction, and kept none."""
     dataset = Dataset("late", (Run(late_cart(0), "estimation"), Run(late_cart(1), "validation")))

@@ -16,9 +16,8 @@ from harness.physics import load_model
 from harness.signals import Dataset, Run, Trajectory
 from scenarios.recordings import load_recording
 
-pytestmark = pytest.mark.slow  # whole loops
 
-
+@pytest.mark.slow
 def test_a_repaired_model_remembers_how_its_nominal_model_was_made(tmp_path: Path) -> None:
     options = {"upper_outlet": "linear", "pump_offset": True}
     system = load_model("two-tanks", **options)

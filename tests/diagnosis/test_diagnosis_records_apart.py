@@ -14,8 +14,6 @@ from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.physics import load_model
 
-pytestmark = pytest.mark.slow  # whole loops
-
 USED = 140_000
 """The base of records that were looked at while this was written."""
 

@@ -201,6 +201,7 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
         ),
         ({"further": 6.84}, "free runs err 6.8 times as far on the validation records as on the others"),
         ({}, "the force that nobody measured is too large for a disturbance"),
+        ({"runs_leave": 0.64}, "free runs leave 80 % of what a straight line leaves"),
         ({"lasting": 0.4}, "an error of free runs that lasts (of theta, 40 % of its motion) is left"),
     ],
 )
@@ -219,7 +220,7 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
         shaken="jumps" in more,
         jumps=tuple(Jump("theta", use, 0, time, 20.0, 0.2) for use, time in more.get("jumps", ())),
         astray="further" in more,
-        runs=SimpleNamespace(further=more.get("further"), worst=0),
+        runs=SimpleNamespace(further=more.get("further"), worst=0, left=more.get("runs_leave", 0.1)),
         form=SimpleNamespace(latent="lasting" not in more),
         lasting=more.get("lasting"),
         dataset=SimpleNamespace(spec=SimpleNamespace(outputs=(SimpleNamespace(name="theta"),))),

@@ -26,8 +26,6 @@ from harness.physics import load_model
 from harness.schemas import report_schema
 from harness.signals import Channel, PlantSpec
 
-pytestmark = pytest.mark.slow  # whole loops
-
 EFFECT = {
     "name": "input_compression", "at": "u", "may_be_part_of": "", "given": False, "rounds": False, "formula": "F",
     "summary": "A drive that tires.",
@@ -83,6 +81,7 @@ def test_the_size_of_the_unknown_force_counts_its_white_part_as_its_share_does()
     assert "theta 0.4011 → 0.05 N m (0.03 of it drawn here and fading in 0.2 s, the rest white; 5 % of what" in words
 
 
+@pytest.mark.slow
 def test_a_misfit_is_no_finding_in_a_real_report_either(foreign_pendulum, tmp_path) -> None:
     data = foreign_pendulum(1, command=lambda u: -u, n=600)
     found = close_loop(data, "pendulum", dictionary=[builtin()["input_compression"]], out=tmp_path).data

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from harness.diagnosis.records.stretches import cut_alike, stretched, windowed
 from harness.physics.models import pendulum
 from harness.rng import stream
 from harness.signals import Dataset, Run, Trajectory
-
-pytestmark = pytest.mark.slow  # whole loops
 
 
 def _record(samples: int, seed: int) -> Trajectory:

@@ -36,8 +36,6 @@ from harness.physics.fitting.fisher_scoring import damped
 from harness.physics.fitting.maximum import LikelihoodFit
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
-pytestmark = pytest.mark.slow  # whole loops
-
 DT = 0.01
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
 
@@ -74,6 +72,7 @@ def closed(first: Trajectory, second: Trajectory, *names: str, **start: float) -
     return diagnose(dataset, model, dictionary=[builtin()[name] for name in names or ("coulomb_friction",)])
 
 
+@pytest.mark.slow
 def test_records_of_two_machines_are_not_nothing_missing() -> None:
     found = closed(swing(seed=1), swing(J=0.0505, seed=2))
     assert found.verdict == "unexplained"
@@ -86,6 +85,7 @@ def test_records_of_two_machines_are_not_nothing_missing() -> None:
     assert not any("want other parameters" in text for text in same.warnings)
 
 
+@pytest.mark.slow
 def test_a_noise_that_fits_better_is_no_other_machine() -> None:
     """A force that is no noise of the model has several maxima, and b is 4 % off, two and a half deviations: chance."""
     task = Task("none", "pendulum", "bullet", (), "", "drawn", 0.02, 66, 220_000, shape="drifting-sine")
@@ -96,6 +96,7 @@ def test_a_noise_that_fits_better_is_no_other_machine() -> None:
     assert found.verdict == "nothing_missing"
 
 
+@pytest.mark.slow
 def test_a_free_swing_tells_ratios_and_no_interval_of_the_parameters() -> None:
     found = closed(swing(drive=0.0, seed=1), swing(drive=0.0, seed=2))
     for name in ("J", "b", "mgl"):
@@ -106,6 +107,7 @@ def test_a_free_swing_tells_ratios_and_no_interval_of_the_parameters() -> None:
     assert all(np.isfinite(driven.interval(name)).all() for name in ("J", "b", "mgl"))
 
 
+@pytest.mark.slow
 def test_declared_parameters_that_are_far_off_make_no_gain_of_the_input() -> None:
     """Bounds of the noise follow the forces of the fitted plant: a common scale of all parameters gains nothing."""
     found = closed(swing(seed=1), swing(seed=2), "input_gain", J=100.0, mgl=2000.0, b=40.0)
@@ -196,6 +198,7 @@ def test_pieces_below_a_ceiling_are_whole_and_never_touch_it(parts: list[tuple[i
         assert all((one.y < 0.9).all() for one in (*found.estimation, *found.validation))
 
 
+@pytest.mark.slow
 def test_a_ceiling_is_found_behind_a_nominal_fit_that_it_spoilt() -> None:
     first, second = swing(seed=3, drive=0.3), swing(seed=4, drive=0.3)
     top = 0.7 * float(np.abs(first.y).max())
@@ -295,6 +298,7 @@ def test_a_drive_that_would_pull_back_at_its_peak_is_no_compression() -> None:
     assert impossible(form, placed, fit) == []
 
 
+@pytest.mark.slow
 def test_peaks_of_a_swing_are_no_ceiling_of_the_sensor() -> None:
     """A smooth peak is a parabola; readings at a ceiling stay there, however far below it others lie."""
     first, second = swing(seed=1), swing(seed=2)

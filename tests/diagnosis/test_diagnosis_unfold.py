@@ -19,8 +19,6 @@ from harness.signals import Channel, Dataset, PlantSpec, Trajectory
 
 from .conftest import pendulum_dataset
 
-pytestmark = pytest.mark.slow  # whole loops
-
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 0.02)
 
 
@@ -68,6 +66,7 @@ def swing(seed: int, lines: int, longest: float, n: int = 1000) -> np.ndarray:
     return np.asarray(total / np.sqrt(np.mean(total**2)))
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 10_000),
     lines=st.integers(1, 5),
@@ -91,10 +90,12 @@ def test_a_followed_motion_has_the_right_signs(
     assert path.gain > 10
 
 
+@pytest.mark.slow
 def test_nearly_every_motion_is_followed() -> None:
     assert sum(len(tracked(np.abs(swing(seed, 3, 300.0)))) == 1 for seed in range(12)) >= 11
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000), noise=st.sampled_from((1e-5, 1e-3, 1e-2)))
 @settings(max_examples=10, deadline=None)
 def test_a_motion_that_only_touches_zero_is_not_unfolded(seed: int, noise: float) -> None:
@@ -111,6 +112,7 @@ def test_a_short_or_silent_record_decides_nothing() -> None:
     assert tracked(np.zeros(500)) == ()
 
 
+@pytest.mark.slow
 def test_followed_records_are_turned_to_answer_the_input_alike() -> None:
     """Each begins with an unknown sign; together only one is unknown."""
     runs, signs = [], []
@@ -138,6 +140,7 @@ def lingering(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return u, np.asarray(lfilter([0.0, 1.0], np.poly(poles).real, u)) / 100
 
 
+@pytest.mark.slow
 def test_what_the_motion_does_not_tell_the_input_does() -> None:
     """At rest at zero a path loses its sign: several are as likely, and one of them answers the input everywhere."""
     runs, signs, clear = [], [], []
@@ -154,6 +157,7 @@ def test_what_the_motion_does_not_tell_the_input_does() -> None:
     assert len(set(np.sign(agree))) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
 def test_a_pendulum_whose_sensor_loses_the_sign_is_named(noise: float, tmp_path: Path) -> None:
     """Large swings, simulated by hand-written laws: no linear model follows them."""

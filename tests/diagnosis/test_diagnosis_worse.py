@@ -16,15 +16,13 @@ from harness.diagnosis.runs.compare import FreeRuns
 from harness.effects import builtin
 from harness.physics import load_model
 
-pytestmark = pytest.mark.slow  # whole loops
-
 
 def shown(*validation: np.ndarray[Any, Any]) -> Any:
     return SimpleNamespace(finite=bool(all(np.isfinite(one).all() for one in validation)), validation=validation)
 
 
 def runs(before: Any, after: Any) -> FreeRuns:
-    return FreeRuns(cast(Any, None), cast(Any, None), before, after, 0.0, np.ones(1), np.zeros(1), 0)
+    return FreeRuns(cast(Any, None), cast(Any, None), before, after, 0.0, 0.0, np.ones(1), np.zeros(1), 0)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -69,6 +67,7 @@ def test_idle_is_what_brings_no_free_run_nearer() -> None:
     assert not runs(same, same).idle(POLICY), "nothing was added"
 
 
+@pytest.mark.slow
 def test_an_encoder_that_errs_is_given_no_friction() -> None:
     """Twice a turn by 2 mrad: the likelihood finds a force for it, with which the model runs further away."""
     tasks = plan("false-alarms", base=0, plants=("pendulum",), records=None, cells=4, alarms=400)
