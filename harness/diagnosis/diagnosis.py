@@ -104,6 +104,8 @@ class Diagnosis:
         left = self.left is not None or self.latent_share > self.policy.large
         # a process has no force that takes up what is left, and that a judge by free runs tells of
         lasts = not self.system.coordinates and self.runs.left > self.policy.explained
+        # better than nothing at all, and no better than a line, is no misfit and lacks something
+        lasts = lasts or self.runs.left > self.policy.misfit_nrmse**2 >= self.runs.beyond_start
         refused = not self.found and (lasts or self.promised is not None)
         denied = bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
         return left or refused or denied or self.shaken
@@ -115,7 +117,9 @@ class Diagnosis:
         Corners of a law that are rounder than those of the plant are seen by exact sensors, and missed by nobody where
         free runs with what was found leave no more than the noise.
         """
-        return None if self.found and self.runs.to_the_noise(self.policy) else self.leftover.best
+        if not self.found:
+            return self.leftover.missing
+        return None if self.runs.to_the_noise(self.policy) else self.leftover.best
 
     @functools.cached_property
     def promised(self) -> Judged | None:

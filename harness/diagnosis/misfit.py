@@ -40,11 +40,12 @@ def misfit_reasons(
     if wrong:  # it says what is to be done
         return tuple(wrong)
     reasons = []
-    if not runs.left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy, factor):
+    if not runs.beyond_start <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy, factor):
         shares = runs.noise / np.maximum(runs.motion, 1e-300)
         if runs.worst is not None and shares[runs.worst] > policy.mostly:
             return (_noisy(form, shares),)  # a fit to noise is none, and says nothing about the model
-        share = "diverges" if not np.isfinite(runs.left) else f"leaves {100 * np.sqrt(runs.left):.0f} % of the motion"
+        size = np.sqrt(runs.beyond_start)
+        share = "diverges" if not np.isfinite(size) else f"leaves {100 * size:.0f} % of the motion"
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
         if policy.further < runs.further < np.inf:
             reasons.append(

@@ -127,7 +127,7 @@ def what_free_runs_say(
     denied = runs.worse(policy) or idle
     if not denied or any(one.given for one in outcome.accepted):  # what is given is not taken back
         return outcome, runs, leftover
-    outcome = outcome.taken_back(policy.misfit_gain if form.latent and not runs.worse(policy) else 0.0)
+    outcome = outcome.taken_back(0.0 if runs.worse(policy) else policy.misfit_gain)
     return outcome, run_freely(kind, form, outcome, dataset, simple, share), left_over(form, outcome.model, policy)
 
 

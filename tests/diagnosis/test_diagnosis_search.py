@@ -335,3 +335,27 @@ def test_what_stays_tied_beside_a_later_effect_is_told() -> None:
     assert len(outcome.accepted) == 2
     assert tie_of(outcome, "linear_spring") == {"linear_spring", "cubic_spring"}
     assert tie_of(outcome, "quadratic_drag") == {"quadratic_drag"}
+
+
+@pytest.mark.parametrize("hidden", [0.0, 0.3])
+def test_what_an_error_that_remembers_explains_as_well_is_not_missing(hidden: float) -> None:
+    """Of free runs, which err for long: a slow force over some axis follows such an error by chance, in both uses."""
+    records = linear_records(8, {"cubic_spring": hidden})
+    for number, use in enumerate(USES):
+        error = np.random.default_rng([9, number]).standard_normal(1000)
+        for k in range(1, 1000):
+            error[k] += 0.98 * error[k - 1]
+        records.y[use] = records.y[use] + error
+        slow = np.convolve(error, np.ones(401) / 401, "same")
+        records.x[use]["force_bias"] = slow + 0.2 * records.x[use]["force_bias"]
+    form = LinearForm(records)
+    plain = form.fit((), [], None)
+    a, b = (plain.values[name] for name in "ab")
+    errors = {use: records.y[use] - a * own["a"] - b * own["b"] for use, own in records.x.items()}
+    pairs = {use: [(error[:, None], np.ones((1000, 1)))] for use, error in errors.items()}
+    found = left_over(form, replace(plain, innovations=pairs, free_run=True))
+    assert found.best is not None, "it is doubt enough to call an effect a stand-in"
+    missing = None if found.missing is None else found.missing.name
+    assert missing == ("theta over cubic_spring" if hidden else None)
+    beside_force = left_over(form, plain)
+    assert beside_force.missing is beside_force.best is not None, "a force that nobody measured remembers for itself"

@@ -45,7 +45,9 @@ def diagnosis(
     latent: float = 0.0,
     white: float = 0.0,
     left: float = 0.01,
+    beyond_start: float | None = None,
     misfit: tuple[str, ...] = (),
+    imitated: bool = False,
     withdrawn: bool = False,
     rival: str = "",
     worse: bool = False,
@@ -70,9 +72,10 @@ def diagnosis(
     scale = SimpleNamespace(force_scale=np.array([2.0]))
     form: Any = SimpleNamespace(noise_model=scale, latent=force, jumps=lambda fit: [])
     rest: dict[str, Any] = {
-        "leftover": SimpleNamespace(best=best),
+        "leftover": SimpleNamespace(best=best, missing=None if imitated else best),
         "runs": SimpleNamespace(
             left=left,
+            beyond_start=left if beyond_start is None else beyond_start,
             further=further,
             worse=lambda policy: worse,
             to_the_noise=lambda policy: to_the_noise,
@@ -100,7 +103,7 @@ def test_free_runs_leave_no_more_than_noise_only_if_every_output_does(size: floa
     errors = np.where(np.arange(400)[:, None] % 2, 1.0, -1.0) * np.array([1.0, size])  # over their weights
     after: Any = SimpleNamespace(finite=bool(np.isfinite(errors).all()), validation=[errors])
     output: Any = SimpleNamespace(weights=noise)
-    runs = FreeRuns(None, output, None, after, 0.0, np.ones(2), noise**2, 0)  # type: ignore[arg-type]
+    runs = FreeRuns(None, output, None, after, 0.0, 0.0, np.ones(2), noise**2, 0)  # type: ignore[arg-type]
     assert runs.to_the_noise(POLICY) is expected
     assert not replace(runs, after=None).to_the_noise(POLICY)
 
@@ -109,12 +112,16 @@ def test_the_verdict_asks_first_whether_the_model_fits() -> None:
     assert diagnosis().verdict == "nothing_missing"
     assert diagnosis(accepted=True).verdict == "effects_found"
     assert diagnosis(left_over=True).verdict == "unexplained"
+    assert diagnosis(left_over=True, imitated=True).verdict == "nothing_missing"
     assert diagnosis(latent=0.25).verdict == "unexplained"
     assert diagnosis(latent=0.15).verdict == "nothing_missing"
     assert diagnosis(latent=0.15, white=0.15).verdict == "unexplained"
     assert diagnosis(left=0.06, force=False).verdict == "unexplained", "of a process no force takes up what is left"
     assert diagnosis(left=0.04, force=False).verdict == diagnosis(left=0.06).verdict == "nothing_missing"
     assert diagnosis(left=0.06, force=False, accepted=True).verdict == "effects_found"
+    assert diagnosis(left=0.5).verdict == "nothing_missing", "a small force takes it away"
+    assert diagnosis(left=0.5, beyond_start=0.1).verdict == "unexplained", "a line is as near"
+    assert diagnosis(left=0.5, beyond_start=0.1, accepted=True).verdict == "effects_found"
     assert diagnosis(withdrawn=True).verdict == "unexplained"
     assert diagnosis(apart=200.0).verdict == "unexplained"
     assert diagnosis(apart=20.0).verdict == "nothing_missing"
@@ -148,6 +155,7 @@ def test_effects_beside_which_something_can_be_predicted_are_stand_ins() -> None
     assert "coulomb_friction@theta" in reason
     assert diagnosis(rival="coulomb_friction@theta").stand_in == (), "nothing was named"
     assert diagnosis(accepted=True, left_over=True).stand_in
+    assert diagnosis(accepted=True, left_over=True, imitated=True).stand_in, "an effect may follow what drifts"
     assert diagnosis(left_over=True).stand_in == ()
 
 
@@ -203,7 +211,10 @@ def doubted(
     error = np.sqrt(left * y.var(axis=0)) / deviation * np.ones((len(y), 1))
     after: Any = SimpleNamespace(validation=(error,), estimation=(error / further,), finite=bool(np.isfinite(left)))
     output: Any = SimpleNamespace(
-        weights=deviation, records={use: dataset().using(use) for use in ("estimation", "validation")}
+        weights=deviation,
+        records={use: dataset().using(use) for use in ("estimation", "validation")},
+        nominal=SimpleNamespace(h=None),
+        columns=[("theta", "rad")],
     )
     runs = FreeRuns.of(Horizon(None, "whole records"), output, None, after)
     return misfit_reasons(form, final, runs, POLICY, doubts)
@@ -424,3 +435,21 @@ def test_records_that_cannot_be_judged_are_refused_with_the_reason() -> None:
     ):
         with pytest.raises(InputError, match=words):
             checked(replace(good, runs=runs), system)
+
+
+@pytest.mark.parametrize(("output", "fits"), [("v", True), ("x", False)])
+def test_a_model_of_a_car_that_rolls_out_fits_though_a_line_is_nearer_to_its_speed(output: str, fits: bool) -> None:
+    """Its speed falls along a line: that says nothing of why. A place that goes on along one needs no force at all."""
+    text = f"state x [m], v [m/s]\nmotion x: v, m\nm = 1 kg fixed\nb = 1 N s/m\nx' = v\nv' = -b*v/m\noutput {output}"
+    system = read_equations(text).system()
+    t = np.arange(100.0)
+    y = 10.0 - 0.1 * t + 0.01 * np.random.default_rng(0).standard_normal(100)
+    record = Trajectory(t, np.zeros((100, 0)), y[:, None], PlantSpec(system.inputs, system.outputs, 1.0))
+    after: Any = SimpleNamespace(validation=[np.full((100, 1), 20.0)], finite=True)
+    runs: Any = SimpleNamespace(
+        weights=np.array([0.01]), records={"estimation": [record], "validation": [record]}, nominal=system
+    )
+    found = FreeRuns.of(Horizon(None, "whole records"), runs, None, after)
+    assert found.left > 1.0
+    assert (found.beyond_start < 0.01) is fits
+    assert fits or found.beyond_start == found.left

@@ -466,10 +466,12 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
     share = data["explained_share"]
     # four digits, rounded down: 100 % is what leaves nothing but noise
     words = (
-        f"{math.floor(1e4 * share) / 100:g} % of the validation motion is explained"
-        if share is not None and share < 1.0
-        else "no free run"
+        "no free run"
         if share is None
+        else "a straight line comes nearer to the validation motion"
+        if share < 0.0
+        else f"{math.floor(1e4 * share) / 100:g} % of the validation motion is explained"
+        if share < 1.0
         else "the validation motion is explained but for noise"
     )
     forces = [
@@ -544,6 +546,8 @@ def _cause(found: Diagnosis) -> str:
         return f"free runs err {found.runs.further:.2g} times as far on the validation records as on the others"
     if not found.form.latent:
         return f"{' and '.join(_lasting(found))} is left"
+    if found.runs.left > found.policy.misfit_nrmse**2:
+        return f"free runs leave {_short(100 * np.sqrt(found.runs.left))} % of what a straight line leaves"
     return "the force that nobody measured is too large for a disturbance"
 
 

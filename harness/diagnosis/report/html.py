@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from harness.diagnosis.policy import POLICY
@@ -88,8 +89,9 @@ def _error_row(
 
 
 def _sentence(text: str) -> str:
-    """Return a text as a sentence."""
-    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '?', '!')) else '.'}"
+    """Return a text as a sentence; the name of a file at its beginning stays as it is."""
+    named = re.search(r"[.\[]\w", text.partition(" ")[0])
+    return f"{text[:1] if named else text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '?', '!')) else '.'}"
 
 
 def _arrows(text: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.records.horizon import Horizon
@@ -15,6 +16,7 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.runs.states import on_validation, settled_states
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.systems import by_equations
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.physics.fitting.likelihood_fit import sensor_noise
@@ -36,8 +38,11 @@ class FreeRuns:
         Mean square of what the final model leaves of the validation outputs over the horizon, over that of what a
         straight line through the same windows leaves, the noise of the sensors taken off both: the share of the motion,
         the worst output. Not finite where the simulation diverges.
+    beyond_start : float
+        The same over what the fitted start leaves alone: a place goes on along a line, a speed or a level stays where
+        it is. A line takes up nearly all of a car that rolls out, and says nothing of why it does.
     motion : array (ny,)
-        The latter, with its noise.
+        What a straight line leaves, with its noise.
     noise : array (ny,)
         Variance of what the sensors read besides, as far as neighbours tell it.
     worst : int or None
@@ -49,6 +54,7 @@ class FreeRuns:
     before: Fitted | None
     after: Fitted | None
     left: float
+    beyond_start: float
     motion: FloatArray
     noise: FloatArray
     worst: int | None
@@ -56,15 +62,20 @@ class FreeRuns:
     @classmethod
     def of(cls, horizon: Horizon, output: FreeRunForm, before: Fitted | None, after: Fitted | None) -> FreeRuns:
         """Return the free runs of two models with what the second leaves of the validation records."""
-        motion = _motion(output.records["validation"], horizon)
+        records = output.records["validation"]
+        motion = _motion(records, horizon)
         noise = told_noise(output.weights, output.records["estimation"])
         if after is None or not after.finite:
-            return cls(horizon, output, before, after, np.inf, motion, noise, None)
+            return cls(horizon, output, before, after, np.inf, np.inf, motion, noise, None)
         square = np.concatenate(list(after.validation)) ** 2 * output.weights**2
         # what cannot be told from noise is not left, of a motion that can be
-        left = np.maximum(square.mean(axis=0) - noise, 0.0) / np.maximum(motion - noise, np.maximum(noise, 1e-300))
+        least, still = np.maximum(noise, 1e-300), _motion(records, horizon, degree=0)
+        left, beyond = (
+            np.maximum(square.mean(axis=0) - noise, 0.0) / np.maximum(moved - noise, least)
+            for moved in (motion, np.where(_places(output), motion, still))
+        )
         worst = int(np.argmax(left))
-        return cls(horizon, output, before, after, float(left[worst]), motion, noise, worst)
+        return cls(horizon, output, before, after, float(left[worst]), float(beyond.max()), motion, noise, worst)
 
     def worse(self, policy: Policy) -> bool:
         """Return True if the final model runs further from the validation records than the nominal one.
@@ -162,8 +173,19 @@ def _inside(fitted: Fitted) -> float:
     return float(np.mean(np.concatenate(list(fitted.estimation)) ** 2))
 
 
-def _motion(records: Sequence[Trajectory], horizon: Horizon) -> FloatArray:
-    """Return the mean square of every output about a straight line through each window (ny,).
+def _places(output: FreeRunForm) -> npt.NDArray[np.bool_]:
+    """Return which outputs tell where something is that moves on by itself (ny,); all of a plant without equations."""
+    import casadi as ca
+
+    system = output.nominal
+    if not by_equations(system):
+        return np.ones(len(output.columns), dtype=bool)
+    places = ca.vertcat(*(system.x[coordinate.q] for coordinate in system.coordinates))
+    return np.array([bool(places.numel() and ca.depends_on(system.h[row], places)) for row in range(system.ny)])
+
+
+def _motion(records: Sequence[Trajectory], horizon: Horizon, degree: int = 1) -> FloatArray:
+    """Return the mean square of every output about a straight line, or a constant, through each window (ny,).
 
     Nothing at all knows an angle that goes round to half a turn.
     """
@@ -180,7 +202,7 @@ def _motion(records: Sequence[Trajectory], horizon: Horizon) -> FloatArray:
     ]
     samples = None if horizon.seconds is None else max(3, round(horizon.seconds / spec.sample_time))
     most = [np.inf if period is None else period**2 / 12 for period in periods]
-    return np.minimum(about_lines(unwrapped, samples), most)
+    return np.minimum(about_lines(unwrapped, samples, degree), most)
 
 
 def seen(output: FreeRunForm, fit: Fit) -> Fitted | None:

@@ -193,8 +193,21 @@ def unremembered(fit: Fit, base: Fit, policy: Policy) -> list[Refusal]:
     if not fit.free_run:
         return []
     gains = coloured_gains(fit, base, policy.order)
-    least = 2 * policy.evidence if gains[1] >= 0.0 else policy.misfit_gain
-    return [Refusal(Kind.COLOURED, numbers=(*gains, least))] if gains[0] < 0.0 or sum(gains) < least else []
+    return [Refusal(Kind.COLOURED, numbers=(*gains, _asked(gains, policy)))] if drifts(gains, policy) else []
+
+
+def drifts(gains: tuple[float, float], policy: Policy) -> bool:
+    """Return True if an error that remembers explains free runs as well as what brings these gains beside one.
+
+    Of the estimation records, its parameters paid, and of the validation records: nothing is told by less, neither
+    what a plant lacks nor that it lacks something.
+    """
+    return gains[0] < 0.0 or sum(gains) < _asked(gains, policy)
+
+
+def _asked(gains: tuple[float, float], policy: Policy) -> float:
+    """Return the gain of both uses that is asked beside an error that remembers."""
+    return 2 * policy.evidence if gains[1] >= 0.0 else policy.misfit_gain
 
 
 def _small(form: Form, added: Sequence[Placed], fit: Fit, policy: Policy) -> list[Refusal]:

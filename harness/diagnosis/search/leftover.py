@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.search.coloured import coloured_likelihood
+from harness.diagnosis.search.compare import drifts
 from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
 from harness.diagnosis.search.scores import projected
 from harness.signals import FloatArray
@@ -33,6 +35,8 @@ class Axis:
         The force at the knots.
     drifts : bool
         True for a force that changes through every record.
+    imitated : bool
+        True where an error of free runs that remembers explains as much as it does.
     """
 
     name: str
@@ -42,6 +46,7 @@ class Axis:
     knots: tuple[str, ...]
     values: FloatArray
     drifts: bool = False
+    imitated: bool = False
 
     @property
     def total(self) -> float:
@@ -78,6 +83,15 @@ class Leftover:
         """
         return next((axis for axis in self.axes if self._predicts(axis)), None)
 
+    @property
+    def missing(self) -> Axis | None:
+        """The same, but for what an error of free runs that remembers explains as well.
+
+        What is doubt enough to call an effect a stand-in is not enough to say that one is missing: to that is asked
+        what is asked of an effect.
+        """
+        return next((axis for axis in self.axes if self._predicts(axis) and not axis.imitated), None)
+
     def _predicts(self, axis: Axis) -> bool:
         policy = self.policy
         if axis.drifts:  # by chance an unknown force may follow the motion in one record for a while
@@ -98,40 +112,85 @@ def left_over(form: Form, fit: Fit, policy: Policy = POLICY) -> Leftover:
     """
     linear = form.linearised(fit)
     basis, residual = projected(form, fit)
-    axes = [_axis(column, basis, residual, linear, policy) for column in form.test_functions(fit)]
-    return Leftover(tuple(sorted(axes, key=lambda axis: -axis.total)), policy, fit.free_run)
+    found = [_Explained.of(column, basis, residual, linear, policy) for column in form.test_functions(fit)]
+    found.sort(key=lambda one: -one.axis.total)
+    axes = [one.axis for one in found]
+    leftover = Leftover(tuple(axes), policy, fit.free_run)
+    while fit.free_run and leftover.missing is not None:
+        number = axes.index(leftover.missing)
+        if not drifts(found[number].beside_memory(fit, policy.order), policy):
+            break
+        axes[number] = replace(axes[number], imitated=True)
+        leftover = replace(leftover, axes=tuple(axes))
+    return leftover
 
 
-def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linearised, policy: Policy) -> Axis:
-    """Return what the functions of one axis gain."""
-    size = np.linalg.norm(column.estimation, axis=0)
-    use = size > 0
-    unit = column.estimation[:, use] / size[use]
-    left = unit - basis @ (basis.T @ unit)
-    # of what is orthonormal only the products with the residual are wanted: they stand beside R in a QR factorisation
-    whole = np.asarray(np.linalg.qr(np.column_stack([left, residual]), mode="r"))
-    corner = whole[: left.shape[1]]
-    u, s, vt = np.linalg.svd(corner[:, :-1], full_matrices=False)
-    along = -(u.T @ corner[:, -1])
-    evidence, prior = largest_evidence(along, s)
-    values = np.zeros(len(size))
-    values[use] = vt.T @ (s * prior * along / (1.0 + prior * s**2)) / size[use]
-    # the parameters move along with the force, as they did on the estimation records
-    own, outside = linear.nuisance["estimation"], linear.nuisance["validation"]
-    moved = np.linalg.lstsq(own, column.estimation @ values, rcond=1e-12)[0][: linear.shared]
-    other = linear.residual["validation"]
-    change = column.validation @ values - outside[:, : linear.shared] @ moved
-    along = outside[:, : linear.shared] @ linear.spread if len(linear.moved) else np.zeros((len(other), 0))
-    starts = outside[:, linear.shared :]
-    if starts.shape[1]:
-        q, _ = np.linalg.qr(starts)
-        other, change, along = (part - q @ (q.T @ part) for part in (other, change, along))
-    before, after = (_expected(part, along, linear.moved) for part in (other, other + change))
-    gain = before - after
-    sums = np.array([part.sum() for part in np.array_split(gain, policy.blocks)])
-    error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
-    drifts = column.kind == "drift"
-    return Axis(column.names[0], evidence, float(gain.sum()), error, tuple(column.names[1:]), values, drifts)
+@dataclass(frozen=True, eq=False)
+class _Explained:
+    """A free force over one axis, the whitened innovations beside it and without it by use, and what it costs.
+
+    ``count`` are its coefficients, each as far as the innovations and not its prior tell it.
+    """
+
+    axis: Axis
+    before: dict[str, FloatArray]
+    after: dict[str, FloatArray]
+    count: float
+
+    @classmethod
+    def of(
+        cls, column: Column, basis: FloatArray, residual: FloatArray, linear: Linearised, policy: Policy
+    ) -> _Explained:
+        """Return what the functions of one axis gain."""
+        size = np.linalg.norm(column.estimation, axis=0)
+        use = size > 0
+        unit = column.estimation[:, use] / size[use]
+        left = unit - basis @ (basis.T @ unit)
+        # of what is orthonormal only the products with the residual are wanted: they stand beside R in a QR
+        # factorisation
+        whole = np.asarray(np.linalg.qr(np.column_stack([left, residual]), mode="r"))
+        corner = whole[: left.shape[1]]
+        u, s, vt = np.linalg.svd(corner[:, :-1], full_matrices=False)
+        along = -(u.T @ corner[:, -1])
+        evidence, prior = largest_evidence(along, s)
+        told = prior * s**2 / (1.0 + prior * s**2)
+        values = np.zeros(len(size))
+        values[use] = vt.T @ (s * prior * along / (1.0 + prior * s**2)) / size[use]
+        # the parameters move along with the force, as they did on the estimation records
+        own, outside = linear.nuisance["estimation"], linear.nuisance["validation"]
+        moved = np.linalg.lstsq(own, column.estimation @ values, rcond=1e-12)[0][: linear.shared]
+        other = linear.residual["validation"]
+        change = column.validation @ values - outside[:, : linear.shared] @ moved
+        along = outside[:, : linear.shared] @ linear.spread if len(linear.moved) else np.zeros((len(other), 0))
+        starts = outside[:, linear.shared :]
+        if starts.shape[1]:
+            q, _ = np.linalg.qr(starts)
+            other, change, along = (part - q @ (q.T @ part) for part in (other, change, along))
+        before, after = (_expected(part, along, linear.moved) for part in (other, other + change))
+        gain = before - after
+        sums = np.array([part.sum() for part in np.array_split(gain, policy.blocks)])
+        error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
+        names, drifts_along = column.names, column.kind == "drift"
+        axis = Axis(names[0], evidence, float(gain.sum()), error, tuple(names[1:]), values, drifts_along)
+        known = {"estimation": residual, "validation": other}
+        without = {"estimation": residual + left @ (size[use] * values[use]), "validation": other + change}
+        return cls(axis, known, without, float(told.sum()))
+
+    def beside_memory(self, fit: Fit, order: int) -> tuple[float, float]:
+        """Return what the force gains of both uses beside an error that remembers, its coefficients paid."""
+        before, after = (coloured_likelihood(_by_record(fit, part), order) for part in (self.before, self.after))
+        price = 0.5 * self.count * float(np.log(fit.samples))
+        return after["estimation"] - before["estimation"] - price, after["validation"] - before["validation"]
+
+
+def _by_record(fit: Fit, flat: dict[str, FloatArray]) -> dict[str, list[tuple[FloatArray, FloatArray]]]:
+    """Return whitened innovations (n,) by use as those of every record (N, ny), NaN where nothing was read."""
+    found = {}
+    for use, records in fit.innovations.items():
+        parts = np.split(flat[use], np.cumsum([e.size for e, _ in records])[:-1])
+        pairs = zip(parts, records, strict=True)
+        found[use] = [(np.where(np.isnan(e), np.nan, part.reshape(e.shape)), np.ones_like(e)) for part, (e, _) in pairs]
+    return found
 
 
 def _expected(left: FloatArray, along: FloatArray, moved: FloatArray) -> FloatArray:

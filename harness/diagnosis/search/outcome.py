@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import (
     Judged,
+    coloured_gains,
     compared,
     difference,
     expected_difference,
@@ -113,7 +114,8 @@ class Outcome:
     def taken_back(self, sure: float = 0.0) -> Outcome:
         """Return the same without any effect; that they were withdrawn stands in the rounds that accepted them.
 
-        ``withdrawn`` are those that together gained so much in log-likelihood that something is there.
+        ``withdrawn`` are those that together gained so much in log-likelihood that something is there: of free runs
+        beside an error that remembers.
         """
         names = {str(accepted.placed) for accepted in self.accepted}
         rounds = tuple(
@@ -123,7 +125,10 @@ class Outcome:
                 for row in past.candidates
             )) for past in self.rounds
         )  # fmt: skip
-        gained = sum(self.model.log_likelihood(use) - self.nominal.log_likelihood(use) for use in self.model.terms)
+        if self.model.free_run:
+            gained = sum(coloured_gains(self.model, self.nominal, POLICY.order))
+        else:
+            gained = sum(self.model.log_likelihood(use) - self.nominal.log_likelihood(use) for use in self.model.terms)
         withdrawn = self.accepted if gained >= sure else ()
         return replace(self, model=self.nominal, accepted=(), withdrawn=withdrawn, rounds=rounds)
 
