@@ -138,6 +138,8 @@ def _missing(system: System, effect: Effect, port: Port) -> str | None:
         return "gravity does not act on the plant"
     if "alone" in effect.needs and len(system.coordinates) > 1:
         return "other coordinates move with it"
+    if "place" in effect.needs and port.kind == "coordinate" and not _placed(system, port.name):
+        return "nothing tells where the coordinate stands"
     return None
 
 
@@ -154,6 +156,19 @@ def _driven(system: System, name: str) -> bool:
     import casadi as ca
 
     return bool(system.nu and ca.depends_on(system.input_forces[system.coordinate(name).force], system.u))
+
+
+def _placed(system: System, name: str) -> bool:
+    """Return True if a reading, or a force or flow of the plant, depends on where a coordinate stands.
+
+    A car or a shaft that is read by its speed alone stands anywhere when a record begins.
+    """
+    import casadi as ca
+
+    if system.h is None:  # an FMU keeps its equations to itself
+        return True
+    told = [system.h, system.f] if system.mass_matrix is None else [system.h, system.f, system.mass_matrix]
+    return bool(ca.depends_on(ca.vertcat(*(ca.vec(ca.SX(part)) for part in told)), system.x[system.coordinate(name).q]))
 
 
 def carried_load(system: System, name: str) -> Any:

@@ -85,25 +85,9 @@ def _regressed(dataset: Dataset, system: System, choose: Callable[[NormalEquatio
         left, known = _stacked([plain.residual(motion, p, "weak", free) for motion in motions])
         p[free] -= np.linalg.lstsq(known, left, rcond=None)[0]
     left, known = _stacked([plain.residual(motion, p, "weak", free) for motion in motions])
-    names, columns, inputs = [], [], {channel.name for channel in system.inputs}
-    for one in placed(system, laws_of())[0]:
-        linear = [parameter for parameter in one.effect.parameters if parameter.linear]
-        if not linear or not form.judges(one) or one.at in inputs:
-            continue
-        try:
-            made = form.equations((one,))
-            values = dict(zip(system.parameter_names, map(float, p), strict=True))
-            at = made.system.vector(values | {one.name(parameter.name): 0.0 for parameter in linear})
-            where = [made.system.parameter_names.index(one.name(parameter.name)) for parameter in linear]
-            found = _stacked([made.residual(motion, at, "weak", where) for motion in motions])[1]
-        except (HarnessError, ArithmeticError):
-            continue
-        for column in found.T[np.isfinite(found).all(axis=0)]:
-            names.append(str(one))
-            columns.append(column)
     basis = np.linalg.qr(known)[0]
     target, kept = -(left - basis @ (basis.T @ left)), dict[str, FloatArray]()
-    for name, column in zip(names, columns, strict=True):
+    for name, column in _columns(form, system, p):
         own = column - basis @ (basis.T @ column)
         if np.linalg.norm(own) < POLICY.seen * np.linalg.norm(column):
             continue  # the nominal parameters do as much
@@ -114,6 +98,24 @@ def _regressed(dataset: Dataset, system: System, choose: Callable[[NormalEquatio
         return []
     chosen = choose(NormalEquations.of([(np.array(list(kept.values())), target[None])], len(kept), 1))
     return list(dict.fromkeys(name.split()[0] for name, size in zip(kept, chosen.ravel(), strict=True) if size != 0.0))
+
+
+def _columns(form: EquationForm, system: System, p: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield names of laws of forces, and what each of their linear parameters does to the leftover force (rows,)."""
+    inputs = {channel.name for channel in system.inputs}
+    for one in placed(system, laws_of())[0]:
+        linear = [parameter for parameter in one.effect.parameters if parameter.linear]
+        if not linear or not form.judges(one) or one.at in inputs:
+            continue
+        try:
+            made = form.equations((one,))
+            values = dict(zip(system.parameter_names, map(float, p), strict=True))
+            at = made.system.vector(values | {one.name(parameter.name): 0.0 for parameter in linear})
+            where = [made.system.parameter_names.index(one.name(parameter.name)) for parameter in linear]
+            found = _stacked([made.residual(motion, at, "weak", where) for motion in form.motions["estimation"]])[1]
+        except (HarnessError, ArithmeticError):
+            continue
+        yield from ((str(one), column) for column in found.T[np.isfinite(found).all(axis=0)])
 
 
 def _stacked(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:

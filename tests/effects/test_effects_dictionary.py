@@ -25,6 +25,7 @@ from harness.effects import (
 )
 from harness.errors import InputError
 from harness.physics.models import BUILT_IN, pendulum
+from harness.physics.symbolic.typed import read_equations
 from harness.units import fits as unit_fits
 
 NAMES = """viscous_friction coulomb_friction stribeck_friction sublinear_friction asymmetric_friction quadratic_drag
@@ -217,3 +218,19 @@ def test_a_supply_sags_at_its_start_by_no_more_than_a_command_could_make_it() ->
     """Of a record that its start told nothing it was 1e33 V, and hid the rows that the sag did not follow."""
     start = next(one for one in LAWS["supply_sag"].parameters if one.name == "z0")
     assert start.highest({"u": 2.0}, start.start({"u": 2.0})) == 6.0  # three times the rms command
+
+
+@pytest.mark.parametrize("read", ["place", "speed"])
+def test_a_law_about_a_place_needs_a_plant_that_knows_where_it_stands(read: str) -> None:
+    """A car that is read by its speed begins anywhere: a bent spring from there took what its dry friction explains."""
+    place = "state x [m]\nx' = v\noutput x\n" if read == "place" else "output v\n"
+    at = "x" if read == "place" else "car"
+    text = f"state v [m/s]\nmotion {at}: v, m\nm = 76 kg fixed\nb = 0.5 N s/m >= 0\nv' = -b*v/m\n{place}"
+    system = read_equations(text).system()
+    about = {"quadratic_spring", "cubic_spring", "end_stop", "position_dependent_damping"}
+    tried = {one.effect.name for one in place_all(system)}
+    assert tried >= {"linear_spring", "coulomb_friction", "quadratic_drag"}
+    assert tried & about == (about if read == "place" else set())
+    if read == "speed":
+        with pytest.raises(InputError, match="nothing tells where the coordinate stands"):
+            port_of(system, Placed(builtin()["cubic_spring"], at))

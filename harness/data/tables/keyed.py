@@ -155,11 +155,17 @@ def _of_labview(lines: Sequence[Line], end: int) -> tuple[list[Line], str]:
         titles = ["time", *titles[1:]] if empty else ["time", *titles]
         said += f", but for its sampling: every {step[1]:g} s"
     titles = [f"{title} [s]" if spoken and title in ("X_Value", "time") else title for title in titles]
-    units = [cell for cell in by_key.get("y_unit_label", [])[1:] if cell]
-    signals = [place for place, title in enumerate(titles) if title not in ("X_Value [s]", "X_Value", "time [s]")]
-    for place, unit in zip(signals, units, strict=False) if len(units) == len(signals) else ():
-        titles[place] += f" [{unit}]" if is_unit_cell(unit) and split_header(titles[place])[1] is None else ""
+    titles = _with_labels(titles, [cell for cell in by_key.get("y_unit_label", [])[1:] if cell])
     return [(lines[end + 1][0], sign.join(titles)), *((number, sign.join(row)) for number, row in body)], said
+
+
+def _with_labels(titles: Sequence[str], units: Sequence[str]) -> list[str]:
+    """Return titles with the units that a head gives its signals, where it gives each of them one."""
+    found = list(titles)
+    signals = [place for place, title in enumerate(found) if title not in ("X_Value [s]", "X_Value", "time [s]")]
+    for place, unit in zip(signals, units, strict=True) if len(units) == len(signals) else ():
+        found[place] += f" [{unit}]" if is_unit_cell(unit) and split_header(found[place])[1] is None else ""
+    return found
 
 
 def siglent_titles(lines: Sequence[str]) -> tuple[str, int] | None:

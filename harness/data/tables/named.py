@@ -216,12 +216,10 @@ class Columns:
             If the column is not there, or its title states something that is no unit of time.
         """
         title = self.find(column)
-        if title is not None and (dated := self._dates_of(title)) is not None:
-            title = column = dated
-        if title is not None and (dates := self._with_dates(title)) is not None:
-            return self._with_part(title, dates), True
-        if title is not None and (together := self._of_parts(title)) is not None:
-            return together, True
+        if title is not None:
+            title = column = self._dates_of(title) or title
+            if (together := self._of_several(title)) is not None:
+                return together, True
         values, unit = self.read(column if title is None else title)
         own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
         spelt = title if title is not None else str(column)
@@ -243,6 +241,11 @@ class Columns:
             values = self._with_part(spelt, values)
         unit = own or unit
         return convert(values, unit or "s", "s"), unit is not None
+
+    def _of_several(self, title: str) -> FloatArray | None:
+        """Return time stamps [s] that stand in more columns than one, None where they do not."""
+        dates = self._with_dates(title)
+        return self._of_parts(title) if dates is None else self._with_part(title, dates)
 
     def _clock_unit(self, title: str | None, spelt: str, declared: str | None) -> str | None:
         """Return the unit of a time column by its declaration or its title; None where neither states one."""

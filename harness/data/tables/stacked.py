@@ -117,6 +117,12 @@ def _is_reading_cell(cell: str) -> bool:
     return is_number(cell) or is_number(cell.replace(",", ".", 1))
 
 
+def are_titles(cells: Sequence[str], width: int) -> bool:
+    """Return True for cells that name as many columns, each by another word that is neither a number nor a unit."""
+    named = all(cells) and not any(map(is_number, cells))
+    return named and len(set(cells)) >= width and not all(map(is_unit_cell, cells))
+
+
 def are_stamps(rows: Sequence[Sequence[str]]) -> bool:
     """Return True if the first two cells of all rows are whole seconds from 1970 and the nanoseconds between them.
 

@@ -30,6 +30,7 @@ from harness.data.tables.stacked import (
     MOST_ROWS,
     are_counted,
     are_stamps,
+    are_titles,
     is_reading,
     logger_titles,
     stacked_titles,
@@ -275,9 +276,7 @@ class TextFile:
         begin = next((row for row in range(1, len(rows) - 2) if all(numbers[row : row + 3])), 0) - 1
         if begin > 1 and len(rows[begin - 1]) == width and all(map(is_unit_cell, rows[begin])):
             begin -= 1  # titles above their units
-        if begin < 1 or len(set(rows[begin])) < width or any(map(is_number, rows[begin])) or _is_table(rows[:begin]):
-            return
-        if not all(rows[begin]) or all(map(is_unit_cell, rows[begin])) or stacked_titles(rows) is not None:
+        if begin < 1 or not are_titles(rows[begin], width) or _is_table(rows[:begin]) or stacked_titles(rows):
             return
         settings = any(is_number(cell.replace(",", ".", 1)) for row in rows[:begin] for cell in row)
         padded = width > 1 and all(len([cell for cell in row if cell]) < 2 for row in rows[:begin])

@@ -329,6 +329,7 @@ def position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
         )
     },
     experiment="small fast swings about several places: the decay differs from place to place",
+    needs=("place",),
 )  # fmt: skip
 def position_dependent_damping(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Viscous damping that changes with the position (worn guides, gaps of a damper)."""

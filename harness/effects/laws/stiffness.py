@@ -70,6 +70,7 @@ def maxwell_element(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[A
     family=("cubic_spring", "linear_spring", "force_bias"),
     experiment="a static offset: the resonance shifts with its sign",
     told_by=("full swing",),
+    needs=("place",),
 )
 def quadratic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Force proportional to the square of the coordinate: unequal stiffness to the two sides."""
@@ -84,6 +85,7 @@ def quadratic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     limits={"linear_spring": "at small amplitude"},
     experiment="sweeps of two amplitudes: the resonance shifts with amplitude",
     told_by=("full swing",),
+    needs=("place",),
 )
 def cubic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Force proportional to the cube of the coordinate: hardening (k3 > 0) or softening."""
@@ -217,6 +219,7 @@ def mass_step(m: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
     limits={"cubic_spring": "if only the rounded edge of the stop is touched"},
     experiment="drive slowly against both ends",
     told_by=("full swing",),
+    needs=("place",),
 )  # fmt: skip
 def end_stop(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Elastic limit of the travel."""
