@@ -20,6 +20,9 @@ _TEMPERATURES = {"K": 0.0, "degC": 273.15}
 def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[Placed]:
     """Return every effect at every port of a system that it fits; where nothing turns, without what needs an angle.
 
+    A law about a place is left out where nothing tells where the coordinate stands: it fits there, and any record would
+    put it elsewhere.
+
     Parameters
     ----------
     system : harness.physics.System
@@ -39,7 +42,7 @@ def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[P
     found = []
     for effect in effects:
         for port in system.ports:
-            if port.kind in effect.kinds and obstacle(system, effect, port) is None:
+            if port.kind in effect.kinds and obstacle(system, effect, port) is None and _placed(system, effect, port):
                 found.append(Placed(effect if port.unit == "rad" else _straight(effect), port.name))
     return found
 
@@ -138,8 +141,6 @@ def _missing(system: System, effect: Effect, port: Port) -> str | None:
         return "gravity does not act on the plant"
     if "alone" in effect.needs and len(system.coordinates) > 1:
         return "other coordinates move with it"
-    if "place" in effect.needs and port.kind == "coordinate" and not _placed(system, port.name):
-        return "nothing tells where the coordinate stands"
     return None
 
 
@@ -158,17 +159,18 @@ def _driven(system: System, name: str) -> bool:
     return bool(system.nu and ca.depends_on(system.input_forces[system.coordinate(name).force], system.u))
 
 
-def _placed(system: System, name: str) -> bool:
-    """Return True if a reading, or a force or flow of the plant, depends on where a coordinate stands.
+def _placed(system: System, effect: Effect, port: Port) -> bool:
+    """Return True if a law finds its place: a reading, or a force of the plant, depends on where the coordinate stands.
 
     A car or a shaft that is read by its speed alone stands anywhere when a record begins.
     """
     import casadi as ca
 
-    if system.h is None:  # an FMU keeps its equations to itself
+    if "place" not in effect.needs or port.kind != "coordinate" or system.h is None:  # an FMU keeps its equations
         return True
     told = [system.h, system.f] if system.mass_matrix is None else [system.h, system.f, system.mass_matrix]
-    return bool(ca.depends_on(ca.vertcat(*(ca.vec(ca.SX(part)) for part in told)), system.x[system.coordinate(name).q]))
+    place = system.x[system.coordinate(port.name).q]
+    return bool(ca.depends_on(ca.vertcat(*(ca.vec(ca.SX(part)) for part in told)), place))
 
 
 def carried_load(system: System, name: str) -> Any:
