@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -104,7 +104,7 @@ class PredictiveControl(Conditions):
     spread: float = 0.5
     hold: int = 3
     temperature: float = 0.03
-    method: str = "mppi"
+    method: Literal["mppi", "cem"] = "mppi"
 
     def prepare(self, spec: PlantSpec, *, streams: Streams, role: str) -> Experiment:
         """Return the experiment of one role; raises InputError if model or target do not fit the plant."""

@@ -140,7 +140,7 @@ def fastest_at_rest(system: System, parameters: Mapping[str, float] | None, dt: 
     --------
     >>> from harness.physics.models import pendulum
     >>> round(fastest_at_rest(pendulum().system(), None, 0.01), 3)
-    0.044
+    0.032
     """
     from harness.physics.compiled.ccode import without_signs
 

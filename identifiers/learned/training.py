@@ -41,10 +41,10 @@ class Trained:
     Examples
     --------
     >>> try:
-    ...     Trained(rate=0.0).refuse_small("a network", 3)
+    ...     Trained(rate=0.0).check_numbers("a network")
     ... except InputError as error:
     ...     print(error)
-    options of a network: expected numbers of at least 1 and a rate > 0, got 3, 2000, 128, rate 0.0; remedy: raise them
+    rate: option of a network: expected a number > 0, got 0.0; remedy: correct it
     """
 
     steps: int = 2000

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from made_rows import SCORES, row, task
 
-from harness.benchmark import BenchResult, probes
+from harness.benchmark import BenchResult, running
 from harness.benchmark.columns import arrow_table, columns_of_files, plain_values, rows_of, write_rows
 from harness.benchmark.page.exports import latex_text, render
 from harness.benchmark.page.tables import _Column, _folded, _reasons, _status
@@ -357,14 +357,14 @@ def test_a_plant_is_probed_again_only_where_its_options_changed(
                 future.set_result({"passed": True})
             return future
 
-    monkeypatch.setattr(probes, "worker_pool", lambda workers: Pool())
+    monkeypatch.setattr(running, "worker_pool", lambda workers: Pool())
     file = tmp_path / "probes.json"
 
     def probed(**options: Any) -> list[Any]:
         asked.clear()
         tasks = [Task(Part(id, options, label), Part("s"), seed, Score(), 1.0, ()) for seed in (0, 1)
                  for id, label in (("mass-spring-fmu", "spring"), ("linear-ode", "ode"))]  # fmt: skip
-        probes.probe_plants(tasks, file)
+        running.probe_plants(tasks, file)
         return list(asked)
 
     assert probed(a=1) == [("mass-spring-fmu", {"a": 1}, 120.0)]

@@ -183,7 +183,7 @@ def test_the_model_comes_back_from_its_file():
 
 
 def test_options_that_make_no_sense_and_unstable_plants_are_refused_in_words():
-    with pytest.raises(InputError, match="no more members than starts"):
+    with pytest.raises(InputError, match="starts: option of neural-output-error: expected a number >= 3"):
         NeuralOutputError(starts=2, members=3).fit([cascade(200, 0)], rng=np.random.default_rng(0))
     with pytest.raises(FitError, match="records too short"):
         NeuralOutputError().fit([cascade(20, 0)], rng=np.random.default_rng(0))

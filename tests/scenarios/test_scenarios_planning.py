@@ -56,7 +56,10 @@ def test_what_does_not_fit_is_refused(tmp_path):
     for options, words in (
         (dict(model=model, target={"nobody": 1.0}), "option target"),
         (dict(model=tmp_path / "none.json", target={"theta": 1.0}), "identify a model first"),
-        (dict(model=model, target={plant().spec.outputs[0].name: 1.0}, method="guess"), "mppi or cem"),
+        (
+            dict(model=model, target={plant().spec.outputs[0].name: 1.0}, method="guess"),
+            "method: option of predictive-control: expected one of mppi, cem",
+        ),
     ):
         scenario = PredictiveControl(**options)
         with pytest.raises(InputError, match=words):
