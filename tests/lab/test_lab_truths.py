@@ -129,7 +129,7 @@ def test_the_tilted_pendulum_hangs_where_the_dictionary_says():
 
 
 def test_an_unknown_parameter_is_refused():
-    with pytest.raises(InputError, match="parameter of a truth.*'typo'"):
+    with pytest.raises(InputError, match=r"parameter of a truth.*'typo'"):
         simulate({"typo": 1.0}, np.zeros(3), start=np.zeros(2))
 
 

@@ -98,7 +98,7 @@ def test_the_first_violation_is_named(tmp_path: Path) -> None:
     assert [row["passed"] for row in found.rows()] == [False, False]
     assert agreement(run, ref, tubes={"z": "0.021", "y": "0.051"}).passed
     assert "data:image/svg" in found.html()
-    with pytest.raises(InputError, match="tube: expected one of .*y, z"):
+    with pytest.raises(InputError, match=r"tube: expected one of .*y, z"):
         agreement(run, ref, tubes={"x": "0.01"})
 
 
