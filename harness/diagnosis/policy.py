@@ -169,7 +169,7 @@ class Policy:
         12.0,
         "largest eigenvalue times a sample time, at rest, of what an effect may add, or twice the nominal model's own",
         "exp(-12) is left of it at the next reading; lags of actuators are bounded at 10",
-        "base 535000: right answers lie at 8.3 and below, wrong ones, of motors without mass, at 64 and more",
+        "base 535000: right answers lie at 8.3 and below, lags on their bound at 10.0; motors without mass at 85",
     )
     shaken: float = number(
         8.0,

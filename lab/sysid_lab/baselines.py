@@ -13,7 +13,6 @@ None knows of latent forces, of ties, or of laws that stand in for others.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
@@ -28,14 +27,14 @@ from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.runs.simple_fits import SimpleFit, SimpleFits
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
-from harness.errors import HarnessError, InputError
+from harness.errors import HarnessError, InputError, refuse_unknown
 from harness.physics.compiled.system import System
 from harness.signals import Dataset, FloatArray
 from harness.supervision.workers import death, one_thread, worker_pool
 from identifiers.common.normal import NormalEquations
 from identifiers.sparse.selection import best_subset, lasso
 from identifiers.sparse.stlsq import stlsq
-from sysid_lab.leaderboard import read_answers, write_answers
+from sysid_lab.leaderboard import read_answers, rows_of, write_answers
 from sysid_lab.outcome import Answer
 
 TIME_LIMIT = 600.0
@@ -65,8 +64,7 @@ def answered(method: str, dataset: Dataset, system: System) -> Answer:
     InputError
         If there is no such baseline.
     """
-    if method not in METHODS:
-        raise InputError("baseline", expected=" | ".join(METHODS), got=repr(method), remedy="choose one")
+    refuse_unknown("baseline", method, METHODS)
     with one_thread():
         names = METHODS[method](dataset, system)
     return Answer("effects_found" if names else "nothing_missing", tuple(names))
@@ -211,9 +209,9 @@ def answer_all(
     InputError
         If there is no such baseline, the table cannot be read, or the answer file is there and ``resume`` is not given.
     """
-    if method not in METHODS:
-        raise InputError("baseline", expected=" | ".join(METHODS), got=repr(method), remedy="choose one")
-    files, path = list(_files(Path(table))), Path(out)
+    refuse_unknown("baseline", method, METHODS)
+    path = Path(out)
+    files = [Path(table).parent / row["file"] for row in rows_of(table, ("file", "machine"), ())]
     if path.exists() and not resume:
         raise InputError("answer file", expected="a new one", got="one that is there", remedy="--resume", file=path)
     answers, failed = read_answers(path) if path.exists() else {}, dict[str, str]()
@@ -240,16 +238,3 @@ def _one(method: str, file: Path) -> Answer:
     loaded = load_dataset(file)
     assert loaded.nominal is not None
     return answered(method, loaded.dataset, load_model(loaded.nominal.model))
-
-
-def _files(table: Path) -> Iterator[Path]:
-    """Yield the dataset files of a package."""
-    try:
-        with table.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            "records", expected="records.csv", got=str(error), remedy="sysid-lab generate makes one", file=table
-        ) from error
-    for row in rows:
-        yield table.parent / row["file"]

@@ -96,7 +96,7 @@ def score(truth: str | Path, answers: Sequence[str | Path]) -> tuple[list[Score]
 def read_truth(path: str | Path) -> dict[str, dict[str, str]]:
     """Return the rows of ``truth.csv`` by record; those of earlier versions do not say how a structure is wrong."""
     needed = [name for name in TRUTH_COLUMNS if name != "structure"]
-    return {row["record"]: row for row in _rows(path, needed, ("structure",))}
+    return {row["record"]: row for row in rows_of(path, needed, ("structure",))}
 
 
 def read_answers(path: str | Path) -> dict[str, Answer]:
@@ -108,7 +108,7 @@ def read_answers(path: str | Path) -> dict[str, Answer]:
         If a column is missing or unknown, a record comes twice, or a verdict contradicts its effects.
     """
     found: dict[str, Answer] = {}
-    for row in _rows(path, NEEDED, OPTIONAL):
+    for row in rows_of(path, NEEDED, OPTIONAL):
         record, verdict, effects = row["record"], row["verdict"], _split(row["effects"])
         wrong = ""
         if record in found:
@@ -211,7 +211,7 @@ def _split(text: str, between: str = " + ") -> list[str]:
     return [part.strip() for part in text.split(between) if part.strip()]
 
 
-def _rows(path: str | Path, needed: Sequence[str], optional: Sequence[str]) -> list[dict[str, str]]:
+def rows_of(path: str | Path, needed: Sequence[str], optional: Sequence[str]) -> list[dict[str, str]]:
     """Return the rows of a CSV file with these columns."""
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:

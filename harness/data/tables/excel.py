@@ -10,6 +10,7 @@ from harness.data.tables.binary_files import broken
 from harness.data.tables.cells import units_below
 from harness.data.tables.columns import MemoryTable
 from harness.data.tables.headers import split_header
+from harness.data.tables.keyed import MOST_ABOVE
 from harness.data.tables.packing import refuse_bomb
 from harness.data.tables.stacked import MOST_ROWS, stacked_titles
 from harness.errors import InputError
@@ -144,10 +145,6 @@ def _refuse_header(body: list[list[Any]], titles: list[str], head: list[str], fi
 def _has_numbers(rows: list[list[Any]]) -> bool:
     """Return True if a row holds two numbers."""
     return any(sum(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in row) > 1 for row in rows)
-
-
-MOST_ABOVE = 100
-"""Rows that somebody may have written above a table."""
 
 
 def _above(rows: list[list[Any]]) -> int:

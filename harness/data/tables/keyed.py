@@ -20,7 +20,7 @@ UNEVEN = 1e-3
 """Milliseconds by which the first step of a clock may differ from the stated one: else it counts something else."""
 _END = "***End_of_Header***"
 MOST_ABOVE, SETTINGS = 100, 30
-"""Lines that a logger may write above its table, and rows beside which a scope may write its settings."""
+"""Lines that a logger or a program may write above its rows, and rows beside which a scope writes its settings."""
 
 
 def keyed(lines: Sequence[Line]) -> tuple[list[Line], str] | None:

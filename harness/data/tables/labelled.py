@@ -10,18 +10,15 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from harness.data.tables.cells import is_number
+from harness.data.tables.keyed import MOST_ABOVE, Line
 from harness.data.times.stamps import is_time
 from harness.errors import InputError
 
-Line = tuple[int, str]
-"""Number of a line in its file, and its text."""
 Named = list[tuple[str, str]]
 """Names and values of one line."""
 
 FEWEST = 3
 """Lines of readings that make a table."""
-MOST_ABOVE = 100
-"""Lines that a program may write before its first reading."""
 _STAMPED = re.compile(r"\[?(?P<stamp>[\dT:., /-]*\d:\d\d:\d\d[\d.,]*Z?)\]?\s*(?:->|[:,;|-])?\s+(?P<rest>\D.*)")
 _ARROW = re.compile(r"\s*([\dT:., /-]*\d:\d\d:\d\d[\d.,]*)\s*->\s*(\S.*)")
 _ITEM = re.compile(
@@ -175,14 +172,14 @@ def _of_influx(line: str) -> Named | None:
     Reference: InfluxData, *Line protocol*: integers end in i, the time counts ns unless its writer says otherwise.
     """
     found = _INFLUX.fullmatch(line.strip())
-    if found is None or (found["at"] is not None and len(found["at"]) not in _EPOCH_UNITS):
-        return None
-    fields = [pair.split("=", 1) for pair in found["fields"].split(",")]
-    stamp: Named = [] if found["at"] is None else [(f"time [{_EPOCH_UNITS[len(found['at'])]}]", found["at"])]
-    values = [(name, re.sub(r"(?<=\d)[iu]$", "", value)) for name, value in fields]
-    if found["at"] is None or not any(is_number(value) for _, value in values):
+    if found is None or len(found["at"] or "") not in _EPOCH_UNITS:
         return None  # "t=1 u=2,y=3" is no point of a series
-    return [("series", found["series"]), *stamp, *((f"{found['series']}.{name}", value) for name, value in values)]
+    fields = [pair.split("=", 1) for pair in found["fields"].split(",")]
+    values = [(name, re.sub(r"(?<=\d)[iu]$", "", value)) for name, value in fields]
+    if not any(is_number(value) for _, value in values):
+        return None
+    stamp = f"time [{_EPOCH_UNITS[len(found['at'])]}]", found["at"]
+    return [("series", found["series"]), stamp, *((f"{found['series']}.{name}", value) for name, value in values)]
 
 
 def _of_bus(lines: Sequence[Line], kind: str) -> tuple[list[Line], str]:

@@ -24,7 +24,7 @@ from harness.data.tables.cells import (
     with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
-from harness.data.tables.keyed import keyed
+from harness.data.tables.keyed import MOST_ABOVE, keyed
 from harness.data.tables.labelled import labelled
 from harness.data.tables.stacked import (
     MOST_ROWS,
@@ -45,8 +45,6 @@ _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
 NUMBERED = 200
 """Rows that are asked whether the first one numbers the columns."""
-MOST_ABOVE = 100
-"""Lines that a logger may write above its table."""
 _RULE = re.compile(r"[\s|+:=\-]*-{3,}[\s|+:=\-]*")
 _FRAME = re.compile(r"\+[-=+]{3,}\+")
 _OTHER_COMMENTS = (";", "//", "!", "*")
