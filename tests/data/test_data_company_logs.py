@@ -201,3 +201,38 @@ def test_records_of_categories_are_counted_where_nothing_is_asked() -> None:
 @pytest.mark.parametrize("title", ["timestamp (ns since boot)", "t [ns from start]"])
 def test_words_behind_a_unit_of_time_say_nothing_of_it(title: str) -> None:
     same({title: 1e9 * TIME, "u [V]": DRIVE, "y [mm]": ANSWER})
+
+
+# ---- the rows tell where a table begins and what parts its cells -----------------------------------------------------
+
+
+def test_quoted_cells_below_lines_of_titles(tmp_path: Path) -> None:
+    quoted = [",".join(f'"{cell}"' for cell in row) for row in CELLS]
+    hioki = ['"File name","RIG.MEM"', '"Title comment",""', '"Number of data","90"', "", '"Time[s]","u[V]","y[mm]"']
+    same(table(tmp_path, hioki, quoted))
+    hobo = ['"Plot Title: Rig 10"', '"#","Date Time, GMT+01:00","u, V","y, mm"']
+    rows = [f'{k},"03/01/2024 12:00:0{t}","{u}",{y}' for k, (t, u, y) in enumerate(CELLS)]
+    found = Table(table(tmp_path, hobo, rows))
+    assert found.titles == ("#", "Date Time, GMT+01:00", "u, V", "y, mm")
+    assert found.read("y, mm")[0] == pytest.approx(ANSWER)
+    assert found.clock() == "Date Time, GMT+01:00"
+
+
+def test_commas_in_titles_do_not_part_cells_that_semicolons_part(tmp_path: Path) -> None:
+    rows = [";".join(row).replace(".", ",") for row in CELLS]
+    same(table(tmp_path, ["Rig 3, tried", "", "Zeit, s;u, V;y, mm"], rows), column={"u": "u, V", "y": "y, mm"},
+         unit={"u": "V", "y": "mm"})  # fmt: skip
+
+
+def test_words_that_settings_hold_are_no_titles_where_others_name_a_clock(tmp_path: Path) -> None:
+    head = ["Model,MSO54,", "Waveform,analog,fine", "Label,left,right", "time [s],u [V],y [mm]"]
+    same(table(tmp_path, head, [",".join(row) for row in CELLS]))
+    both = table(tmp_path, ["Weg,Kraft,Spannung", "y,f,u"], [",".join(row) for row in CELLS])
+    with pytest.raises(InputError, match="two rows of titles"):
+        Table(both).read("u")
+
+
+def test_the_clock_is_the_first_of_columns_without_titles(tmp_path: Path) -> None:
+    path = table(tmp_path, [], [f"{10 * k} {u} {y}" for k, (_, u, y) in enumerate(CELLS)], "log.txt")
+    for first in (0, "0"):
+        same(path, column={"time": first, "u": 1, "y": 2}, unit={"time": "ms", "u": "V", "y": "mm"})

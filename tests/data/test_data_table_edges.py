@@ -16,7 +16,7 @@ from harness.data.recipe.contents import _channel
 from harness.data.tables.bags import is_bag_folder
 from harness.data.tables.binary_files import MOST_INSIDE, _inside, broken
 from harness.data.tables.cells import numbers_of, units_below
-from harness.data.tables.excel import _above
+from harness.data.tables.stacked import begin_of
 from harness.data.tables.table import Table
 from harness.data.tables.text_files import MOST_ABOVE, TextFile
 from harness.errors import InputError
@@ -159,9 +159,9 @@ def test_a_row_of_units_has_one_for_each_title_and_no_numbers(
 
 @pytest.mark.parametrize(("above", "found"), [(0, 0), (1, 1), (99, 99), (100, 100), (101, 0)])
 def test_so_many_rows_of_a_sheet_may_stand_above_its_table(above: int, found: int) -> None:
-    rows: list[list[Any]] = [["a remark", None, None] for _ in range(above)]
-    rows += [["time [s]", "u [V]", "y [m]"], *([0.1 * k, 1.0, 2.0] for k in range(4))]
-    assert _above(rows) == found
+    rows = [["a remark", "", ""] for _ in range(above)]
+    rows += [["time [s]", "u [V]", "y [m]"], *([f"0.{k}", "1.0", "2.0"] for k in range(4))]
+    assert begin_of(rows) == found
 
 
 # ---- other files ----------------------------------------------------------------------------------------------------

@@ -111,7 +111,7 @@ def _time(table: Table, found: Found, chosen: Chosen) -> TimeSection | None:
     column, unit = chosen.columns.get(TIME), chosen.units.get(TIME)
     if column is None and unit is None:
         return None
-    return TimeSection(column=column or table.clock(found) or TIME, unit=unit)
+    return TimeSection(column=column if column is not None else table.clock(found) or TIME, unit=unit)
 
 
 def _signals(table: Table, ports: Ports, path: Path, notes: list[str], chosen: Chosen) -> Found:
@@ -143,7 +143,7 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str], chosen: C
                 )
             signals[title] = name, section
     _refuse_no_output(table, ports, path, signals)
-    clock = next((title for title, name in said.items() if name == TIME), None) or table.clock(signals)
+    clock = next((title for title, name in said.items() if name == TIME), table.clock(signals))
     ignored = [title for title in table.titles if title and title not in signals and title != clock]
     if ignored:
         notes.append(f"columns that are no ports of {ports.model} are ignored: {', '.join(ignored[:8])}")

@@ -174,6 +174,18 @@ _MEASURED = re.compile(
 )
 
 
+def is_measured(cell: str) -> bool:
+    """Return True for a number with its unit behind it.
+
+    Examples
+    --------
+    >>> is_measured("980 mV"), is_measured("12 %"), is_measured("1.5"), is_measured("3rd run")
+    (True, True, False, False)
+    """
+    found = _MEASURED.fullmatch(cell)
+    return found is not None and is_unit(unit_of_time(found["unit"]))
+
+
 def measured(
     cells: Sequence[str],
     title: str,

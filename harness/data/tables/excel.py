@@ -10,9 +10,8 @@ from harness.data.tables.binary_files import broken
 from harness.data.tables.cells import units_below
 from harness.data.tables.columns import MemoryTable
 from harness.data.tables.headers import split_header
-from harness.data.tables.keyed import MOST_ABOVE
 from harness.data.tables.packing import refuse_bomb
-from harness.data.tables.stacked import MOST_ROWS, stacked_titles
+from harness.data.tables.stacked import CERTAIN, MOST_ABOVE, MOST_ROWS, SAMPLE, begin_of, stacked_titles
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
@@ -24,7 +23,10 @@ class ExcelFile(MemoryTable):
     def __init__(self, path: Path, sheet: str | None = None) -> None:
         sheets, read, rows = _chosen(path, sheet)
         rows, skipped = _without_empty(rows)
-        above = _above(rows)
+        head, last = (
+            list(map(_texts, some)) for some in (rows[: MOST_ABOVE + MOST_ROWS + CERTAIN], rows[-SAMPLE - 1 :])
+        )
+        above = begin_of(head, last)
         rows, skipped = rows[above:], skipped + above
         said = [f"what stands above the table, to row {skipped}, is left aside"] if above else []
         if len(rows) < 2:
@@ -145,24 +147,6 @@ def _refuse_header(body: list[list[Any]], titles: list[str], head: list[str], fi
 def _has_numbers(rows: list[list[Any]]) -> bool:
     """Return True if a row holds two numbers."""
     return any(sum(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in row) > 1 for row in rows)
-
-
-def _above(rows: list[list[Any]]) -> int:
-    """Return how many rows stand above a table: none of them has a cell in as many of its columns as its header."""
-    if len(rows) < 4:
-        return 0
-    columns = [k for k, cell in enumerate(rows[-2]) if cell is not None]
-    covered = [sum(row[k] is not None for k in columns) for row in rows[: MOST_ABOVE + 1]]
-    begin = next((row for row, count in enumerate(covered) if count == len(columns)), 0)
-    titles = [rows[begin][k] for k in columns]
-    tables = sum(
-        _has_numbers([row]) for row in rows[:begin]
-    )  # another table stands there: nobody can say which is meant
-    if len(columns) < 2 or tables > 2 or not all(isinstance(title, str) for title in titles):
-        return 0
-    texts = [_texts(row) for row in rows[: begin + MOST_ROWS + 2]]
-    groups = (row for row in range(max(0, begin - MOST_ROWS), begin) if stacked_titles(texts[row:]) is not None)
-    return next(groups, begin)
 
 
 def _texts(row: list[Any]) -> list[str]:

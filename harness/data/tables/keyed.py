@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from harness.data.tables.cells import is_number, is_unit_cell
 from harness.data.tables.headers import split_header
+from harness.data.tables.stacked import MOST_ABOVE
 
 Line = tuple[int, str]
 """Number of a line in its file, and its text."""
@@ -19,8 +20,8 @@ STARTS = ("hoffset", "x0")
 UNEVEN = 1e-3
 """Milliseconds by which the first step of a clock may differ from the stated one: else it counts something else."""
 _END = "***End_of_Header***"
-MOST_ABOVE, SETTINGS = 100, 30
-"""Lines that a logger or a program may write above its rows, and rows beside which a scope writes its settings."""
+SETTINGS = 30
+"""Rows beside which a scope writes its settings."""
 
 
 def keyed(lines: Sequence[Line]) -> tuple[list[Line], str] | None:

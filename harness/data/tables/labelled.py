@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from harness.data.tables.cells import is_number
-from harness.data.tables.keyed import MOST_ABOVE, Line
+from harness.data.tables.keyed import Line
+from harness.data.tables.stacked import MOST_ABOVE
 from harness.data.times.stamps import is_time
 from harness.errors import InputError
 

@@ -1,20 +1,146 @@
-"""Headers of several rows: groups above names, names above units, as merged cells and motion capture have them."""
+"""Heads of tables: where one begins, what parts its cells, and headers of several rows.
+
+The rows of readings tell where; several rows are groups above names, names above units, as merged cells have them.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from harness.data.tables.cells import is_number, is_unit_cell, units_below
-from harness.data.times.stamps import is_time
+from harness.data.tables.cells import EMPTY, is_measured, is_number, is_unit_cell, units_below
+from harness.data.tables.headers import clock_of
+from harness.data.times.stamps import is_date, is_time
+from harness.errors import InputError
 
 MOST_ROWS = 6
 """Rows that a header may have."""
+MOST_ABOVE = 100
+"""Lines that a logger or a program may write above its titles."""
+SAMPLE = 5
+"""Rows before the last one that are asked how the rows of a table look: the last may be cut."""
+CERTAIN = 3
+"""Rows of readings on end with which a table begins; as many above others are a table of their own."""
+SIGNS = (",", ";", "\t", "|", None)
+"""What may part cells; None for blanks."""
+
+Row = Sequence[str]
+"""Cells of a row, without blanks about them."""
 UNEVEN = 0.2
 """Part of a step by which two steps differ where numbers are no clock."""
 
 _LETTER = re.compile(r"[^\W\d_]|[\[(<{°%]")
 _BRACKETED = re.compile(r"[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]")
+
+
+def cells_of(line: str, sign: str | None) -> list[str]:
+    """Return the cells of a line; a quoted one may hold the sign.
+
+    Examples
+    --------
+    >>> cells_of('0, "1,5" ,', ","), cells_of(' 0  "a b" ', None)
+    (['0', '1,5', ''], ['0', 'a b'])
+    """
+    if sign is None:
+        if '"' not in line:
+            return line.split()
+        spaced = csv.reader(io.StringIO(line.strip()), delimiter=" ", skipinitialspace=True)
+        return [cell for cell in next(spaced) if cell]
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(sign)]
+    return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=sign, skipinitialspace=sign != "\t"))]
+
+
+def sign_of(lines: Sequence[str]) -> str | None:
+    """Return the sign that parts the cells of a table, None for blanks: by it most cells of its last rows are readings.
+
+    Of several, the one that parts a line above into as many cells counts, then the one that makes more cells.
+
+    Examples
+    --------
+    >>> sign_of(["Time, s;Voltage, V", "0,05;1,25", "0,10;1,5", "0,15;1,5"]), sign_of(["t u", "0,5 1", "0,6 1"])
+    (';', None)
+    """
+    best: tuple[float, bool, int] = (0.0, False, 0)
+    found = max((sign for sign in SIGNS if sign is not None), key=lines[0].count, default=None)
+    found = found if found is not None and found in lines[0] else None
+    for sign in SIGNS:
+        rows = _sample([cells_of(line, sign) for line in lines[-SAMPLE - 1 :]])
+        width = len(rows[-1])
+        if width < 2:
+            continue
+        share = sum(map(_is_reading, (cell for row in rows for cell in row))) / sum(map(len, rows))
+        above = (cells_of(line, sign) for line in lines[: -len(rows)][:MOST_ABOVE])
+        titled = any(len(row) == width and not any(map(_is_reading, row)) for row in above)
+        if (rank := (round(share, 6), titled, width)) > best:
+            best, found = rank, sign
+    return found
+
+
+def begin_of(rows: Sequence[Row], below: Sequence[Row] | None = None) -> int:
+    """Return the row of titles with which a table begins, or its first row; 0 also where nobody can say.
+
+    Rows of readings are those in which numbers and times stand where the last rows have them. Titles stand right above
+    the first of them, perhaps above units; of two rows that could be titles, that which names a clock counts.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of str
+        The first rows of a file or sheet.
+    below : sequence of sequence of str, optional
+        Its last rows, where these are not among ``rows``.
+
+    Examples
+    --------
+    >>> begin_of([["Model", "X"], ["Rate", "20"], ["t", "u"], ["s", "V"], ["0", "1"], ["1", "2"], ["2", "2"]])
+    2
+    >>> begin_of([["t", "u"], ["0", "1"], ["1", "2"], ["2", "2"]])
+    0
+    """
+    kinds = kinds_of(_sample(rows if below is None else below))
+    fits = [_fits(row, kinds) for row in rows]
+    first = next((k for k in range(len(rows)) if all(fits[k : k + CERTAIN])), 0)
+    top = first
+    while top > max(0, first - MOST_ROWS) and _heads(rows, top - 1, kinds):
+        top -= 1
+    if top == first:
+        return 0  # no titles, or such as do not fit: they are refused as such
+    whole = [row for row in range(top, first) if _names_all(rows, row, kinds)]
+    if whole and (len(whole) == 1 or (_has_clock(rows[whole[-1]]) and not _has_clock(rows[whole[-2]]))):
+        top = whole[-1]
+    return 0 if top > MOST_ABOVE or is_table(rows[:top]) else top
+
+
+def kinds_of(rows: Sequence[Row]) -> list[Callable[[str], bool] | None]:
+    """Return what all cells of each column are, a number or a time; None for words and for nothing at all.
+
+    Examples
+    --------
+    >>> [kind and kind.__name__ for kind in kinds_of([["1", "12:00:00", "on", ""], ["", "12:00:01", "off", ""]])]
+    ['_is_plain', '_is_stamp', None, None]
+    """
+    if not rows:
+        return []
+    width = len(rows[-1])
+    columns = zip(*(row for row in rows if len(row) == width), strict=True)
+    filled = [[cell for cell in column if cell.lower() not in EMPTY] for column in columns]
+    return [
+        next((kind for kind in (_is_plain, _is_stamp, is_measured) if column and all(map(kind, column))), None)
+        for column in filled
+    ]
+
+
+def is_table(rows: Sequence[Row]) -> bool:
+    """Return True if three rows and more hold several numbers each, with no word before them.
+
+    Examples
+    --------
+    >>> is_table([["0", "1"], ["1", "1"], ["2", "0"]]), is_table([["Rate", "1", "2"]] * 3)
+    (True, False)
+    """
+    return sum(sum(map(is_number, row)) > 1 and not row[0][:1].isalpha() for row in rows) >= CERTAIN
 
 
 def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | None:
@@ -102,25 +228,14 @@ def is_reading(rows: Sequence[Sequence[str]]) -> bool:
     False
     """
     titles, *below = rows
-    if len(below) < 3 or any(len(row) != len(titles) for row in below) or not any(map(_is_reading_cell, titles)):
+    if len(below) < 3 or any(len(row) != len(titles) for row in below) or not any(map(_is_plain, titles)):
         return False
     for k, cell in enumerate(titles):
         column = [row[k] for row in below]
-        kind = next((kind for kind in (_is_reading_cell, is_time) if kind(cell)), None)
+        kind = next((kind for kind in (_is_plain, is_time) if kind(cell)), None)
         if not (all(map(kind, column)) if kind is not None else set(column) == {cell}):
             return False
     return True
-
-
-def _is_reading_cell(cell: str) -> bool:
-    """Return True for a number, perhaps with a decimal comma."""
-    return is_number(cell) or is_number(cell.replace(",", ".", 1))
-
-
-def are_titles(cells: Sequence[str], width: int) -> bool:
-    """Return True for cells that name as many columns, each by another word that is neither a number nor a unit."""
-    named = all(cells) and not any(map(is_number, cells))
-    return named and len(set(cells)) >= width and not all(map(is_unit_cell, cells))
 
 
 def are_stamps(rows: Sequence[Sequence[str]]) -> bool:
@@ -218,3 +333,76 @@ def _is_head(row: Sequence[str]) -> bool:
 def _commas(row: Sequence[str]) -> int:
     """Return how many cells of a row are numbers with a decimal comma."""
     return sum("," in cell and is_number(cell.replace(",", ".")) for cell in row)
+
+
+def _sample(rows: Sequence[Row]) -> Sequence[Row]:
+    """Return the rows that are asked how the rows of a table look, none of its titles among them."""
+    rows = rows[-SAMPLE - 1 : -1] if len(rows) > CERTAIN else rows[-1:]
+    other = (k for k in range(len(rows) - 1, -1, -1) if len(rows[k]) != len(rows[-1]) or not any(map(_counts, rows[k])))
+    return rows[min(next(other, -1) + 1, len(rows) - 1) :]
+
+
+def _is_plain(cell: str) -> bool:
+    """Return True for a number, perhaps with a decimal comma."""
+    return is_number(cell) or is_number(cell.replace(",", ".", 1))
+
+
+def _is_stamp(cell: str) -> bool:
+    """Return True for a time or a date."""
+    return is_time(cell) or is_date(cell)
+
+
+def _counts(cell: str) -> bool:
+    """Return True for a number, with or without its unit, or a time."""
+    return _is_plain(cell) or _is_stamp(cell) or is_measured(cell)
+
+
+def _is_reading(cell: str) -> bool:
+    """Return True for a number, a time, or what stands where nothing was recorded."""
+    return cell.lower() in EMPTY or _counts(cell)
+
+
+def _fits(row: Row, kinds: Sequence[Callable[[str], bool] | None]) -> bool:
+    """Return True for a row that holds numbers and times where the columns do, one at least."""
+    if len(row) != len(kinds):
+        return False
+    cells = [(cell, kind) for cell, kind in zip(row, kinds, strict=True) if kind and cell.lower() not in EMPTY]
+    return bool(cells) and all(kind(cell) for cell, kind in cells)
+
+
+def _heads(rows: Sequence[Row], place: int, kinds: Sequence[Callable[[str], bool] | None]) -> bool:
+    """Return True for a row of words as wide as the table; one alone in the first column is a remark."""
+    row = rows[place]
+    filled = [cell for cell in row if cell]
+    if len(row) != len(kinds) or not filled or (len(filled) < 2 < len(row) + 1 and row[0]):
+        return False
+    if not any(map(_is_reading, filled)):
+        return True
+    named = _is_units(rows, place + 1) and len(filled) == len(row) and not _is_reading(row[0])
+    return named or _is_units(rows, place)
+
+
+def _is_units(rows: Sequence[Row], place: int) -> bool:
+    """Return True for a row of units alone."""
+    filled = [cell for cell in rows[place] if cell] if place < len(rows) else []
+    return bool(filled) and all(cell == "1" or (is_unit_cell(cell) and not is_number(cell)) for cell in filled)
+
+
+def _names_all(rows: Sequence[Row], place: int, kinds: Sequence[Callable[[str], bool] | None]) -> bool:
+    """Return True if a row names each column of numbers by a word of its own, and does not state units below names."""
+    names = [cell for cell, kind in zip(rows[place], kinds, strict=True) if kind]
+    told = not any(_is_reading(name) or _BRACKETED.fullmatch(name) for name in names) and not _is_units(rows, place)
+    if not all(names) or len(set(names)) < len(names) or not told:
+        return False
+    try:
+        return place == 0 or units_below(rows[place - 1], rows[place]) is None
+    except InputError:
+        return False  # two units of one column: said where the titles are read
+
+
+def _has_clock(titles: Row) -> bool:
+    """Return True if a title names a clock, or several do."""
+    try:
+        return clock_of(titles) is not None
+    except InputError:
+        return True

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,30 +16,33 @@ from harness.data.tables.cells import (
     EMPTY,
     arrow_values,
     is_number,
-    is_unit_cell,
     numbers_of,
     refuse_thousands,
     units_below,
     with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
-from harness.data.tables.keyed import MOST_ABOVE, keyed
+from harness.data.tables.keyed import keyed
 from harness.data.tables.labelled import labelled
 from harness.data.tables.stacked import (
+    CERTAIN,
+    MOST_ABOVE,
     MOST_ROWS,
+    SAMPLE,
     are_counted,
     are_stamps,
-    are_titles,
+    begin_of,
+    cells_of,
     is_reading,
     logger_titles,
+    sign_of,
     stacked_titles,
 )
 from harness.data.tables.texts import CODINGS, closed_lines, text_of
-from harness.data.times.stamps import clock, is_time
+from harness.data.times.stamps import clock
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-_DELIMITERS = (",", ";", "\t")
 _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
 NUMBERED = 200
@@ -100,10 +102,11 @@ class TextFile:
         if not self._lines:
             raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
         self._leave_out_comments()
-        self._leave_out_above(hint)
-        self._leave_out_settings()
+        # the tab was taken for an end of the line
+        self._delimiter = (hint[1] or "\t") if hint is not None else sign_of([line for _, line in self._lines])
+        self._leave_out_above()
         above = self._lines
-        self._read_header(lines, hint)
+        self._read_header(lines)
         self._leave_out_again({line for _, line in above[: len(above) - len(self._lines)]}, text)
         if not self._lines:
             raise InputError(
@@ -122,14 +125,10 @@ class TextFile:
         if self.titles[0] == "" and not self._has_clock() and clock(self.texts("", 3)) is not None:
             self.titles[0] = "time"  # the index of a table of pandas
 
-    def _read_header(self, lines: list[str], hint: re.Match[str] | None) -> None:
-        """Find the delimiter and the titles, and leave the rows of numbers."""
-        first = self._first = self._lines[0][1]
-        best = _delimiter_of(first)
-        self._delimiter = best if best in first else "|" if "|" in first else None
-        if hint is not None:
-            self._delimiter = hint[1] or "\t"  # the tab was taken for an end of the line
-        titles = self._cells(first)
+    def _read_header(self, lines: list[str]) -> None:
+        """Find the titles, and leave the rows of numbers."""
+        self._first = self._lines[0][1]
+        titles = self._cells(self._first)
         numbers = sum(map(is_number, titles))
         mostly = any(titles) and 2 * numbers > len(titles) and not any(map(says_time, titles))
         named = self._named(lines, len(titles)) if mostly else None
@@ -242,68 +241,11 @@ class TextFile:
         except InputError:
             return True
 
-    def _leave_out_above(self, hint: re.Match[str] | None) -> None:
-        """Leave out what a logger writes above its table, where header and all rows have one form and it has not.
-
-        Lines above are taken for none of the table if none of them has as many cells as it; one line above rows that
-        are a cell longer or shorter is a header that does not fit, and is refused as such.
-        """
-        last = self._lines[-1][1] if len(self._lines) < 3 else self._lines[-2][1]
-        sign = hint[1] or "\t" if hint is not None else _delimiter_of(last)
-        width = last.count(sign)
-        if not width:
-            self._leave_out_above_blanks()
-            return
-        if any('"' in line for _, line in self._lines[-3:]) or self._lines[0][1].count(sign) == width:
-            return
-        counts = [line.count(sign) for _, line in self._lines[:-1]]
-        wrong = [row for row, count in enumerate(counts) if count != width]
-        begin = wrong[-1] + 1
-        if begin > MOST_ABOVE or width in counts[:begin] or (begin == 1 and abs(counts[0] - width) < 2):
-            return
-        if self._begins_at(begin, sign):
-            self._leave_out(begin)
-
-    def _leave_out_settings(self) -> None:
-        """Leave out rows above titles: settings (``Sample Interval,0.01,``), or a cell that Excel fills up to a row."""
-        sign = _delimiter_of(self._lines[-1][1])
-        head = [line.rstrip(f" {sign}").split(sign) for _, line in self._lines[: MOST_ABOVE + 3]]
-        rows = [[cell.strip(' "') for cell in row] for row in head]
-        width = len(rows[-1])
-        numbers = [len(row) == width and _are_readings(row) for row in rows]
-        begin = next((row for row in range(1, len(rows) - 2) if all(numbers[row : row + 3])), 0) - 1
-        if begin > 1 and len(rows[begin - 1]) == width and all(map(is_unit_cell, rows[begin])):
-            begin -= 1  # titles above their units
-        if begin < 1 or not are_titles(rows[begin], width) or _is_table(rows[:begin]) or stacked_titles(rows):
-            return
-        settings = any(is_number(cell.replace(",", ".", 1)) for row in rows[:begin] for cell in row)
-        padded = width > 1 and all(len([cell for cell in row if cell]) < 2 for row in rows[:begin])
-        try:
-            if padded or (settings and clock_of(rows[begin]) is not None):
-                self._leave_out(begin)
-        except InputError:
-            return  # two clocks: nobody can say
-
-    def _begins_at(self, begin: int, sign: str) -> bool:
-        """Return True if titles begin at a line, and those above are no table of their own: another run, perhaps."""
-        above, below = (
-            [[cell.strip(' "') for cell in line.split(sign)] for _, line in lines]
-            for lines in (self._lines[:begin], self._lines[begin:][: MOST_ROWS + 2])
-        )
-        if _is_table(above):
-            return False
-        if len(self._lines) - begin < 3 or any(map(is_number, below[0])):
-            return False
-        return all(below[0][:-1]) or stacked_titles(below) is not None
-
-    def _leave_out_above_blanks(self) -> None:
-        """Leave out lines above a table whose columns stand apart by blanks, titles right above rows of numbers."""
-        rows = [line.split() for _, line in self._lines]
-        width = len(rows[-1])
-        begin = next((row for row, cells in enumerate(rows) if len(cells) == width and _are_numbers(cells)), 0) - 1
-        if not 0 < begin <= MOST_ABOVE or width < 2 or len(rows) - begin < 3:
-            return
-        if len(rows[begin]) == width and not any(map(is_number, rows[begin])) and not _is_table(rows[:begin]):
+    def _leave_out_above(self) -> None:
+        """Leave out what a logger writes above its table."""
+        head = [cells_of(line, self._delimiter) for _, line in self._lines[: MOST_ABOVE + MOST_ROWS + CERTAIN]]
+        last = [cells_of(line, self._delimiter) for _, line in self._lines[-SAMPLE - 1 :]]
+        if logger_titles(head) is None and (begin := begin_of(head, last)):
             self._leave_out(begin)
 
     def _leave_out(self, begin: int) -> None:
@@ -560,35 +502,7 @@ class TextFile:
 
     def _cells(self, line: str) -> list[str]:
         """Return the cells of a line."""
-        if self._delimiter is None:
-            if '"' not in line:
-                return line.split()
-            spaced = csv.reader(io.StringIO(line.strip()), delimiter=" ", skipinitialspace=True)
-            return [cell for cell in next(spaced) if cell]
-        rows = csv.reader(io.StringIO(line), delimiter=self._delimiter, skipinitialspace=self._delimiter != "\t")
-        return [cell.strip() for cell in next(rows)]
-
-
-def _are_readings(row: Sequence[str]) -> bool:
-    """Return True for several numbers, times beside them and empty cells set aside."""
-    cells = [cell for cell in row if cell and not is_time(cell)]
-    return len(cells) > 1 and _are_numbers(cells)
-
-
-def _is_table(rows: Sequence[Sequence[str]]) -> bool:
-    """Return True if three rows and more hold several numbers each, with no word before them."""
-    return sum(sum(map(is_number, cells)) > 1 and not cells[0][:1].isalpha() for cells in rows) > 2
-
-
-def _delimiter_of(line: str) -> str:
-    """Return the sign of which a line holds most; no comma where others stand between numbers with decimal commas."""
-    for sign in ";\t":
-        cells = [cell.strip() for cell in line.split(sign)]
-        if len(cells) > 1 and all(
-            not cell or is_number(cell.replace(",", ".", 1)) or is_time(cell.strip('"')) for cell in cells
-        ):
-            return sign
-    return max(_DELIMITERS, key=line.count)
+        return cells_of(line, self._delimiter)
 
 
 def _are_numbers(cells: list[str]) -> bool:
