@@ -10,7 +10,9 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from harness.data.oddities.between import mismatched
+from harness.data.oddities.dropouts import dropouts_of
 from harness.data.oddities.held import held_readings, stuck_rows
+from harness.data.oddities.hum import hum_of
 from harness.data.oddities.leaps import POSITIONS, SIDE, STRIDES, leaps_of
 from harness.data.oddities.levels import coarse_step, saturated, stuck
 from harness.data.oddities.numbers import ODD
@@ -141,7 +143,8 @@ class _Look:
 
     def mended(self) -> Trajectory:
         """Return the record with what is no reading marked as missing."""
-        if not self.missing.any() and np.array_equal(self.u, self.record.u):
+        same = np.array_equal(self.u, self.record.u) and np.array_equal(self.y, self.record.y)
+        if same and not self.missing.any():
             return self.record
         return replace(self.record, u=self.u, y=self.y, missing=self.missing)
 
@@ -175,6 +178,7 @@ class _Look:
         fresh = ~self.missing[:, column]
         self._spikes(column, channel, plain, fresh)
         self._leaps(column, channel, plain)
+        self._hum(column, channel)
         step = coarse_step(y[fresh])
         if step:
             turn = f", {2 * np.pi / step:.4g} a turn" if channel.unit == "rad" else ""
@@ -258,6 +262,22 @@ class _Look:
             )
             self._add("leap", channel, np.array([row]), words)
 
+    def _hum(self, column: int, channel: Channel) -> None:
+        """Find a line above the motion and take it out."""
+        if self.missing[:, column].mean() > ODD.most or self.resting[:, column].any():
+            return
+        found = hum_of(self.y[:, column], self.u)
+        if found is None:
+            return
+        dt = self.spec.sample_time
+        size = self._size(channel, 0.5 * float(np.ptp(found.sine)), ".3g")
+        words = (
+            f"{channel.name} holds a line of {size} at {found.frequency / dt:.4g} Hz, above all its motion, and no "
+            "input has it: hum of the mains, as it is or aliased, or something that turns near by; it is taken out"
+        )
+        self._add("hum", channel, np.zeros(0, dtype=np.intp), words, used=True)
+        self.y[:, column] -= found.sine
+
     def _slips(self) -> None:
         """Find places where rows are missing or written twice, none of which the clock shows."""
         real = [k for k, one in enumerate(self.spec.outputs) if one.kind == "real" and not self.uneven[k]]
@@ -326,6 +346,16 @@ class _Look:
     def _input(self, column: int, channel: Channel) -> None:
         """Find rows of a logged input that the plant did not feel."""
         u = self.record.u[:, column]
+        for rows, bridge in dropouts_of(self.y, self.u, column):
+            own, (read, across) = self._own(channel, u[rows], bridge)
+            words = (
+                f"{channel.name} reads {read[0]:.6g}{behind(own.unit)} in rows {rows[0]} to {rows[-1]}, between "
+                f"{across[0]:.3g} and {across[-1]:.3g}, and the outputs go on as if it did not: a drop-out of the log; "
+                "close-loop leaves these rows out"
+            )
+            self._add("dropout", channel, rows, words, used=True)
+            self.u[rows, column] = bridge
+        u = self.u[:, column].copy()
         found = spikes_of(u, np.zeros((self.n, 0)))
         if not found.rows.size:
             return

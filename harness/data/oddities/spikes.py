@@ -202,14 +202,14 @@ def alike(y: FloatArray, rows: npt.NDArray[np.intp]) -> list[tuple[float | None,
     words = [
         float(value)
         for value, count, chance in zip(values, counts, np.atleast_1d(by_chance), strict=True)
-        if (count > 1 and chance < ODD.by_chance) or _is_word(float(value))
+        if (count > 1 and chance < ODD.by_chance) or is_word(float(value))
     ]
     groups: list[tuple[float | None, npt.NDArray[np.intp]]] = [(word, rows[y[rows] == word]) for word in words]
     rest = rows[~np.isin(y[rows], words)]
     return [*groups, (None, rest)] if rest.size else groups
 
 
-def _is_word(value: float) -> bool:
+def is_word(value: float) -> bool:
     """Return True for values that stand for "nothing": 0, -1, and rows of nines."""
     text = f"{abs(value):g}"
     return value in (0.0, -1.0) or (len(text) >= 3 and set(text) <= {"9", "."})

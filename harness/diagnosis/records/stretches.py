@@ -117,7 +117,7 @@ def _place(piece: Run, run: Run) -> int | None:
 
 
 def parted(dataset: Dataset) -> Dataset:
-    """Return a data set whose records end where a position leaps: what follows is a record of its own.
+    """Return a data set whose records end where a position leaps, or an input is not known; others begin behind.
 
     Parameters
     ----------
@@ -133,17 +133,26 @@ def parted(dataset: Dataset) -> Dataset:
     >>> pieces = parted(Dataset("x", (Run(record),), oddities=odd))
     >>> [len(run.trajectory) for run in pieces], [(one.kind, one.run, one.rows) for one in pieces.oddities]
     ([30, 50], [('spike', 0, (10,)), ('leap', 1, (0,)), ('spike', 1, (10,))])
+    >>> lost = Oddity("dropout", 0, "u", tuple(range(30, 40)), "")
+    >>> [float(run.trajectory.t[0]) for run in parted(Dataset("x", (Run(record),), oddities=(lost,)))]
+    [0.0, 20.0]
     """
     cuts: dict[int, set[int]] = {}
+    unknown: set[tuple[int, int]] = set()
     for odd in dataset.oddities or ():
         if odd.kind == "leap":
             cuts.setdefault(odd.run, set()).update(odd.rows)
+        elif odd.kind == "dropout":
+            cuts.setdefault(odd.run, set()).update((odd.rows[0], odd.rows[-1] + 1))
+            unknown.add((odd.run, odd.rows[0]))
     if not cuts:
         return dataset
     runs: list[Run] = []
     moved: list[Oddity] = []
     for number, run in enumerate(dataset):
         for a, b in itertools.pairwise([0, *sorted(cuts.get(number, ())), len(run.trajectory)]):
+            if (number, a) in unknown:
+                continue
             for odd in dataset.oddities or ():
                 rows = tuple(row - a for row in odd.rows if a <= row < b)
                 if odd.run == number and (rows or (a == 0 and not odd.rows)):

@@ -1,0 +1,75 @@
+"""Inputs that the log lost for a while, and lines above the motion: named, kept out, never seen in clean records."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.data.oddities import examined
+from harness.diagnosis.records.stretches import parted
+from harness.signals import Channel, Dataset, FloatArray, Oddity, PlantSpec, Run, Trajectory
+
+N, DT = 1000, 0.5
+SPEC = PlantSpec((Channel("P", "W"), Channel("Ta", "K")), (Channel("T", "K"),), DT)
+
+
+def room(seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return power and outdoor temperature (N, 2), and the temperature of a room (N,) with noise."""
+    rng = np.random.default_rng(seed)
+    power = np.repeat(rng.uniform(50.0, 300.0, 20), 50)
+    out = 15.0 + np.cumsum(rng.normal(0.0, 0.02, N))
+    y = np.zeros(N)
+    for k in range(N - 1):
+        y[k + 1] = y[k] + DT * (0.002 * power[k] - 0.02 * (y[k] - out[k]))
+    return np.column_stack([power, out]), y + 0.02 * rng.standard_normal(N)
+
+
+def looked(u: FloatArray, y: FloatArray) -> tuple[Dataset, list[Oddity]]:
+    found = examined(Dataset("room", (Run(Trajectory(np.arange(N) * DT, u, y[:, None], SPEC)),)))
+    return found, [odd for odd in found.oddities or () if odd.fault]
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_a_drop_out_of_an_input_is_named_and_its_rows_are_left_out(column: int) -> None:
+    u, y = room(column)
+    u[420:450, column] = 0.0
+    found, odd = looked(u, y)
+    assert [(one.kind, one.channel, one.rows[0], len(one.rows)) for one in odd] == [
+        ("dropout", SPEC.inputs[column].name, 420, 30)
+    ]
+    assert (found.runs[0].trajectory.u[420:450, column] > 1.0).all()
+    assert [len(run.trajectory) for run in parted(found)] == [420, 550]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_input_that_was_off_is_no_drop_out(seed: int) -> None:
+    u, y = room(seed)
+    assert looked(u, y)[1] == []
+    power = u[:, 0].copy()
+    power[300:330] = 0.0
+    u[:, 0] = power
+    y[:] = 0.0
+    for k in range(N - 1):
+        y[k + 1] = y[k] + DT * (0.002 * power[k] - 0.02 * (y[k] - u[k, 1]))
+    assert looked(u, y + 0.02 * np.random.default_rng(seed).standard_normal(N))[1] == []
+
+
+@pytest.mark.parametrize("frequency", [0.11, 0.32])
+def test_a_line_above_the_motion_is_named_and_taken_out(frequency: float) -> None:
+    u, y = room(7)
+    hum = 0.08 * np.sin(2 * np.pi * frequency * np.arange(N) + 0.4)
+    found, odd = looked(u, y + hum)
+    assert [(one.kind, one.channel) for one in odd] == [("hum", "T")]
+    assert f"{frequency / DT:.3g} Hz" in odd[0].words
+    assert np.abs(found.runs[0].trajectory.y[:, 0] - y).max() < 0.01
+
+
+def test_a_line_that_an_input_has_is_no_hum() -> None:
+    u, y = room(6)
+    line = np.sin(2 * np.pi * 0.2 * np.arange(N))
+    u[:, 0] += 100.0 * line
+    answer = np.zeros(N)
+    for k in range(N - 1):
+        answer[k + 1] = answer[k] + DT * (0.2 * line[k] - 0.02 * answer[k])
+    assert np.ptp(answer) > 0.1
+    assert looked(u, y + answer)[1] == []
