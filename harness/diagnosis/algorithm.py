@@ -134,7 +134,9 @@ def diagnose(
         whole = None if wrong else all_readings(kind, form, thinned, dataset, policy, folder)
         outcome = at_full_rate(whole, outcome)
         # grade what is left
-        outcome, runs, leftover = what_free_runs_say(kind, form, outcome, dataset, policy, say, simple, share=share)
+        outcome, runs, leftover = what_free_runs_say(
+            kind, form, outcome, dataset, policy, say, simple, share=share, whole=whole
+        )
         rounded = with_rounding(
             remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
         )

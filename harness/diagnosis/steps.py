@@ -113,6 +113,7 @@ def what_free_runs_say(
     simple: SimpleFits | None = None,
     *,
     share: FloatArray,
+    whole: Remembered | None = None,
 ) -> tuple[Outcome, FreeRuns, Leftover]:
     """Return the outcome that stands, free runs before and after, and what is left of the final model.
 
@@ -122,13 +123,14 @@ def what_free_runs_say(
     """
     runs = run_freely(kind, form, outcome, dataset, simple, share)
     say("what is left", 0.8)
-    leftover = left_over(form, outcome.model, policy)
+    leftover = what_is_left(form, whole, outcome, policy)
     idle = explains_nothing(form, outcome, runs, policy) if form.latent else runs.idle(policy)
     denied = runs.worse(policy) or idle
     if not denied or any(one.given for one in outcome.accepted):  # what is given is not taken back
         return outcome, runs, leftover
     outcome = outcome.taken_back(0.0 if runs.worse(policy) else policy.misfit_gain)
-    return outcome, run_freely(kind, form, outcome, dataset, simple, share), left_over(form, outcome.model, policy)
+    runs = run_freely(kind, form, outcome, dataset, simple, share)
+    return outcome, runs, what_is_left(form, whole, outcome, policy)
 
 
 def run_freely(
@@ -144,10 +146,23 @@ def run_freely(
 def all_readings(
     kind: Kind, form: WholeForm, thinned: Thinned, dataset: Dataset, policy: Policy, folder: Path | None
 ) -> Remembered | None:
-    """Return the likelihood of all readings, beside latent forces, where the search looks at fewer; None elsewhere."""
-    if thinned.factor == 1 or not form.latent:
+    """Return the likelihood of all readings where the search looks at fewer; None elsewhere."""
+    if thinned.factor == 1:
         return None
     return Remembered(form_of(kind, form.nominal, dataset, policy, form.laws)[0], folder)
+
+
+def what_is_left(form: WholeForm, whole: Remembered | None, outcome: Outcome, policy: Policy) -> Leftover:
+    """Return what can still be predicted of the final model's innovations.
+
+    Without unmeasured forces of all readings, where the search looked at fewer: an input that is thinned passes a bend,
+    of a drive or of an outlet, otherwise than as it was, and what that leaves would be missing.
+    """
+    if whole is not None and not form.latent:
+        found = whole.fit(outcome.model.effects, [outcome.model.values], None)
+        if found is not None and found.converged:
+            return left_over(whole, found, policy)
+    return left_over(form, outcome.model, policy)
 
 
 def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:

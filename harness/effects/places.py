@@ -141,6 +141,8 @@ def _missing(system: System, effect: Effect, port: Port) -> str | None:
         return "gravity does not act on the plant"
     if "alone" in effect.needs and len(system.coordinates) > 1:
         return "other coordinates move with it"
+    if "astatic" in effect.needs and port.kind == "coordinate" and not _astatic(system, port.name):
+        return "the model holds it somewhere: a force at rest depends on where it stands"
     return None
 
 
@@ -157,6 +159,13 @@ def _driven(system: System, name: str) -> bool:
     import casadi as ca
 
     return bool(system.nu and ca.depends_on(system.input_forces[system.coordinate(name).force], system.u))
+
+
+def _astatic(system: System, name: str) -> bool:
+    """Return True if no force at rest depends on where a coordinate stands; False of an FMU, which does not tell."""
+    import casadi as ca
+
+    return system.h is not None and not ca.depends_on(unforced(system, name)[1], system.x[system.coordinate(name).q])
 
 
 def _placed(system: System, effect: Effect, port: Port) -> bool:

@@ -17,10 +17,20 @@ from harness.errors import InputError
 from harness.physics import load_model
 from harness.physics.models import pendulum
 from harness.physics.symbolic.mechanism import Mechanism
+from harness.physics.symbolic.typed import read_equations
 
 GEAR, RIPPLE, SPRING, BASE = (
     builtin()[name] for name in ("gear_loss", "torque_ripple", "counterbalance", "wobbling_base")
 )
+
+SERVO = """input T [N m]
+state q [rad], w [rad/s]
+motion q: w, J
+J = 0.02 kg m^2 >= 0
+b = 0 N m s/rad >= 0
+q' = w
+w' = (T - b*w)/J
+"""
 
 
 def gear(f: float, v: float, c: float = 0.1, r: float = 1.0) -> float:
@@ -114,6 +124,19 @@ def test_they_are_tried_where_they_make_sense() -> None:
     two = load_model("double-pendulum")
     port = next(port for port in two.ports if port.kind == "coordinate")
     assert obstacle(two, BASE, port) == "other coordinates move with it"
+
+
+def test_a_load_beside_the_axis_is_one_law_where_the_model_knows_no_force_at_rest() -> None:
+    """With gravity or a spring of its own the model has a part of that law, and `eccentric_load` is the other."""
+    servo = read_equations(SERVO, "servo").system()
+    held = read_equations(SERVO.replace("- b*w)", "- b*w - k*q)") + "k = 1 N m/rad >= 0\n", "held").system()
+    assert "unbalanced_load@q" in {str(placed) for placed in place_all(servo)}
+    for other in (held, load_model("pendulum"), load_model("cart-pole")):
+        assert not {str(placed) for placed in place_all(other) if placed.effect.name == "unbalanced_load"}
+    law = Placed(builtin()["unbalanced_load"], "q")
+    loaded = compose(servo, [law]).with_parameters({"unbalanced_load@q.A": 0.6, "unbalanced_load@q.phi": 0.2})
+    rate = loaded.simulator(0.01, backend="casadi").functions.derivative([0.5, 0.0], [0.0], loaded.vector(), 0.0)
+    assert float(rate[1]) == pytest.approx(-0.6 * math.sin(0.7) / 0.02)
 
 
 @pytest.mark.parametrize(("unit", "reading"), [("K", 313.15), ("degC", 40.0)])

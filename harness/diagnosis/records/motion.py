@@ -79,6 +79,14 @@ def measured_coordinates(system: AnySystem) -> dict[str, tuple[int | None, int |
     return columns or None
 
 
+def motion_is_state(system: AnySystem) -> bool:
+    """Return True if the positions of all coordinates are measured, and no other state drives or is driven.
+
+    Only then do the equations of motion have a residual force along a record: a current is not in it.
+    """
+    return measured_coordinates(system) is not None and system.nx == 2 * len(system.coordinates)
+
+
 def motion_band(
     position: FloatArray, sample_time: float, above: float = 10.0, *, derivative: int = 1
 ) -> tuple[float, float]:

@@ -67,7 +67,7 @@ import numpy as np
 
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.records.motion import measured_coordinates
+from harness.diagnosis.records.motion import motion_is_state
 from harness.diagnosis.report.estimates import effect_data, estimate, known, ratios, scaled_together
 from harness.diagnosis.report.experiments import Bench, separate_with, separating, undeclared_motion
 from harness.diagnosis.report.keys import blank, numbers
@@ -287,7 +287,7 @@ def _errors(found: Diagnosis, fit: Fit, fitted: Fitted | None) -> dict[str, Any]
     final = fitted if after is None else after  # before and after are the same quantity
     system = found.system
     hidden = output.nominal.ny and _sensors(final)
-    if by_equations(system) and measured_coordinates(system) is not None and not hidden:
+    if by_equations(system) and motion_is_state(system) and not hidden:
         strong = EquationForm(system, found.dataset, sizes=found.form.sizes)
     usable = strong is not None and all(map(strong.judges, (*fitted.effects, *final.effects)))
     return {

@@ -136,6 +136,28 @@ def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 @effect(
     "coordinate",
     [
+        par("A", "F", scale="0.05 F", sign="+", neutral=0.0, main=True, linear=True, role="level",
+            meaning="weight of the load over its arm"),
+        par("phi", "rad", scale="0.2", grid=(1.0, 8.854, 16.708, 24.562), role="phase",
+            meaning="minus the angle at which the load hangs"),
+    ],
+    formula="F = -A sin(q + phi), on a coordinate that nothing in the model holds anywhere",
+    family=("eccentric_load", "linear_spring", "cubic_spring", "payload_step", "cogging"),
+    nests=("eccentric_load",),
+    limits={"linear_spring": "at small angles about where it hangs", "force_bias": "at small angles elsewhere"},
+    angles=True,
+    needs=("astatic", "place"),
+    experiment="hold the joint at angles over the whole turn: its torque comes once a turn",
+    told_by=("full swing",),
+)  # fmt: skip
+def unbalanced_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Weight beside the axis of what the model takes to be balanced."""
+    return -p.A * sin(q + p.phi)
+
+
+@effect(
+    "coordinate",
+    [
         par("A", "F", scale="0.05 F", sign="+", neutral=0.0, main=True, linear=True,
             meaning="k L0 a b rho / (4 sqrt(a^2 + b^2)): what the free length adds twice a turn"),
         par("alpha", "rad", scale="0.2", grid=(1.0, 4.927, 8.854, 12.781),

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.physics.compiled.kalman_pass import Noise
+from harness.physics.compiled.simulator import default_substeps
 from harness.physics.compiled.windows import data_states
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit, NoiseModel, Point
@@ -81,50 +82,70 @@ def fit_likelihood(
     >>> [round(fit.parameters[name], 2) for name in ("m", "c", "k")], round(float(fit.point.noise.r[0]), 4)
     ([2.0, 0.3, 5.0], 0.002)
     """
+    return fitted_likelihood(
+        system, trajectories, start=start, fixed=fixed, latent=latent, white=white, intersample=intersample
+    )[1]
+
+
+def fitted_likelihood(
+    system: System,
+    trajectories: Sequence[Trajectory],
+    *,
+    start: Mapping[str, float] | None = None,
+    fixed: Sequence[str] = (),
+    latent: bool = True,
+    white: bool = True,
+    intersample: Intersample = "zoh",
+) -> tuple[Likelihood, LikelihoodFit]:
+    """Return a likelihood and its maximum; parameters are those of :func:`fit_likelihood`.
+
+    Where the maximum asks for finer steps of the solver than its start did, the search goes on from there with these:
+    with too coarse ones a maximum may lie where the solver errs, at the edge of its stability.
+    """
     records = list(trajectories)
     dt = records[0].spec.sample_time
-    likelihood = likelihood_of(system, records, fixed=fixed, latent=latent, white=white, intersample=intersample)
-    model = likelihood.noise_model
     given = dict(start or {})
     free = np.array([not (parameter.fixed or parameter.name in fixed) for parameter in system.parameters], dtype=bool)
     vectors = first_values(system, records, {**system.values(), **given}, free, set(given), intersample)
+    scale = force_scale(system, records, intersample)
+    spread = np.concatenate([record.y for record in records]).std(axis=0)
+    longest = max(len(record) for record in records) * dt / LONGEST
+    model = NoiseModel(scale, np.maximum(spread, 1e-12), latent, white, shortest=dt, longest=max(longest, 2 * dt))
+    noises = first_noises(model, sensor_noise(records), dt)
+    points = [
+        Point(p, x0, noise)
+        for p in vectors
+        for x0 in [[first_state(system, record, p, intersample) for record in records]]
+        for noise in noises
+    ]
+    steps = max(default_substeps(system, dt, p) for p in vectors)
+    while True:
+        likelihood = Likelihood(system, records, model, fixed=fixed, intersample=intersample, substeps=steps)
+        best = _likeliest(likelihood, points)
+        needed = default_substeps(system, dt, best.point.p)
+        if needed <= steps:
+            return likelihood, best
+        steps, points = needed, [best.point]
+
+
+def _likeliest(likelihood: Likelihood, points: Sequence[Point]) -> LikelihoodFit:
+    """Return the highest of the maxima that are reached from some points."""
     best: LikelihoodFit | None = None
-    for p in vectors:
-        x0 = [first_state(system, record, p, intersample) for record in records]
-        for noise in first_noises(model, sensor_noise(records), dt):
-            try:
-                found = likelihood.maximise(Point(p, x0, noise))
-            except FitError:
-                continue
-            if best is None or found.nll < best.nll:
-                best = found
+    for point in points:
+        try:
+            found = likelihood.maximise(point)
+        except FitError:
+            continue
+        if best is None or found.nll < best.nll:
+            best = found
     if best is None:
         raise FitError(
-            f"maximum likelihood of {system.name}",
+            f"maximum likelihood of {likelihood.system.name}",
             expected="a start from which the filter stays finite",
             got="a diverging state",
             remedy="check units and signs of the records, or give start values",
         )
     return best
-
-
-def likelihood_of(
-    system: System,
-    trajectories: Sequence[Trajectory],
-    *,
-    fixed: Sequence[str] = (),
-    latent: bool = True,
-    white: bool = True,
-    intersample: Intersample = "zoh",
-) -> Likelihood:
-    """Return the likelihood that :func:`fit_likelihood` maximises; its parameters but ``start`` are meant."""
-    records = list(trajectories)
-    dt = records[0].spec.sample_time
-    scale = force_scale(system, records, intersample)
-    spread = np.concatenate([record.y for record in records]).std(axis=0)
-    longest = max(len(record) for record in records) * dt / LONGEST
-    model = NoiseModel(scale, np.maximum(spread, 1e-12), latent, white, shortest=dt, longest=max(longest, 2 * dt))
-    return Likelihood(system, records, model, fixed=fixed, intersample=intersample)
 
 
 def first_noises(model: NoiseModel, sensors: FloatArray, dt: float) -> list[Noise]:

@@ -131,25 +131,32 @@ def fit_output_error(
     known = np.array([float((noise or {}).get(channel.name, np.nan)) for channel in system.outputs])
     guesses = first_values(system, records, values, free, set(given), intersample)
     steps = substeps or max(default_substeps(system, dt, guess) for guess in guesses)
-    simulator = system.simulator(dt, intersample=intersample, substeps=steps)
-    simulator.prepare()
     path = _path(horizon, continuation, dt, max(len(r) for r in records))
     sigma = np.where(np.isnan(known), 0.1 * scale, known)
-    first = _better(simulator, records, guesses, free, path[0], sigma)
-    results = []
-    for guess in [first, *_scattered(system, first, free, starts - 1, rng)]:
-        results.append(_follow(simulator, records, guess, free, path, sigma, known, scale, max_iterations, x0))
-    finite = [result for result in results if np.isfinite(result.objective)]
-    if not finite:
-        raise FitError(
-            f"output-error fit of {system.name}",
-            expected="a start from which the simulation stays finite",
-            got=f"{len(results)} starts that all diverge",
-            remedy="give start values nearer to the plant, or a shorter horizon",
-        )
-    best = min(finite, key=lambda result: result.objective)
+    begun: list[FloatArray] = []
+    while True:
+        simulator = system.simulator(dt, intersample=intersample, substeps=steps)
+        simulator.prepare()
+        if not begun:
+            first = _better(simulator, records, guesses, free, path[0], sigma)
+            begun = [first, *_scattered(system, first, free, starts - 1, rng)]
+        ended = [_follow(simulator, records, p, free, path, sigma, known, scale, max_iterations, x0) for p in begun]
+        finite = [result for result in ended if np.isfinite(result.objective)]
+        if not finite:
+            raise FitError(
+                f"output-error fit of {system.name}",
+                expected="a start from which the simulation stays finite",
+                got=f"{len(ended)} starts that all diverge",
+                remedy="give start values nearer to the plant, or a shorter horizon",
+            )
+        best = min(finite, key=lambda result: result.objective)
+        needed = default_substeps(system, dt, best.solution.p)
+        if substeps or needed <= steps:
+            break
+        # with too coarse steps a minimum may lie where the solver errs: on from there with those that it asks for
+        steps, begun = needed, [result.solution.p for result in finite]
     alike = sum(abs(result.objective - best.objective) <= _SAME_MINIMUM * best.n_data for result in finite)
-    return finish(system, best, free, alike if starts > 1 else None, len(results), intersample)
+    return finish(system, best, free, alike if starts > 1 else None, max(starts, 1), intersample)
 
 
 def simulate_error(
