@@ -115,6 +115,8 @@ def new_dataset(
     model: str | None = None,
     out: str | Path = "dataset.toml",
     sheet: str | None = None,
+    input: str | Sequence[str] = (),
+    output: str | Sequence[str] = (),
     force: bool = False,
 ) -> Path:
     """Write a dataset.toml drafted from files of data (``sysid new dataset FILE...``).
@@ -128,19 +130,23 @@ def new_dataset(
     out : path
     sheet : str, optional
         Of Excel workbooks.
+    input, output : str or sequence of str
+        Channels that are inputs and outputs, where no model names them; the others become comments.
     force : bool
         Overwrite it.
 
     Raises
     ------
     InputError
-        If a file cannot be read, or ``out`` exists.
+        If a file cannot be read or holds no such channel, or ``out`` exists.
     """
     from harness.data.recipe.draft import draft_dataset
 
     out = Path(out)
     refuse_overwrite(out, force=force)
-    out.write_text(draft_dataset(files, model=model, folder=out.parent, sheet=sheet), encoding="utf-8")
+    inputs, outputs = ([names] if isinstance(names, str) else list(names) for names in (input, output))
+    text = draft_dataset(files, model=model, folder=out.parent, sheet=sheet, inputs=inputs, outputs=outputs)
+    out.write_text(text, encoding="utf-8")
     return out
 
 

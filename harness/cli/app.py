@@ -20,7 +20,7 @@ from harness import __version__, api
 from harness.cli.loop import close_loop, isolability, learn_residual
 from harness.cli.models import check_data, compare, export, identify, order, spectrum
 from harness.cli.opening import open_page
-from harness.cli.options import AsJson, Force, ModelName, Sheet
+from harness.cli.options import AsJson, Force, Inputs, ModelName, Outputs, Sheet
 from harness.cli.results import print_fmu, print_parts, print_system
 from harness.cli.runs import bench, query, simulate, table
 from harness.cli.structures import analyse, equations, modes
@@ -130,6 +130,8 @@ def new(
     ],
     folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made, or dataset.toml is written")] = Path("."),
     model: ModelName = None,
+    inputs: Inputs = None,
+    outputs: Outputs = None,
     sheet: Sheet = None,
     as_json: AsJson = False,
     force: Force = False,
@@ -138,7 +140,15 @@ def new(
     from harness.scaffold import entry_name
 
     if kind == "dataset":
-        out = api.new_dataset(name, model=model, out=folder / "dataset.toml", sheet=sheet, force=force)
+        out = api.new_dataset(
+            name,
+            model=model,
+            out=folder / "dataset.toml",
+            sheet=sheet,
+            input=inputs or (),
+            output=outputs or (),
+            force=force,
+        )
         print_written([out], as_json=as_json)
         if not as_json:
             say(f"now: answer what stands as a question in it, then sysid close-loop {out}")

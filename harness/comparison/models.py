@@ -155,7 +155,10 @@ class Comparison:
             inlined(_residual_figure(self), "correlations of the residuals"),
             *([inlined(_bode_figure(self), "frequency responses")] if self.spectrum else []),
             *(
-                [inlined(step_figure(linear), "step responses"), inlined(pole_figure(linear), "poles and zeros")]
+                [
+                    inlined(step_figure(linear, self.dataset.recorded), "step responses"),
+                    inlined(pole_figure(linear), "poles and zeros"),
+                ]
                 if linear
                 else []
             ),
@@ -269,9 +272,9 @@ def _bode_figure(found: Comparison) -> Any:
     assert found.spectrum is not None
     spec = found.dataset.spec
     # data are grey, as they are over time, where that tells them apart: each model has one colour in all pictures
-    figure = found.spectrum.plot("#777777" if spec.nu * spec.ny == 1 else None)
+    figure = found.spectrum.as_recorded(found.dataset.recorded).plot("#777777" if spec.nu * spec.ny == 1 else None)
     f = found.spectrum.frequency[1:]
     for name, model in found.linear().items():
-        bode_lines(figure.axes[:2], name, model, f)
+        bode_lines(figure.axes[:2], name, model, f, found.dataset.recorded)
     figure.axes[0].legend(fontsize=8)
     return figure

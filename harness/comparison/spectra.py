@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from harness.comparison.local_polynomial import local_polynomial
 from harness.errors import InputError
 from harness.frequency.segments import segment_spectra
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.units import own_gains
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -81,6 +82,11 @@ class Spectrum:
                         }
                     )
         return found
+
+    def as_recorded(self, recorded: Mapping[str, str]) -> Spectrum:
+        """Return the same in the units in which the channels were recorded (``Dataset.recorded``)."""
+        spec, times = own_gains(self.spec, recorded)
+        return replace(self, spec=spec, response=self.response * times, deviation=self.deviation * times)
 
     def plot(self, colour: str | None = None) -> Any:
         """Draw magnitude with a band of two standard deviations, phase and coherence; returns the figure.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,13 @@ from harness.models.spread import (
     steps,
 )
 from harness.signals import FloatArray, PlantSpec
+from harness.units import own_gains
 
 ELLIPSE = np.linspace(0.0, 2 * np.pi, 73)
 WIDEST, UNKNOWN = 1.0, 0.35
 """Half axis of an ellipse beyond which a pole may lie anywhere in the unit circle, and how dark such a pole is drawn.
 """
+NONE: Mapping[str, str] = MappingProxyType({})
 SHOWN = 400
 """Samples of a step response that are drawn at most."""
 
@@ -33,7 +36,7 @@ def is_linear(model: Any) -> bool:
     return hasattr(model, "matrices") and model.spec.nu > 0
 
 
-def bode_lines(axes: Any, name: str, model: Any, frequency: FloatArray) -> None:
+def bode_lines(axes: Any, name: str, model: Any, frequency: FloatArray, recorded: Mapping[str, str] = NONE) -> None:
     """Draw gain and phase of a linear model with 95 % bands; dotted where its data do not determine it.
 
     Parameters
@@ -44,8 +47,11 @@ def bode_lines(axes: Any, name: str, model: Any, frequency: FloatArray) -> None:
     model : LinearModel
     frequency : array (F,)
         [Hz]
+    recorded : mapping
+        Units of the channels that are drawn (``Dataset.recorded``).
     """
     spec: PlantSpec = model.spec
+    times = own_gains(spec, recorded)[1]
     response = gains(model.matrices, frequency, spec.sample_time)
     bands = bands_of(model) or {}
     deviations = None
@@ -58,13 +64,13 @@ def bode_lines(axes: Any, name: str, model: Any, frequency: FloatArray) -> None:
             blind = np.zeros(len(frequency), dtype=bool) if own is None else outside(own, frequency)
             phase = np.degrees(np.unwrap(np.angle(one)))
             label = name if spec.nu * spec.ny == 1 else f"{name}: {output.name} / {given.name}"
-            colour = _drawn(axes[0].loglog, frequency, np.abs(one), blind, label, None)
+            colour = _drawn(axes[0].loglog, frequency, np.abs(one) * times[row, column], blind, label, None)
             _drawn(axes[1].semilogx, frequency, phase, blind, "", colour)
             if deviations is None:
                 continue
             wide = quantile(model.spread)
             gain, turn = (wide * part[:, row, column] for part in deviations)
-            size = np.abs(one)
+            size, gain = np.abs(one) * times[row, column], gain * times[row, column]
             axes[0].fill_between(frequency, np.maximum(size - gain, size * 1e-3), size + gain, alpha=0.2, color=colour)
             turn = np.degrees(np.minimum(turn, np.pi))
             axes[1].fill_between(frequency, phase - turn, phase + turn, alpha=0.2, color=colour)
@@ -82,20 +88,20 @@ def _drawn(
     return found
 
 
-def step_figure(models: Mapping[str, Any]) -> Any:
-    """Draw the answers to a unit step of each input, with 95 % bands."""
+def step_figure(models: Mapping[str, Any], recorded: Mapping[str, str] = NONE) -> Any:
+    """Draw the answers to a unit step of each input, with 95 % bands, in the units in which channels were recorded."""
     from harness.comparison.responses import length
     from harness.plots import sheet
 
-    spec: PlantSpec = next(iter(models.values())).spec
+    spec, times = own_gains(next(iter(models.values())).spec, recorded)
     figure = sheet(figsize=(5.0 * spec.nu, 2.4 * spec.ny + 0.5), layout="constrained")
     axes = figure.subplots(spec.ny, spec.nu, squeeze=False, sharex=True)
     count = min(max(length(model) for model in models.values()), SHOWN)
     t = spec.sample_time * np.arange(count)
     for name, model in models.items():
-        y = steps(model.matrices, count)
+        y = steps(model.matrices, count) * times
         spread = getattr(model, "spread", None)
-        half = quantile(spread) * step_deviation(model, count) if spread is not None else None
+        half = quantile(spread) * step_deviation(model, count) * times if spread is not None else None
         for row in range(spec.ny):
             for column in range(spec.nu):
                 (line,) = axes[row, column].plot(t, y[:, row, column], linewidth=1.2, label=name)

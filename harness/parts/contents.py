@@ -48,8 +48,8 @@ def describe_file(path: str | Path, sheet: str | None = None) -> dict[str, Any]:
             "tables": {name: robot[name] for name in ("joints", "actuators", "sensors")},
             "content": robot,
         }
-    if suffix == ".json":
-        return _described_model(path)
+    if suffix == ".json" and (stored := _described_model(path)) is not None:
+        return stored
     if suffix == ".eqs":
         return _described_equations(path)
     if suffix == ".toml":
@@ -115,8 +115,8 @@ def _described_report(path: Path, content: dict[str, Any]) -> dict[str, Any]:
     return {"facts": facts, "tables": {"effects": effects}, "content": content}
 
 
-def _described_model(path: Path) -> dict[str, Any]:
-    """Return what a model.json states, without making the model; or a report that lies beside it."""
+def _described_model(path: Path) -> dict[str, Any] | None:
+    """Return what a model.json states, without making the model, or a report; None for other JSON, data perhaps."""
     import json
 
     try:
@@ -128,15 +128,7 @@ def _described_model(path: Path) -> dict[str, Any]:
     if isinstance(content, dict) and "verdict" in content:
         return _described_report(path, content)
     if not isinstance(content, dict) or "kind" not in content:
-        raise InputError(
-            "no model and no report",
-            expected="what sysid identify -o or close-loop wrote, with a kind or a verdict",
-            got=f"JSON with {', '.join(map(repr, list(content)[:6])) or 'nothing'}"
-            if isinstance(content, dict)
-            else "JSON that holds no names",
-            remedy="give such a file; data are listed as CSV, Parquet and the like",
-            file=path,
-        )
+        return None
     with as_written(path, "model.json"):
         spec = content.get("spec") or {}
         ports = [

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.signals import Channel, FloatArray, Trajectory
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.units.conversion import told
 
 
@@ -47,13 +47,31 @@ def own_record(record: Trajectory, recorded: Mapping[str, str]) -> Trajectory:
     >>> print(own_record(record, {"T": "degC"}), own_record(record, {"T": "degC"}).y[:, 0].tolist())
     2 samples over 60 s: no input -> T [degC] every 60 s [20.0, 22.0]
     """
-    inputs, outputs = (
-        tuple(Channel(channel.name, own_unit(channel, recorded)) for channel in channels)
-        for channels in (record.spec.inputs, record.spec.outputs)
-    )
     return replace(
         record.measured(),
         u=own_values(record.u, record.spec.inputs, recorded),
         y=own_values(record.y, record.spec.outputs, recorded),
-        spec=replace(record.spec, inputs=inputs, outputs=outputs, states=()),
+        spec=own_gains(record.spec, recorded)[0],
     )
+
+
+def own_gains(spec: PlantSpec, recorded: Mapping[str, str]) -> tuple[PlantSpec, FloatArray]:
+    """Return a plant's ports in the units in which they were recorded, and what gains (ny, nu) in SI are times there.
+
+    Examples
+    --------
+    >>> from harness.signals import PlantSpec
+    >>> spec = PlantSpec((Channel("u", "V"),), (Channel("T", "K"), Channel("h", "m")), 1.0)
+    >>> own, times = own_gains(spec, {"u": "mV", "T": "degC"})
+    >>> str(own.outputs[0]), times.round(6).tolist()
+    ('T [degC]', [[0.001], [0.001]])
+    """
+    inputs, outputs = (
+        tuple(Channel(channel.name, own_unit(channel, recorded)) for channel in channels)
+        for channels in (spec.inputs, spec.outputs)
+    )
+    sizes = [
+        np.diff(own_values(np.repeat([[0.0], [1.0]], len(channels), axis=1), channels, recorded), axis=0)[0]
+        for channels in (spec.inputs, spec.outputs)
+    ]
+    return replace(spec, inputs=inputs, outputs=outputs, states=()), sizes[1][:, None] / sizes[0][None, :]

@@ -275,7 +275,7 @@ def test_nothing_is_overwritten_unasked(folder: Path, capsys: pytest.CaptureFixt
     ("check estimation.csv", "--reference FILE"),
     ("list pendlum", "did you mean pendulum"),
     ("list empty", "name a file"),
-    ("list other.json", "got JSON with 'a'"),
+    ("list other.json", "JSON that holds no table"),
     ("list words.txt", "got words alone"),
     ("record-length estimation.csv", "sysid analyse record-length SUBJECT"),
     ("new robot arm", "dataset (of files)"),

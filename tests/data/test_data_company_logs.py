@@ -229,10 +229,45 @@ def test_words_that_settings_hold_are_no_titles_where_others_name_a_clock(tmp_pa
     same(table(tmp_path, head, [",".join(row) for row in CELLS]))
     both = table(tmp_path, ["Weg,Kraft,Spannung", "y,f,u"], [",".join(row) for row in CELLS])
     with pytest.raises(InputError, match="two rows of titles"):
-        Table(both).read("u")
+        Table(both).read("Spannung")
 
 
 def test_the_clock_is_the_first_of_columns_without_titles(tmp_path: Path) -> None:
     path = table(tmp_path, [], [f"{10 * k} {u} {y}" for k, (_, u, y) in enumerate(CELLS)], "log.txt")
     for first in (0, "0"):
         same(path, column={"time": first, "u": 1, "y": 2}, unit={"time": "ms", "u": "V", "y": "mm"})
+
+
+def test_a_row_of_units_needs_none_for_a_column_of_words(tmp_path: Path) -> None:
+    head = ["Vendor,GRAPHTEC", "Interval,10ms", "", "Number,Time [s],u,y,Alarm1-10", "NO.,,V,mm,A1234567890"]
+    rows = [f"{k},{t},{'+-'[u[0] == '-']} {u.lstrip('-')},{y},LLLL" for k, (t, u, y) in enumerate(CELLS)]
+    same(table(tmp_path, head, rows))
+
+
+@pytest.mark.parametrize(("off", "on"), [("OFF", "ON"), ("Aus", "Ein"), ("false", "true")])
+def test_what_is_switched_is_nought_and_one(off: str, on: str, tmp_path: Path) -> None:
+    rows = [f"{t},{on if float(u) > 0 else off},{y}" for t, u, y in CELLS]
+    path = table(tmp_path, ["time [s],valve,y [mm]"], rows)
+    data = load_dataset(path, input="valve", output="y").dataset
+    assert np.concatenate([run.trajectory.u[:, 0] for run in data]).tolist() == (DRIVE > 0).astype(float).tolist()
+    assert any(
+        f"valve holds {on.lower()} and {off.lower()}: they are read as 1 and 0" in note for note in data.warnings
+    )
+    mixed = table(tmp_path, ["time [s],valve,y [mm]"], [row.replace(off, "-1") for row in rows])
+    with pytest.raises(InputError, match="no number"):
+        load_dataset(mixed, input="valve", output="y")
+
+
+def test_dashes_hold_nothing_and_hexadecimal_numbers_are_named(tmp_path: Path) -> None:
+    rows = [f"{t},{u},{'---' if k == 40 else y}" for k, (t, u, y) in enumerate(CELLS)]
+    assert np.flatnonzero(np.isnan(Table(table(tmp_path, ["t,u,y"], rows)).read("y")[0])).tolist() == [40]
+    rows = [f"{t},{u},0x{k:02X}" for k, (t, u, _) in enumerate(CELLS)]
+    with pytest.raises(InputError, match="'0x00'; remedy: export decimal numbers"):
+        Table(table(tmp_path, ["t,u,y"], rows)).read("y")
+
+
+def test_dates_of_parquet_are_a_clock_whatever_they_are_called(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    stamps = pandas.Timestamp("2024-03-01") + pandas.to_timedelta(10 * np.arange(N), unit="ms")
+    pandas.DataFrame({"Aufnahme": stamps, "u [V]": DRIVE, "y [mm]": ANSWER}).to_parquet(tmp_path / "a.parquet")
+    same(tmp_path / "a.parquet")

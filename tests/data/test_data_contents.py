@@ -165,3 +165,17 @@ def test_codings(coding: str, tmp_path: Path) -> None:
     data = load_dataset(tmp_path / "a.csv", model="pendulum").dataset
     assert data.estimation[0].y[:, 0] == pytest.approx(Y[:40])
     assert any("cp1252" in note for note in data.warnings) == (coding == "cp1252")
+
+
+def test_a_draft_takes_roles_from_the_caller(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 10},{k % 7},{k % 5},{k % 3}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("time [s],u [V],y [mm],flag\n" + rows)
+    command = ["new", "dataset", str(tmp_path / "a.csv"), "--folder", str(tmp_path)]
+    shown = CliRunner().invoke(app, [*command, "--input", "u", "--output", "y [mm]"])
+    assert shown.exit_code == 0, shown.output
+    data = api.load_dataset(tmp_path / "dataset.toml").dataset
+    assert [str(one) for one in (*data.spec.inputs, *data.spec.outputs)] == ["u [V]", "y [m]"]
+    assert "# flag: to use it, say its role" in (tmp_path / "dataset.toml").read_text()
+    shown = CliRunner().invoke(app, [*command, "--input", "w", "--force"])
+    assert isinstance(shown.exception, InputError)
+    assert "no column 'w'" in str(shown.exception)

@@ -466,8 +466,8 @@ PLAIN = ("\n".join([HEAD, *ROWS]) + "\n").encode()
 
 
 @pytest.mark.parametrize(("name", "content", "remedy"), [
-    ("a.csv", zipped(["log.csv"]), "unpack it"), ("a.csv", zipped(["xl/workbook.xml"]), r"end in \.xlsx"),
-    ("a.csv", zipped(["t.npy"]), r"end in \.npz"), ("a.zip", zipped(["log.csv"]), "unpack it"),
+    ("a.csv", zipped(["log.csv"]), r"end in \.zip"), ("a.csv", zipped(["xl/workbook.xml"]), r"end in \.xlsx"),
+    ("a.csv", zipped(["t.npy"]), r"end in \.npz"), ("a.zip", zipped(["a.csv", "b.csv"]), "unpack it"),
     ("a.csv.xz", b"\xfd7zXZ", "unxz"), ("a.csv.gz", gzip.compress(gzip.compress(PLAIN)), "gunzip"),
     ("a.csv.gz", PLAIN, r"text: rename it to end in \.csv"), ("a.xlsx", PLAIN, r"text: rename it to end in \.csv"),
     ("a.parquet", PLAIN, r"text: rename it to end in \.csv"), ("a.xlsx", b"PAR1" + bytes(99), r"end in \.parquet"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from harness.data import load_dataset
 from harness.data.recipe.contents import contents_of
 from harness.data.tables.headers import parts_of, split_header
 from harness.errors import InputError
+from harness.parts.contents import describe_file
 from harness.parts.stored import read_model
 
 N, DT = 60, 0.02
@@ -238,3 +240,67 @@ def test_remedies_lead_on(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"counts and other plain numbers are in '1' \(sysid: --unit NAME=1\)"):
         load_dataset(tmp_path / "a.csv", input="u", output="y", unit={"y": "cnt"})
     assert len(load_dataset(tmp_path / "a.csv", input="u", output="y", unit={"y": "1"}).dataset.runs) == 2
+
+
+# ---- JSON, archives, waveforms ---------------------------------------------------------------------------------------
+
+RECORDS = [{"t": k * DT, "u": float(U[k]), "y": float(Y[k])} for k in K]
+COLUMNS = {name: [row[name] for row in RECORDS] for name in ("t", "u", "y")}
+JSON: dict[str, Any] = {
+    "columns": COLUMNS,
+    "records": RECORDS,
+    "records below their names": {"rig": 3, "about": {"by": "me"}, "log": RECORDS},
+    "as pandas writes it": {name: {str(k): v for k, v in enumerate(column)} for name, column in COLUMNS.items()},
+    "split": {"columns": ["t", "u", "y"], "index": list(K), "data": [list(row.values()) for row in RECORDS]},
+}
+
+
+@pytest.mark.parametrize("kind", JSON)
+def test_a_table_in_json(kind: str, tmp_path: Path) -> None:
+    data = read(tmp_path / "a.json", json.dumps(JSON[kind], indent=1))
+    assert any("beside the table is left aside: rig" in note for note in data.warnings) == (kind[-5:] == "names")
+    assert describe_file(tmp_path / "a.json")["content"]["sample_time"] == pytest.approx(DT)
+
+
+@pytest.mark.parametrize("content", ['{"t": [0, 1], "u": [1]}', '{"a": {"t": [0, 1], "u": [1, 2]}, "b": {"t": [0, 1], '
+                                     '"u": [1, 2]}}', "[1, 2, 3]", '{"t": [0, 1', "3"])  # fmt: skip
+def test_json_that_holds_no_table_or_two_is_refused(content: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="JSON"):
+        read(tmp_path / "a.json", content)
+
+
+def test_the_one_log_of_an_archive_is_read(tmp_path: Path) -> None:
+    table = "t,u,y\n" + joined(SECONDS, U, Y)
+    for name, files in (("one", ["export/run.csv"]), ("two", ["a.csv", "b.csv"]), ("none", ["photo.png"])):
+        with zipfile.ZipFile(tmp_path / f"{name}.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in [*files, "__MACOSX/._run.csv", "../notes.md"]:
+                archive.writestr(file, table)
+    same(tmp_path / "one.zip")
+    assert not list(tmp_path.rglob("*.csv"))
+    for name, count in (("two", 2), ("none", 0)):
+        with pytest.raises(InputError, match=f"an archive with {count} logs.*remedy: unpack it"):
+            same(tmp_path / f"{name}.zip")
+
+
+@pytest.mark.parametrize("kind", ["waveforms", "a column of time"])
+def test_tdms(kind: str, tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    sampling: dict[str, Any] = {"wf_increment": DT, "wf_start_offset": 0.0} if kind == "waveforms" else {}
+    channels = [
+        nptdms.ChannelObject("rig", "u", U, {**sampling, "unit_string": "V"}),
+        nptdms.ChannelObject("rig", "y", Y, {**sampling, "unit_string": "mm"}),
+    ]
+    if not sampling:
+        channels.insert(0, nptdms.ChannelObject("rig", "Time", np.array(MS, dtype=float), {"unit_string": "ms"}))
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+        writer.write_segment(channels)
+    data = same(tmp_path / "a.tdms", scale=1e-3)
+    assert str(data.spec.outputs[0]) == "y [m]"
+    (tmp_path / "b.tdms").write_bytes(b"TDSm" + bytes(40))
+    with pytest.raises(InputError, match=r"b\.tdms"):
+        same(tmp_path / "b.tdms")
+
+
+def test_words_of_a_program_before_its_readings(tmp_path: Path) -> None:
+    lines = [f"2024-11-29 {t.replace('.', ',')} INFO rig: u={u} y={y}" for t, u, y in zip(clock(DT), U, Y, strict=True)]
+    read(tmp_path / "a.log", "\n".join(lines) + "\n")

@@ -9,7 +9,8 @@ import pytest
 
 from harness import api
 from harness.comparison import compare
-from harness.comparison.models import _time_figure
+from harness.comparison.models import _bode_figure, _time_figure
+from harness.comparison.uncertain import step_figure
 from harness.diagnosis.report import evidence_page
 from harness.units import told
 
@@ -77,3 +78,22 @@ def test_units_with_two_readings_and_other_zeros_come_back() -> None:
     size, unit = told(1.0, "K", "degF")
     assert (size, unit) == (pytest.approx(1.8), "degF")
     assert told(1.0, "rad", "V") == (1.0, "rad")
+
+
+def test_pictures_of_models_are_in_the_units_of_the_log(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.choice([-1.0, 1.0], 40), 5)
+    speed = np.zeros(200)
+    for k in range(199):
+        speed[k + 1] = 0.8 * speed[k] + 400.0 * u[k]
+    table = np.c_[0.05 * np.arange(200), u, speed + rng.standard_normal(200)]
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t [s],u [mV],n [1/min]", comments="")
+    named = {"input": "u", "output": "n"}
+    model = api.identify(tmp_path / "a.csv", identifier="arx", **named).model  # type: ignore[arg-type]
+    data = api.load_dataset(tmp_path / "a.csv", **named).dataset  # type: ignore[arg-type]
+    steps = step_figure({"arx": model}, data.recorded).axes[0]
+    assert steps.get_title() == "n [1/min] after a unit step of u [mV]"
+    assert np.asarray(steps.lines[0].get_ydata())[-1] == pytest.approx(2000.0, rel=0.02)
+    gain = _bode_figure(compare({"arx": model}, data)).axes[0]
+    assert [text.get_text() for text in gain.get_legend().get_texts()] == ["n [1/min] / u [mV]", "arx"]
+    assert np.asarray(gain.lines[1].get_ydata())[0] == pytest.approx(2000.0, rel=0.05)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from harness.data.conditioning.timebase import SHORTEST
+from harness.data.recipe.chosen import NOTHING
 from harness.data.recipe.contents import ChannelContent, Contents, contents_of
 from harness.data.recipe.description import OPEN
 from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
@@ -20,7 +21,13 @@ _JOINT = re.compile(r"\.(?P<list>position|velocity|effort)\[(?P<joint>[^\]]+)\]$
 
 
 def draft_dataset(
-    files: Sequence[str | Path], *, model: str | None = None, folder: Path | None = None, sheet: str | None = None
+    files: Sequence[str | Path],
+    *,
+    model: str | None = None,
+    folder: Path | None = None,
+    sheet: str | None = None,
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
 ) -> str:
     r"""Return the text of a dataset.toml for files of data, with a question as a comment where something is open.
 
@@ -34,11 +41,13 @@ def draft_dataset(
         Where the text will stand; files are named from there.
     sheet : str, optional
         Of the workbooks.
+    inputs, outputs : sequence of str
+        Names or columns of channels, where no model names them; the others become comments.
 
     Raises
     ------
     InputError
-        If a file cannot be read.
+        If a file cannot be read, or holds no such channel.
 
     Examples
     --------
@@ -54,10 +63,11 @@ def draft_dataset(
     found = [contents_of(path, sheet) for path in paths]
     first = found[0]
     ports = None if model is None else ports_of(located_model(model, Path.cwd()), {})
+    roles = _roles(first, inputs, outputs)
     lines = [f"name = {_quoted(paths[0].stem)}", *_clock(first, ports), ""]
     lines += [] if model is None else ["[nominal]", f"model = {_quoted(model)}", ""]
     lines += [] if model is not None else ['# [nominal] model = "..." names the model that you believe in', ""]
-    lines += _signals(first, ports)
+    lines += _signals(first, ports, roles)
     if ports is not None:
         lines += _lacking(first, ports)
     for number, path in enumerate(paths):
@@ -66,12 +76,37 @@ def draft_dataset(
     return "\n".join(lines)
 
 
-def _signals(first: Contents, ports: Ports | None) -> list[str]:
+def _roles(first: Contents, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, str]:
+    """Return by column the role that was said.
+
+    Raises
+    ------
+    InputError
+        If there is no such channel, or it is said twice.
+    """
+    roles: dict[str, str] = {}
+    for role, names in (("input", inputs), ("output", outputs)):
+        for name in names if list(names) != [NOTHING] else ():
+            found = [one.column for one in first.channels if name == one.column]
+            found = found or [one.column for one in first.channels if name == one.name]
+            if len(found) != 1 or found[0] in roles:
+                raise InputError(
+                    f"no column {name!r}" if not found else f"{name!r} means two columns or is said twice",
+                    expected=f"one of {', '.join(repr(one.column) for one in first.channels[:12])}, each once",
+                    got=repr(name),
+                    remedy="correct the name",
+                    place=f"--{role}",
+                )
+            roles[found[0]] = role
+    return roles
+
+
+def _signals(first: Contents, ports: Ports | None, roles: Mapping[str, str]) -> list[str]:
     """Return the tables of all channels; of those that share a name the first, the others as comments."""
     lines: list[str] = []
     named: set[str] = set()
     for channel in first.channels:
-        table = _signal(channel, ports)
+        table = _signal(channel, ports, roles)
         if channel.name in named and not table[0].startswith("# "):
             said = f"# another column is called {channel.name} too: to use it, give its signal a name of its own"
             table = [said, *(f"# {line}" if line else "" for line in table)]
@@ -165,8 +200,8 @@ def _clock(found: Contents, ports: Ports | None) -> list[str]:
     return lines
 
 
-def _signal(channel: ChannelContent, ports: Ports | None) -> list[str]:
-    """Return the table of one channel; as a comment where it holds no numbers, or the model has no such port."""
+def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, str]) -> list[str]:
+    """Return the table of one channel; as a comment where it holds no numbers, or nobody has asked for it."""
     head = f"[signals.{_quoted(channel.name)}]"
     if channel.note and channel.minimum is None:
         return [f"# {' '.join(channel.column.split())}: {channel.note}", ""]
@@ -187,6 +222,10 @@ def _signal(channel: ChannelContent, ports: Ports | None) -> list[str]:
         lines = [head, f'role = "{role}"{sizes}', f"column = {_quoted(channel.column)}"]
         lines += [f"port = {_quoted(port.name)}"] if port.name != channel.name else []
         lines += [f"derivative = {derivative}"] if derivative else []
+    elif channel.column in roles:
+        lines = [head, f'role = "{roles[channel.column]}"{sizes}', f"column = {_quoted(channel.column)}"]
+    elif roles:
+        return [f"# {channel.column}: to use it, say its role{sizes}", ""]
     else:
         lines = [head, f'role = "{OPEN}"  # "input", "output" or "reference"?{sizes.replace("  #", "")}']
         lines.append(f"column = {_quoted(channel.column)}")

@@ -52,6 +52,7 @@ class ParquetFile:
         self.notes: list[str] = []
         self._stated: dict[str, str] = {}
         self.metadata: dict[bytes, bytes] = dict(self._table.schema.metadata or {})
+        self.times = {field.name for field in self._table.schema if pa.types.is_temporal(field.type)}
 
     def _read(self, path: Path) -> Any:
         """Return the table of the file."""
@@ -102,10 +103,7 @@ class ParquetFile:
 
     def unit(self, title: str) -> str | None:
         """Return s for time stamps and spans; else what the column's own metadata state, or None."""
-        import pyarrow.types as kinds
-
-        kind = self._table.column(title).type
-        if kinds.is_timestamp(kind) or kinds.is_duration(kind) or kinds.is_time(kind) or kinds.is_date(kind):
+        if title in self.times:
             return "s"
         if title in self._stated:
             return self._stated[title]

@@ -18,6 +18,7 @@ EMPTY = {
     "",
     *"na n/a nan null none missing -nan nan(ind) -nan(ind) #n/a #num! #div/0! #value! #nv #n/d #nd".split(),
     *"#wert! #zahl! #valeur! #nombre!".split(),
+    *("-" * k for k in range(1, 7)),
     *("1.#qnan", "-1.#qnan", "1.#snan", "1.#ind", "-1.#ind", "1.#qnan0", "-1.#ind0", "1.#ind00", "-1.#ind00"),
 }
 """What stands where nothing was recorded, in small letters: by hand, of spreadsheets, of Microsoft's C library."""
@@ -28,6 +29,8 @@ _FORTRAN = re.compile(r"([+-]?\d+\.?\d*|[+-]?\.\d+)[dD]([+-]?\d+)")
 _WHOLE = re.compile(r"[+-]?\d{1,3}")
 _GROUPS = "[ \u00a0\u2009\u202f'\u2019]"
 """Signs between thousands that are no decimal signs: spaces of any width, and apostrophes."""
+_APART = re.compile(r"([+-])\s+(?=[\d.,])")
+"""A blank behind a sign, as columns of one width have it."""
 _DASH = re.compile(r"(?<![\d.,)])[\u2212\u2013\uff0d](?=[\d.,])")
 """Minus signs of a typesetter, also the dash that word processors make of a minus."""
 POINTED = 3
@@ -268,7 +271,7 @@ def with_unit(
         stated[title] = "s"
         return stamps
     if (truths := _truths(cells)) is not None:
-        say_truths(notes, title)
+        say_truths(notes, title, next(cell.strip() for cell in cells if cell.strip().lower() not in EMPTY))
         return truths
     found = measured(cells, title, where, notes, commas=commas)
     if found is None:
@@ -277,12 +280,17 @@ def with_unit(
     return found[0]
 
 
+TRUTHS = tuple(pair.split() for pair in ("false true", "off on", "aus ein", "arrêt marche", "выкл вкл"))
+"""Words for 0 and 1 of what is switched, in small letters."""
+
+
 def _truths(cells: Sequence[str]) -> FloatArray | None:
-    """Return 1 and 0 for cells that are all true or false, or empty; None for any others."""
-    words = [word for cell in cells if (word := cell.strip().lower()) not in EMPTY]
-    if not words or not {"true", "false"}.issuperset(words):
+    """Return 1 and 0 for cells that are all true or false, on or off, or empty; None for any others."""
+    words = {word for cell in cells if (word := cell.strip().lower()) not in EMPTY}
+    pair = next((pair for pair in TRUTHS if words and words.issubset(pair)), None)
+    if pair is None:
         return None
-    known = {"true": 1.0, "false": 0.0}
+    known = {word: float(value) for value, word in enumerate(pair)}
     return np.array([known.get(cell.strip().lower(), np.nan) for cell in cells])
 
 
@@ -344,15 +352,17 @@ def _number(text: str) -> float:
     """Return a number as tables hold it; Python's own underscores are none."""
     if "_" in text:
         raise ValueError(text)
-    return float(text if text.isascii() else _DASH.sub("-", text))
+    return float(_APART.sub(r"\1", text.strip() if text.isascii() else _DASH.sub("-", text.strip()), count=1))
 
 
 def _no_number(cell: str, place: str, expected: str, why: str) -> InputError:
     """Return the refusal of a cell."""
     remedies = {
+        "hexadecimal": "export decimal numbers; what a count measures, scale and offset in a dataset.toml say",
         "comma": "export with decimal points, and without signs between thousands",
         "thousands": "export without signs between thousands, or every number with as many decimals",
     }
+    why = why or ("hexadecimal" if re.fullmatch(r"(?=.*\d)(?=.*[a-f])[\da-f]+h?|0x[\da-f]+", cell.lower()) else "")
     return InputError(
         "a cell that is no number" if why != "thousands" else "a number with two readings",
         expected=expected,
@@ -370,8 +380,8 @@ def _is_mixed(cell: str) -> bool:
     return re.search(r"\d", cell) is not None and re.search(r"[^\W\d_]|[:%°]", cell) is not None
 
 
-def say_truths(notes: list[str], title: str) -> None:
-    """Say that true and false of a column are read as 1 and 0, once: nobody has measured them in its unit.
+def say_truths(notes: list[str], title: str, word: str = "true") -> None:
+    """Say that two words of a column are read as 1 and 0, once: nobody has measured them in its unit.
 
     Examples
     --------
@@ -380,7 +390,8 @@ def say_truths(notes: list[str], title: str) -> None:
     >>> notes
     ['valve holds true and false: they are read as 1 and 0']
     """
-    text = f"{title} holds true and false: they are read as 1 and 0"
+    off, on = next(pair for pair in TRUTHS if word.lower() in pair)
+    text = f"{title} holds {on} and {off}: they are read as 1 and 0"
     notes += [] if text in notes else [text]
 
 

@@ -7,11 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from harness.data.tables.binary_files import broken
-from harness.data.tables.cells import units_below
 from harness.data.tables.columns import MemoryTable
 from harness.data.tables.headers import split_header
 from harness.data.tables.packing import refuse_bomb
-from harness.data.tables.stacked import CERTAIN, MOST_ABOVE, MOST_ROWS, SAMPLE, begin_of, stacked_titles
+from harness.data.tables.stacked import (
+    CERTAIN,
+    MOST_ABOVE,
+    MOST_ROWS,
+    SAMPLE,
+    begin_of,
+    kinds_of,
+    stacked_titles,
+    units_among,
+)
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
@@ -33,7 +41,7 @@ class ExcelFile(MemoryTable):
             raise InputError("no rows", expected="a header and rows of numbers", got="fewer", remedy="check the sheet")
         head = [_texts(row) for row in rows[: MOST_ROWS + 2]]
         stacked = stacked_titles(head)
-        named = units_below(*head[:2]) if stacked is None else stacked[0]
+        named = units_among(head[0], head[1], kinds_of(last)) if stacked is None else stacked[0]
         count = stacked[1] if stacked is not None else 1 if named is None else 2
         body, titles = rows[count:], head[0] if named is None else named
         if stacked is not None:

@@ -6,12 +6,15 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 from harness.data.tables.cells import is_number
+from harness.data.tables.columns import MemoryTable
 from harness.data.tables.keyed import Line
 from harness.data.tables.stacked import MOST_ABOVE
+from harness.data.tables.texts import text_of
 from harness.data.times.stamps import is_time
 from harness.errors import InputError
 
@@ -27,6 +30,8 @@ _ITEM = re.compile(
     r'(?P<value>"[^"]*"|\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d[^\s,;|]*|[^\s,;|]+)'
     r"(?:[ ]?(?P<unit>(?:[^\W\d_]|[°%])[^\s,;|:=]*)(?=\s*(?:[,;|]|$)|\s+[^\W\d][^\s:=]*\s*[:=]))?[\s,;|]*"
 )
+_WORDS = re.compile(r"(?:[^\W\d]\w*\s+)*[^\W\d]\w*:?\s+(?=[^\W\d][\w.\[\]/]*\s*[:=]\s*[+-]?[\d.])")
+"""What a program says before its readings: ``INFO controller:``."""
 _INFLUX = re.compile(
     r"(?P<series>[^\s,=]+(?:,[^\s,=]+=[^\s,]+)*) (?P<fields>[^\s,=]+=[^\s,]+(?:,[^\s,=]+=[^\s,]+)*)(?: (?P<at>\d+))?"
 )
@@ -131,7 +136,7 @@ def _of_items(line: str) -> Named | None:
     stamped = _STAMPED.fullmatch(line.strip())
     found: Named = [("time", stamped["stamp"].strip())] if stamped is not None else []
     rest = line.strip() if stamped is None else stamped["rest"]
-    at = 0
+    at = words.end() if (words := _WORDS.match(rest)) is not None else 0
     while at < len(rest):
         item = _ITEM.match(rest, at)
         if item is None:
@@ -158,13 +163,24 @@ def _of_json(line: str) -> Named | None:
 
 
 def _flat(prefix: str, content: Any) -> Named:
+    """Return the plain values inside an object as texts, by their paths."""
+    return [(name, _written(value)) for name, value in _leaves(prefix, content)]
+
+
+def _written(value: Any) -> str:
+    """Return a value of JSON as a cell."""
+    return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _leaves(prefix: str, content: Any) -> list[tuple[str, Any]]:
     """Return the plain values inside an object, by their paths."""
     items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
     if isinstance(content, dict | list):
         path = "{}.{}" if isinstance(content, dict) else "{}[{}]"
-        return [pair for key, value in items for pair in _flat(path.format(prefix, key) if prefix else str(key), value)]
-    text = "" if content is None else str(content).lower() if isinstance(content, bool) else str(content)
-    return [(prefix, text)]
+        return [
+            pair for key, value in items for pair in _leaves(path.format(prefix, key) if prefix else str(key), value)
+        ]
+    return [(prefix, content)]
 
 
 def _of_influx(line: str) -> Named | None:
@@ -211,3 +227,80 @@ def _of_bus(lines: Sequence[Line], kind: str) -> tuple[list[Line], str]:
     return [(found[0][0], head), *rows], (
         f"variables of a CAN log: {', '.join(titles[:8])}; its messages hold signals only by a DBC file"
     )
+
+
+def json_columns(content: Any) -> dict[str, list[Any]] | None:
+    """Return the columns of the one table that JSON holds, by title; None where it holds none, or several.
+
+    A table is an object of lists of one length, a list of objects (each a row), what pandas writes by default (an
+    object of objects with the same keys), or its ``split``. It may stand in an object beside other things.
+
+    Examples
+    --------
+    >>> json_columns({"run": 3, "log": [{"t": 0, "q": [1, 2]}, {"t": 1, "q": [3, 4]}]})
+    {'t': [0, 1], 'q[0]': [1, 3], 'q[1]': [2, 4]}
+    >>> json_columns({"t": [0, 1], "u": [2, 3]}), json_columns({"t": [0, 1], "u": [2]}), json_columns([1, 2])
+    ({'t': [0, 1], 'u': [2, 3]}, None, None)
+    >>> json_columns({"u": {"0": 2, "1": 3}, "y": {"0": 4, "1": 5}})
+    {'u': [2, 3], 'y': [4, 5]}
+    """
+    if isinstance(content, list):
+        rows = [dict(_leaves("", row)) for row in content if isinstance(row, dict)]
+        titles = list(dict.fromkeys(name for row in rows for name in row))
+        return {one: [row.get(one) for row in rows] for one in titles} if 1 < len(rows) == len(content) else None
+    if not isinstance(content, dict):
+        return None
+    if {"columns", "data"} <= set(content) <= {"columns", "data", "index"}:
+        titles, body = content["columns"], content["data"]
+        index = {"index": content["index"]} if content.get("index", []) != list(range(len(body))) else {}
+        square = all(isinstance(row, list) and len(row) == len(titles) for row in body)
+        return index | {title: [row[k] for row in body] for k, title in enumerate(titles)} if square else None
+    columns = list(content.values())
+    if len(columns) > 1 and all(isinstance(column, dict) for column in columns):
+        keys = list(columns[0])
+        if len(keys) > 1 and all(list(column) == keys and not _holds_more(column.values()) for column in columns):
+            index = {"index": keys} if keys != [str(row) for row in range(len(keys))] else {}
+            return index | {title: list(column.values()) for title, column in content.items()}
+    lists = {title: column for title, column in content.items() if isinstance(column, list)}
+    if len(lists) > 1 and not any(map(_holds_more, lists.values())):
+        sizes = {len(column) for column in lists.values()}
+        return lists if len(sizes) == 1 and sizes != {1} else None
+    inside = [found for one in columns if isinstance(one, dict | list) and (found := json_columns(one)) is not None]
+    return inside[0] if len(inside) == 1 else None
+
+
+def _holds_more(values: Iterable[Any]) -> bool:
+    """Return True if a value is an object or a list."""
+    return any(isinstance(value, dict | list) for value in values)
+
+
+class JsonFile(MemoryTable):
+    """A file of JSON that holds one table.
+
+    Raises
+    ------
+    InputError
+        If it holds none, or more than one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            content = json.loads(text_of(path, json=True)[0])
+        except ValueError as error:
+            raise InputError(
+                "not a JSON file", expected="one object or list", got=str(error)[:120], remedy="check that it is whole"
+            ) from error
+        columns = json_columns(content)
+        names = list(content) if isinstance(content, dict) else []
+        if columns is None:
+            raise InputError(
+                "JSON that holds no table",
+                expected='one table: {"time": [...], "u": [...]} or [{"time": 0, "u": 1}, ...]',
+                got=f"an object with {', '.join(map(repr, list(content)[:6]))}"
+                if isinstance(content, dict)
+                else "a list",
+                remedy="write it so, or as CSV; a model.json goes beside the data (--model, sysid compare)",
+            )
+        super().__init__(columns)
+        if beside := [name for name in names if not isinstance(content[name], dict | list)]:
+            self.notes.append(f"what stands beside the table is left aside: {', '.join(beside[:8])}")

@@ -1,4 +1,4 @@
-"""Measurement logs: MDF4 (automotive) and MCAP (robotics), both through optional packages."""
+"""Measurement logs: MDF4 (automotive), MCAP (robotics) and TDMS (National Instruments), through optional packages."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import json
 import logging
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from harness.data.tables.binary_files import broken
+from harness.data.tables.columns import MemoryTable
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
@@ -120,6 +121,81 @@ def _drop_quietly(error: BaseException) -> None:
         gc.collect()  # such readers refer to themselves
     finally:
         sys.unraisablehook = loud
+
+
+def open_tdms(path: Path) -> MemoryTable | Waveforms:
+    """Return the reader of a TDMS file: waveforms, where all channels state their sampling, else columns.
+
+    A channel goes by its name, and by ``group/name`` where two groups have one.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds no numbers.
+    """
+    nptdms = optional("nptdms", "TDMS")
+    try:
+        channels = [one for group in nptdms.TdmsFile.read(path).groups() for one in group.channels() if len(one)]
+        found = [(one.group_name, one.name, np.asarray(one[:]), dict(one.properties)) for one in channels]
+    except Exception as error:
+        raise broken(path, "TDMS", error) from error
+    if not any(values.dtype.kind in "biuf" for _, _, values, _ in found):
+        raise InputError("an empty log", expected="numeric channels", got="none", remedy="check the file", file=path)
+    names = [name for _, name, _, _ in found]
+    plain = [f"{group}/{name}" if names.count(name) > 1 else name for group, name, _, _ in found]
+    units = [str(about.get("unit_string") or "") for *_, about in found]
+    if all(about.get("wf_increment", 0.0) > 0 and values.dtype.kind in "biuf" for _, _, values, about in found):
+        return Waveforms(plain, units, [values for _, _, values, _ in found], [about for *_, about in found])
+    titles = [f"{name} [{unit}]" if unit else name for name, unit in zip(plain, units, strict=True)]
+    return MemoryTable({title: values for title, (_, _, values, _) in zip(titles, found, strict=True)})
+
+
+class Waveforms:
+    """Channels that state start and step of their sampling; ``time`` is the clock of the first.
+
+    Parameters
+    ----------
+    names, units : sequence of str
+    values : sequence of array (N,)
+    sampling : sequence of mapping
+        ``wf_increment`` [s], and perhaps ``wf_start_offset`` [s] and ``wf_start_time`` (National Instruments, *TDMS
+        File Format Internal Structure*, properties of waveforms).
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        units: Sequence[str],
+        values: Sequence[Any],
+        sampling: Sequence[Mapping[str, Any]],
+    ) -> None:
+        self._columns = {name: np.asarray(one, dtype=np.float64) for name, one in zip(names, values, strict=True)}
+        self._units = dict(zip(names, units, strict=True))
+        begins = [np.datetime64(one.get("wf_start_time") or 0, "us") for one in sampling]
+        self._clocks = {
+            name: (begin - begins[0]) / np.timedelta64(1, "s")
+            + float(one.get("wf_start_offset", 0.0))
+            + float(one["wf_increment"]) * np.arange(len(self._columns[name]))
+            for name, begin, one in zip(names, begins, sampling, strict=True)
+        }
+        self._clocks["time"] = next(iter(self._clocks.values()))
+        self.titles = ["time", *(name for name in names if name != "time")]
+
+    def values(self, title: str) -> FloatArray:
+        """Return one channel (N,), or the time axis [s]."""
+        return (self._clocks if title == "time" else self._columns)[title].copy()
+
+    def clocks(self, titles: Sequence[str]) -> tuple[list[FloatArray], str]:
+        """Return the stamps [s] of some channels."""
+        return [self._clocks[title].copy() for title in titles], "the log's own"
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: there are plain channels only."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit that the log states."""
+        return "s" if title == "time" else self._units[title] or None
 
 
 class McapFile:

@@ -134,7 +134,10 @@ class Columns:
         """Return the one column of dates or times, or of a time [s], that rises; None for none or several."""
         free = [title for title in self.titles if title and title not in taken]
         texts = getattr(self._source, "texts", None)
-        dates = [] if texts is None else [title for title in free if clock(texts(title, 3)) is not None]
+        typed = getattr(self._source, "times", ())
+        dates = [
+            title for title in free if title in typed or (texts is not None and clock(texts(title, 3)) is not None)
+        ]
         timed = [title for title in free if says_time(title) and (self.split(title)[1] or "") in TIME_UNITS]
         for some in (dates, timed):
             if len(some) == 1 and self._rises(some[0]):

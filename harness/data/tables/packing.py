@@ -1,9 +1,13 @@
-"""How much a packed file may unpack to: a small file that fills the memory is no table."""
+"""Packed files: how much one may unpack to (a small file that fills the memory is no table), and the log in one."""
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 import zipfile
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
 
 from harness.errors import InputError
 from harness.trust import UNZIPPING
@@ -76,3 +80,43 @@ def refuse_bomb(path: Path) -> None:
             remedy="save it as CSV, or cut or thin it",
             file=path,
         )
+
+
+@contextmanager
+def unzipped(path: Path, is_log: Callable[[Path], bool]) -> Iterator[Path]:
+    """Unpack the one log of a zip archive into a folder that goes when it has been read.
+
+    Parameters
+    ----------
+    path : Path
+    is_log : callable
+        Whether a file is one, by its name.
+
+    Raises
+    ------
+    InputError
+        If it is no archive, unpacks to too much, or holds no log or several.
+    """
+    refuse_bomb(path)
+    with tempfile.TemporaryDirectory(prefix="sysid-") as folder:
+        try:
+            with zipfile.ZipFile(path) as archive:
+                files = [one for one in archive.namelist() if not one.endswith("/") and not one.startswith("__MACOSX/")]
+                logs = [one for one in files if is_log(Path(PurePosixPath(one).name))]
+                for one in logs[:1]:
+                    with archive.open(one) as packed, (Path(folder) / PurePosixPath(one).name).open("wb") as out:
+                        shutil.copyfileobj(packed, out)
+        except UNZIPPING as error:
+            raise InputError(
+                "not a zip archive", expected="a log packed by zip", got=str(error)[:120],
+                remedy="check that it was copied whole; unpack what has a password", file=path,
+            ) from error  # fmt: skip
+        if len(logs) != 1:
+            raise InputError(
+                f"an archive with {len(logs)} logs",
+                expected="one",
+                got=", ".join(map(repr, (logs or files)[:8])) or "an empty archive",
+                remedy="unpack it (unzip), and give the files that are meant (--run names further records)",
+                file=path,
+            )
+        yield Path(folder) / PurePosixPath(logs[0]).name

@@ -99,7 +99,7 @@ def begin_of(rows: Sequence[Row], below: Sequence[Row] | None = None) -> int:
     >>> begin_of([["t", "u"], ["0", "1"], ["1", "2"], ["2", "2"]])
     0
     """
-    kinds = kinds_of(_sample(rows if below is None else below))
+    kinds = kinds_of(rows if below is None else below)
     fits = [_fits(row, kinds) for row in rows]
     first = next((k for k in range(len(rows)) if all(fits[k : k + CERTAIN])), 0)
     top = first
@@ -114,15 +114,16 @@ def begin_of(rows: Sequence[Row], below: Sequence[Row] | None = None) -> int:
 
 
 def kinds_of(rows: Sequence[Row]) -> list[Callable[[str], bool] | None]:
-    """Return what all cells of each column are, a number or a time; None for words and for nothing at all.
+    """Return what all cells of each column are in the last rows, numbers or times; None for words and for nothing.
 
     Examples
     --------
-    >>> [kind and kind.__name__ for kind in kinds_of([["1", "12:00:00", "on", ""], ["", "12:00:01", "off", ""]])]
+    >>> [kind and kind.__name__ for kind in kinds_of([["1", "12:00:00", "on", ""]])]
     ['_is_plain', '_is_stamp', None, None]
     """
     if not rows:
         return []
+    rows = _sample(rows)
     width = len(rows[-1])
     columns = zip(*(row for row in rows if len(row) == width), strict=True)
     filled = [[cell for cell in column if cell.lower() not in EMPTY] for column in columns]
@@ -130,6 +131,23 @@ def kinds_of(rows: Sequence[Row]) -> list[Callable[[str], bool] | None]:
         next((kind for kind in (_is_plain, _is_stamp, is_measured) if column and all(map(kind, column))), None)
         for column in filled
     ]
+
+
+def units_among(
+    titles: Row, cells: Row, kinds: Sequence[Callable[[str], bool] | None] | None = None
+) -> list[str] | None:
+    """Return the titles with the units of the row below them; None if it is none. Columns of words need no unit.
+
+    Examples
+    --------
+    >>> units_among(["t", "alarm"], ["s", "state"], kinds_of([["0.5", "LL"]]))
+    ['t [s]', 'alarm']
+    """
+    if kinds is not None and len(kinds) == len(cells):
+        cells = [
+            cell if kind is not None or is_unit_cell(cell) else "" for cell, kind in zip(cells, kinds, strict=True)
+        ]
+    return units_below(titles, cells)
 
 
 def is_table(rows: Sequence[Row]) -> bool:
@@ -175,7 +193,9 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
         return None
     width = len(rows[0])
     head = [list(row) for row in rows[:count]]
-    units = head.pop() if all(is_unit_cell(cell) for cell in head[-1] if cell) else [""] * width
+    units = [""] * width
+    if _are_units(head, kinds_of(rows[count:])):
+        units = [cell if is_unit_cell(cell) else "" for cell in head.pop()]
     if len(head) < 2 and not any(_BRACKETED.fullmatch(cell) for row in head for cell in row):
         return None  # one row of names: with units below it or without
     for row in head:
@@ -382,6 +402,13 @@ def _heads(rows: Sequence[Row], place: int, kinds: Sequence[Callable[[str], bool
     return named or _is_units(rows, place)
 
 
+def _are_units(head: Sequence[Row], kinds: Sequence[Callable[[str], bool] | None]) -> bool:
+    """Return True if the last row of a header is one of units, alone or where the columns hold numbers."""
+    if all(is_unit_cell(cell) for cell in head[-1] if cell):
+        return True
+    return len(set(head[-2])) == len(head[-2]) and units_among(head[-2], head[-1], kinds) is not None
+
+
 def _is_units(rows: Sequence[Row], place: int) -> bool:
     """Return True for a row of units alone."""
     filled = [cell for cell in rows[place] if cell] if place < len(rows) else []
@@ -395,7 +422,7 @@ def _names_all(rows: Sequence[Row], place: int, kinds: Sequence[Callable[[str], 
     if not all(names) or len(set(names)) < len(names) or not told:
         return False
     try:
-        return place == 0 or units_below(rows[place - 1], rows[place]) is None
+        return place == 0 or units_among(rows[place - 1], rows[place], kinds) is None
     except InputError:
         return False  # two units of one column: said where the titles are read
 

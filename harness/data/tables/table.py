@@ -7,11 +7,12 @@ from importlib import import_module
 from pathlib import Path
 
 from harness.data.tables.named import Columns, Source
+from harness.data.tables.packing import unzipped
 from harness.errors import InputError, no_file
 
 _TEXT = (".csv", ".tsv", ".txt", ".lvm", ".log", ".asc", ".prn", ".tab", ".jsonl", ".ndjson")
 _PACKED = (".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
-BARE = (*_TEXT, ".dat", *_PACKED, ".parquet", ".pq", ".feather", ".arrow", ".xlsx", ".xlsm")
+BARE = (*_TEXT, ".dat", *_PACKED, ".parquet", ".pq", ".feather", ".arrow", ".xlsx", ".xlsm", ".json", ".zip")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""
 
 
@@ -36,6 +37,21 @@ def _mcap(path: Path) -> Source:
     from harness.data.tables.log_files import McapFile
 
     return McapFile(path) if holds_json(path) else BagFile(path)
+
+
+def _json(path: Path) -> Source:
+    """Return the reader of a table in JSON; a model is none."""
+    from harness.data.tables.labelled import JsonFile
+
+    if path.name == "model.json":
+        raise unknown_format(path)
+    return JsonFile(path)
+
+
+def _zipped(path: Path) -> Source:
+    """Return the reader of the one log in an archive; all of it is in memory."""
+    with unzipped(path, lambda file: suffix_of(file) in FORMATS and suffix_of(file) != ".zip") as log:
+        return FORMATS[suffix_of(log)](log)
 
 
 _csv = _reader("text_files", "TextFile")
@@ -66,9 +82,12 @@ FORMATS: dict[str, Callable[[Path], Source]] = {
     ".nc": _hdf5,
     ".mf4": _mdf,
     ".mdf": _mdf,
+    ".tdms": _reader("log_files", "open_tdms"),
     ".mcap": _mcap,
     ".bag": _bag,
     ".db3": _bag,
+    ".json": _json,
+    ".zip": _zipped,
 }
 """Readers by suffix."""
 
@@ -86,20 +105,17 @@ def suffix_of(path: Path) -> str:
 
 
 ELSEWHERE = {
-    ".tdms": "LabVIEW, DIAdem, or Python's nptdms",
     ".ulg": "ulog2csv of pyulog, which writes a CSV for each topic",
     ".bin": "mavlogdump.py --format csv of pymavlink, where it is a log of ArduPilot",
     ".blf": "CANalyzer, CANoe, or asammdf with the DBC file: messages of a bus hold signals only by it",
     ".trc": "PCAN, or asammdf with the DBC file",
-    ".xls": "Excel or LibreOffice, saved as .xlsx or CSV",
-    ".ods": "LibreOffice, saved as .xlsx or CSV",
-    ".json": "pandas.read_json(...).to_csv(...)",
-    ".pkl": "pandas, saved as Parquet: a pickle runs what it holds",
-    ".wav": "scipy.io.wavfile, saved as NPZ",
+    ".xls": "Excel or LibreOffice (.xlsx too)",
+    ".ods": "LibreOffice (.xlsx too)",
+    ".pkl": "pandas: a pickle runs what it holds",
+    ".wav": "scipy.io.wavfile (NPZ too)",
 }
 """What writes a table from a format that is not read."""
 UNPACKED = {
-    ".zip": "unzip",
     ".bz2": "bunzip2",
     ".xz": "unxz",
     ".zst": "unzstd",
@@ -121,8 +137,8 @@ def unknown_format(path: Path) -> InputError:
 
     Examples
     --------
-    >>> print(unknown_format(Path("a.tdms")).remedy)
-    save it as CSV or Parquet by LabVIEW, DIAdem, or Python's nptdms
+    >>> print(unknown_format(Path("a.xls")).remedy)
+    save it as CSV or Parquet by Excel or LibreOffice (.xlsx too)
     """
     by, out = ELSEWHERE.get(path.suffix.lower()), UNPACKED.get(path.suffix.lower())
     if path.suffix.lower() in MODELS or path.name == "model.json":
@@ -175,7 +191,7 @@ class Table(Columns):
             raise unknown_format(path)
         try:
             source = opener(path)
-            if suffix_of(path) in (*_TEXT, *_PACKED, ".dat", ".xlsx", ".xlsm"):
+            if suffix_of(path) in (*_TEXT, *_PACKED, ".dat", ".xlsx", ".xlsm", ".json", ".zip"):
                 from harness.data.tables.long_form import in_long_form
 
                 source = in_long_form(source) or source

@@ -18,7 +18,6 @@ from harness.data.tables.cells import (
     is_number,
     numbers_of,
     refuse_thousands,
-    units_below,
     with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
@@ -34,9 +33,11 @@ from harness.data.tables.stacked import (
     begin_of,
     cells_of,
     is_reading,
+    kinds_of,
     logger_titles,
     sign_of,
     stacked_titles,
+    units_among,
 )
 from harness.data.tables.texts import CODINGS, closed_lines, text_of
 from harness.data.times.stamps import clock
@@ -159,7 +160,10 @@ class TextFile:
             self.titles = stacked[0]
             self.notes.append(f"lines {self._lines[0][0]} to {self._lines[count - 1][0]} are read as one header")
         self._lines = self._lines[count:]
-        below = units_below(titles, self._cells(self._lines[0][1])) if stacked is None and self._lines else None
+        below = None
+        if stacked is None and self._lines:
+            kinds = kinds_of([self._cells(line) for _, line in self._lines[-SAMPLE - 1 :]])
+            below = units_among(titles, self._cells(self._lines[0][1]), kinds)
         if below is not None:
             self.titles, self._lines = below, self._lines[1:]
 

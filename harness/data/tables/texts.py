@@ -62,7 +62,7 @@ def _refuse_other_text(text: str) -> None:
     if begin.startswith(('{"', '[{"', "[[")):
         if text.count("\n{") > 1:  # an object in each line
             return
-        kind, remedy = "JSON", "pandas.read_json(...).to_csv(...)"
+        kind, remedy = "JSON", "rename it to end in .json"
     elif re.match(r"<(?:\?xml|html|!doctype|table|svg)\b", begin):
         kind, remedy = "XML or HTML", "save it as CSV from the program that wrote it, or from a spreadsheet"
     else:
@@ -114,7 +114,7 @@ def suffix_by_content(path: Path) -> str | None:
             return "rename it to end in .xlsx"
         if inside and all(name.endswith(".npy") for name in inside):
             return "rename it to end in .npz"
-        return "unpack it (unzip), and give the table that comes out"
+        return "rename it to end in .zip"
     for begin, suffix in _MAGIC.items():
         if head.startswith(begin):
             return None if suffix == ".csv.gz" and path.suffix.lower() == ".gz" else f"rename it to end in {suffix}"
@@ -130,8 +130,11 @@ def _is_text(sign: str) -> bool:
     return sign.isprintable() or sign in "\t\r\n\f"
 
 
-def text_of(path: Path) -> tuple[str, str]:
-    """Return the text of a file, unpacked where it is packed, and its coding."""
+def text_of(path: Path, *, json: bool = False) -> tuple[str, str]:
+    """Return the text of a file, unpacked where it is packed, and its coding; other texts than tables are refused.
+
+    JSON is none of them where it is asked for.
+    """
     raw = path.read_bytes()
     remedy = suffix_by_content(path)
     if path.suffix.lower() != ".gz" and remedy and not remedy.endswith(".csv"):
@@ -182,7 +185,8 @@ def text_of(path: Path) -> tuple[str, str]:
         except UnicodeDecodeError as error:
             last = error
             continue
-        _refuse_other_text(text)
+        if not json:
+            _refuse_other_text(text)
         return text, tried
     raise InputError(
         "not a text file",
