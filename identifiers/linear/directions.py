@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.signals import Channel, FloatArray, Trajectory
 from identifiers.common.linear_model import LinearModel
@@ -118,6 +119,35 @@ def lively_directions(records: Sequence[Trajectory]) -> Directions | None:
     seen = now @ weights
     back = seen.T @ now / n
     return Directions(weights, back, level - (level @ weights) @ back)
+
+
+def lively_channels(records: Sequence[Trajectory]) -> npt.NDArray[np.bool_]:
+    """Return which outputs have dynamics (ny,): the others are white noise that nothing foretells or follows.
+
+    The multiple correlation of each output with inputs and outputs of the samples before and after, as of
+    :func:`lively_directions`. All count where too few samples tell, or none would be left.
+
+    Examples
+    --------
+    >>> from harness.signals import PlantSpec
+    >>> rng = np.random.default_rng(0)
+    >>> y = np.column_stack([np.cumsum(rng.normal(size=500)), rng.normal(size=500)])
+    >>> spec = PlantSpec((), (Channel("a"), Channel("b")), 1.0)
+    >>> lively_channels([Trajectory(np.arange(500.0), np.zeros((500, 0)), y, spec)]).tolist()
+    [True, False]
+    """
+    from scipy.stats import chi2
+
+    now, around = _rows(records)
+    n, q = around.shape
+    if n < EQUATIONS * q:
+        return np.ones(now.shape[1], dtype=bool)
+    now, basis = now - now.mean(axis=0), _orthonormal(around - around.mean(axis=0))
+    power = np.sum(now**2, axis=0)
+    told = np.sum((basis.T @ now) ** 2, axis=0) / np.where(power > 0, power, 1.0)
+    statistic = -(n - 2 - basis.shape[1] / 2) * np.log(np.clip(1.0 - told, 1e-15, 1.0))
+    lively = np.asarray(chi2.sf(statistic, basis.shape[1]) <= CHANCE, dtype=bool)
+    return lively if lively.any() else np.ones_like(lively)
 
 
 def _rows(records: Sequence[Trajectory]) -> tuple[FloatArray, FloatArray]:

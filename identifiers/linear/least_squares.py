@@ -32,6 +32,7 @@ from identifiers.linear.arx import (
     solution_notes,
     with_lag_neighbours,
 )
+from identifiers.linear.directions import lively_channels
 
 __all__ = ["Arx", "LinearModel", "StateLeastSquares"]
 
@@ -169,13 +170,34 @@ class StateLeastSquares:
         if self.method == "iv":
             return criteria.instrumental_variables(records, self.offset, what)
         if self.method == "tls":
-            return criteria.total_least_squares(records, self.offset, what)
+            return _total(records, self.offset, what)
         x = np.concatenate([design(record, 1, self.offset) for record in records])
         y = np.concatenate([record.y[1:] for record in records])
         if self.method == "l1":
             return criteria.absolute_deviations(x, y, what)
         size = sizes([y]) if self.scaled else np.ones(y.shape[1])
         return criteria.largest_components(x, y / size, what) * size
+
+
+def _total(records: Sequence[Trajectory], offset: bool, what: str) -> FloatArray:
+    """Return the total-least-squares coefficients (p, ny): 0 for outputs of noise alone.
+
+    Every state has one direction of past and next outputs without motion; of an output of noise alone both are noise,
+    and such directions would be taken for those of the states.
+    """
+    from identifiers.common import criteria
+
+    lively = lively_channels(records)
+    if lively.all():
+        return criteria.total_least_squares(records, offset, what)
+    spec = records[0].spec
+    outputs = tuple(channel for channel, alive in zip(spec.outputs, lively, strict=True) if alive)
+    spec = replace(spec, outputs=outputs)
+    kept = [Trajectory(one.t, one.u, one.y[:, lively], spec) for one in records]
+    some = criteria.total_least_squares(kept, offset, what)
+    theta = np.zeros((len(lively) + len(some) - len(outputs), len(lively)))
+    theta[np.ix_(np.concatenate([lively, np.ones(len(some) - len(outputs), dtype=bool)]), lively)] = some
+    return theta
 
 
 def _biased(dependent: Dependence, method: str) -> str:
