@@ -304,3 +304,12 @@ def test_tdms(kind: str, tmp_path: Path) -> None:
 def test_words_of_a_program_before_its_readings(tmp_path: Path) -> None:
     lines = [f"2024-11-29 {t.replace('.', ',')} INFO rig: u={u} y={y}" for t, u, y in zip(clock(DT), U, Y, strict=True)]
     read(tmp_path / "a.log", "\n".join(lines) + "\n")
+
+
+def test_rows_of_several_kinds_and_messages_of_a_bus_are_refused_with_what_to_do(tmp_path: Path) -> None:
+    kinds = "".join(f"ATT, {t}, {u}, {y}\nIMU, {t}, {u}, {y}, 0.5, 1\n" for t, u, y in zip(MS, U, Y, strict=True))
+    with pytest.raises(InputError, match=r"put the rows of each kind \(FMT, ATT, IMU\) into a table of their own"):
+        read(tmp_path / "flight.log", "FMT, 128, 89\n" * 3 + kinds)
+    bus = "".join(f"({1709294400 + k * DT:.6f}) can0 1A3#0011{k:02X}FF\n" for k in K)
+    with pytest.raises(InputError, match=r"bytes of messages hold them only by a DBC file.*asammdf"):
+        read(tmp_path / "candump.log", bus)

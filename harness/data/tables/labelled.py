@@ -38,6 +38,8 @@ _INFLUX = re.compile(
 _EPOCH_UNITS = {19: "ns", 16: "us", 13: "ms", 10: "s"}
 """Units of the time from 1970 by the number of its digits, until 2286."""
 _VECTOR = re.compile(r"base\s+(?:hex|dec)\s+timestamps\s+(?P<kind>absolute|relative)", re.IGNORECASE)
+_CANDUMP = re.compile(r"\s*\(\d+\.\d+\)\s+\w+\s+[\dA-F]+(?:##?[\dA-FR]*|\s+\[\d+\](?:\s+[\dA-F]{2})*)\s*.*")
+"""A message as candump of Linux's can-utils writes it."""
 _VARIABLE = re.compile(
     r"\s*(?P<at>\d+\.\d+)\s+(?:SV:(?:\s+\d+)+\s+)?(?P<name>[^\W\d][\w.]*|::\S+)\s*:?=\s*(?P<value>\S+)\s*"
 )
@@ -67,6 +69,8 @@ def labelled(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
     """
     if (bus := next((found for _, line in lines[:5] if (found := _VECTOR.search(line))), None)) is not None:
         return _of_bus(lines, bus["kind"].lower())
+    if lines and all(_CANDUMP.fullmatch(line) for _, line in lines[:FEWEST]):
+        return _of_bus(lines, "absolute")
     for read in (_of_json, _of_influx, _of_items):
         if len(lines) < FEWEST or not (last := _names_in(lines[-2][1], read)):
             continue  # settings above a table may read so, its rows do not

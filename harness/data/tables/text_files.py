@@ -343,10 +343,22 @@ class TextFile:
                     f"a row of {len(cells)} cells under {width} titles",
                     expected=f"{width} cells ({', '.join(map(repr, self.titles[:6]))}{' ...' if width > 6 else ''})",
                     got="".join(sign if sign.isprintable() else "?" for sign in line.strip()[:80]),
-                    remedy="give every column a title and every row as many cells, empty where nothing was recorded",
+                    remedy=self._remedy_of_kinds()
+                    or "give every column a title and every row as many cells, empty where nothing was recorded",
                     place=f"line {number}",
                 )
             self._lines[row] = (number, self._joined(cells[:width]))
+
+    def _remedy_of_kinds(self) -> str:
+        """Return what to do where rows of several kinds take turns, each behind its word; empty where they do not."""
+        words = [self._cells(line)[0] for _, line in self._lines]
+        kinds = list(dict.fromkeys(word for word in words if re.match(r"\$?[^\W\d]", word)))
+        if len(kinds) < 2 or len(kinds) > len(words) // 4 or sum(map(words.count, kinds)) < len(words):
+            return ""
+        return (
+            f"put the rows of each kind ({', '.join(kinds[:6])}) into a table of their own, as the exporter of the "
+            "program that wrote them does"
+        )
 
     def _lengths(self) -> npt.NDArray[np.int64]:
         """Return the number of cells of every row."""
