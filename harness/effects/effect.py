@@ -28,10 +28,11 @@ longest lag; the base turned by a known angle; swings beyond 60 deg, and beyond 
 from high speed; no excitation at all; a known mass added."""
 _FIXED_ARGUMENTS = 5
 _EXTRA_ARGUMENTS = ("t", "a", "load", "damping", "pull", "temperature")
-NEEDS = ("drive", "gravity", "alone", "place", "astatic")
+NEEDS = ("drive", "gravity", "alone", "place", "astatic", "temperature")
 """What a law may ask of the plant about its port: an input's force on that coordinate; gravity; no other coordinate;
 that something tells where the coordinate stands, as a law about a place of its own has none where every record begins
-anywhere; that nothing in the model holds the coordinate anywhere, where the law's force would be one of its own."""
+anywhere; that nothing in the model holds the coordinate anywhere, where the law's force would be one of its own;
+that the port is a temperature."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -143,6 +143,8 @@ def _missing(system: System, effect: Effect, port: Port) -> str | None:
         return "other coordinates move with it"
     if "astatic" in effect.needs and port.kind == "coordinate" and not _astatic(system, port.name):
         return "the model holds it somewhere: a force at rest depends on where it stands"
+    if "temperature" in effect.needs and port.unit not in _TEMPERATURES:
+        return "it is no temperature"
     return None
 
 

@@ -190,3 +190,18 @@ def test_a_column_is_what_the_law_adds_at_one_less_at_nothing(law: str) -> None:
         for number, name in enumerate(block.names):
             whole = claimed(signals, {**nothing, name: 1.0}) - claimed(signals, nothing)
             assert block.columns[..., number] == pytest.approx(whole, abs=1e-12)
+
+
+@given(above=st.floats(0.0, 600.0), area=st.floats(1e-3, 1.0), capacity=st.floats(10.0, 1e4))
+def test_a_wall_radiates_by_the_law_of_stefan_and_boltzmann(above: float, area: float, capacity: float) -> None:
+    sigma, ambient = 5.670374e-8, 293.0
+    first = 4.0 * sigma * area * ambient**3 / capacity
+    rate = builtin()["radiation"].function(0.0, None, SimpleNamespace(h=first, T0=ambient), above, None)
+    assert rate == pytest.approx(-sigma * area * ((ambient + above) ** 4 - ambient**4) / capacity, rel=1e-9, abs=1e-15)
+
+
+def test_temperatures_radiate_and_levels_do_not() -> None:
+    text = "input P [{0}]\nlevel x [{1}]\nC = 800 {0} s/{1} >= 0\nx' = P/C\n"
+    hot, full = (read_equations(text.format(*units), "one").system() for units in (("W", "K"), ("l/s", "m")))
+    assert "radiation@x" in {str(placed) for placed in place_all(hot)}
+    assert "radiation@x" not in {str(placed) for placed in place_all(full)}

@@ -1,4 +1,4 @@
-"""Process plants: tanks that overflow, levels that cannot rise, leaks."""
+"""Process plants: tanks that overflow, levels that cannot rise, leaks, walls that radiate."""
 
 from __future__ import annotations
 
@@ -70,3 +70,22 @@ def level_saturation(rate: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def leak(rate: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Loss in proportion to the level."""
     return -p.c * q
+
+
+@effect(
+    "process",
+    [
+        par("h", "1/s", scale="0.05 1/T", sign="+", neutral=0.0, main=True, linear=True,
+            meaning="4 eps sigma A T0^3 over the heat capacity: what it loses at small x, in proportion to x"),
+        par("T0", "K", scale="293", minimum=200.0, maximum=600.0, nuisance=True, fixed=True,
+            meaning="absolute temperature where x = 0"),
+    ],
+    formula="x' = r - h T0 ((1 + x/T0)^4 - 1) / 4 (law of Stefan and Boltzmann)",
+    family=("leak", "sensor_nonlinearity", "supply_sag", "input_compression"),
+    limits={"leak": "while x is small beside T0"},
+    needs=("temperature",),
+    experiment="hold several powers until nothing changes: the loss grows faster than the temperature",
+)  # fmt: skip
+def radiation(rate: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Heat that a hot body radiates."""
+    return -0.25 * p.h * p.T0 * ((1.0 + q / p.T0) ** 4 - 1.0)
