@@ -64,6 +64,24 @@ def test_a_line_above_the_motion_is_named_and_taken_out(frequency: float) -> Non
     assert np.abs(found.runs[0].trajectory.y[:, 0] - y).max() < 0.01
 
 
+def test_a_burst_of_noise_is_named_where_it_is() -> None:
+    u, y = room(8)
+    y[600:660] += 0.15 * np.random.default_rng(8).standard_normal(60)
+    odd = looked(u, y)[1]
+    assert [(one.kind, one.channel) for one in odd] == [("burst", "T")]
+    assert len(set(odd[0].rows) & set(range(600, 660))) > 45
+    assert set(odd[0].rows) <= set(range(570, 690))
+
+
+def test_a_load_that_comes_and_goes_is_no_burst() -> None:
+    """A draught for a minute moves the room from row to row, and the sensor is as it was."""
+    u, y = room(9)
+    rng, load = np.random.default_rng(9), np.zeros(N)
+    for k in range(N - 1):
+        load[k + 1] = 0.99 * load[k] + (0.05 * rng.standard_normal() if 600 <= k < 660 else 0.0)
+    assert looked(u, y + load)[1] == []
+
+
 def test_a_line_that_an_input_has_is_no_hum() -> None:
     u, y = room(6)
     line = np.sin(2 * np.pi * 0.2 * np.arange(N))

@@ -10,6 +10,7 @@
 ``twice``       a row that was written twice, of which the clock shows nothing
 ``dropout``     a stretch of an input that holds a word for nothing, and that no output felt
 ``hum``         a line above the motion that no input has
+``burst``       a stretch in which a sensor scatters more than elsewhere
 ``shift``       an input that was written a row late (found with the equations of motion)
 ``between``     an input that moves between its readings where it passed for held (found so too)
 ``mismatch``    runs of one use that follow two models

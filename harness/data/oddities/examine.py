@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from harness.data.oddities.between import mismatched
+from harness.data.oddities.bursts import bursts_of
 from harness.data.oddities.dropouts import dropouts_of
 from harness.data.oddities.held import held_readings, stuck_rows
 from harness.data.oddities.hum import hum_of
@@ -179,6 +180,7 @@ class _Look:
         self._spikes(column, channel, plain, fresh)
         self._leaps(column, channel, plain)
         self._hum(column, channel)
+        self._bursts(column, channel)
         step = coarse_step(y[fresh])
         if step:
             turn = f", {2 * np.pi / step:.4g} a turn" if channel.unit == "rad" else ""
@@ -277,6 +279,23 @@ class _Look:
         )
         self._add("hum", channel, np.zeros(0, dtype=np.intp), words, used=True)
         self.y[:, column] -= found.sine
+
+    def _bursts(self, column: int, channel: Channel) -> None:
+        """Find stretches in which the sensor scatters more than elsewhere."""
+        if self.missing[:, column].mean() > ODD.most:
+            return
+        found = bursts_of(self.y[:, column], self.u)
+        if not found:
+            return
+        first, last, size = max(found, key=lambda one: one[2])
+        begins, ends = self.record.t[[first, last]]
+        many = f"in {len(found)} places, most " if len(found) > 1 else ""
+        words = (
+            f"{channel.name} scatters more than elsewhere {many}in rows {first} to {last} "
+            f"(t = {begins:g} to {ends:g} s), by {self._size(channel, size, '.2g')}: a burst of noise, a loose contact?"
+        )
+        rows = np.concatenate([np.arange(first, last + 1) for first, last, _ in found])
+        self._add("burst", channel, rows, words)
 
     def _slips(self) -> None:
         """Find places where rows are missing or written twice, none of which the clock shows."""
