@@ -9,18 +9,18 @@ from harness.data.oddities.foretold import foretold
 from harness.data.oddities.held import runs_of_equal
 from harness.data.oddities.leaps import STRIDES
 from harness.data.oddities.numbers import ODD
-from harness.data.oddities.spikes import is_word
+from harness.data.oddities.spikes import is_word, spikes_of
 from harness.signals import FloatArray
 
-Stretch = tuple[npt.NDArray[np.intp], FloatArray]
+Stretch = tuple[npt.NDArray[np.intp], FloatArray, bool]
 
 
 def dropouts_of(outputs: FloatArray, u: FloatArray, column: int) -> list[Stretch]:
-    """Return the rows of each drop-out of an input, and what a line across it reads there.
+    """Return the rows of each drop-out of an input, what a line across it reads there, and whether the outputs tell.
 
     A stretch counts if its value is 0, -1 or nines, and the outputs went on as if the input had stayed where it was
     before and after: a prediction with a line across the stretch is far likelier than with what was logged. Where the
-    outputs do not decide, it counts if the input jumps into it and out of it as it does nowhere else.
+    outputs do not decide, it may be one if the input jumps into it and out of it as it does nowhere else.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ def dropouts_of(outputs: FloatArray, u: FloatArray, column: int) -> list[Stretch
     ...     y[k + 1] = 0.9 * y[k] + u[k] + 1e-2 * rng.standard_normal()
     >>> logged = u.copy()
     >>> logged[210:230] = 0.0
-    >>> [(int(rows[0]), len(rows)) for rows, _ in dropouts_of(y[:, None], logged[:, None], 0)]
-    [(210, 20)]
+    >>> [(int(rows[0]), len(rows), told) for rows, _, told in dropouts_of(y[:, None], logged[:, None], 0)]
+    [(210, 20, True)]
     >>> dropouts_of(y[:, None], u[:, None], 0)
     []
     """
@@ -72,5 +72,21 @@ def dropouts_of(outputs: FloatArray, u: FloatArray, column: int) -> list[Stretch
         lost = 0.5 * power - product  # log-likelihood of a plant that felt nothing of the drop over one that felt all
         sudden = lively and min(moves[rows[0] - 1], moves[ends[k] - 1]) > STRIDES * largest
         if lost > ODD.felt or (sudden and lost > -ODD.felt):
-            found.append((rows, mended[rows, column]))
+            found.append((rows, mended[rows, column], lost > ODD.felt))
     return found
+
+
+def without(u: FloatArray, rows: npt.NDArray[np.intp]) -> FloatArray:
+    """Return an input (N,) with what its neighbours foretell in some rows, a line where these are a stretch.
+
+    Examples
+    --------
+    >>> without(np.array([1.0, 1.0, 0.0, 0.0, 4.0]), np.array([2, 3])).tolist()
+    [1.0, 1.0, 2.0, 3.0, 4.0]
+    """
+    mended, spikes = u.copy(), spikes_of(u, np.zeros((len(u), 0)))
+    alone = np.intersect1d(rows, spikes.rows)
+    mended[alone] = spikes.mended[alone]
+    others, sound = np.setdiff1d(rows, alone), np.setdiff1d(np.arange(len(u)), rows)
+    mended[others] = np.interp(others, sound, u[sound])
+    return mended

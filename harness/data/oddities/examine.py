@@ -365,15 +365,20 @@ class _Look:
     def _input(self, column: int, channel: Channel) -> None:
         """Find rows of a logged input that the plant did not feel."""
         u = self.record.u[:, column]
-        for rows, bridge in dropouts_of(self.y, self.u, column):
+        for rows, bridge, sure in dropouts_of(self.y, self.u, column):
             own, (read, across) = self._own(channel, u[rows], bridge)
             words = (
                 f"{channel.name} reads {read[0]:.6g}{behind(own.unit)} in rows {rows[0]} to {rows[-1]}, between "
-                f"{across[0]:.3g} and {across[-1]:.3g}, and the outputs go on as if it did not: a drop-out of the log; "
-                "close-loop leaves these rows out"
+                f"{across[0]:.3g} and {across[-1]:.3g}: "
             )
-            self._add("dropout", channel, rows, words, used=True)
-            self.u[rows, column] = bridge
+            if sure:
+                words += "the outputs go on as if it did not, a drop-out of the log; close-loop leaves these rows out"
+                self._add("dropout", channel, rows, words, used=True)
+                self.u[rows, column] = bridge
+            else:
+                self._add(
+                    "word", channel, rows, f"{words}the outputs do not tell whether the plant felt it", fault=False
+                )
         u = self.u[:, column].copy()
         found = spikes_of(u, np.zeros((self.n, 0)))
         if not found.rows.size:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from harness.data.oddities import ODD, examined
-from harness.data.oddities.spikes import spikes_of
+from harness.data.oddities.dropouts import without
 from harness.diagnosis.policy import DATA_POLICY
 from harness.errors import HarnessError
 from harness.judgement import law_of
@@ -73,7 +73,7 @@ def _glitches(system: System, dataset: Dataset, number: int, run: Run) -> Datase
     asked = [odd for odd in told if _open(odd, number)]
     for odd in asked:
         column = names.index(odd.channel)
-        u[list(odd.rows), column] = spikes_of(record.u[:, column], np.zeros((len(record), 0))).mended[list(odd.rows)]
+        u[:, column] = without(u[:, column], np.array(odd.rows))
     first = max(min(min(odd.rows) for odd in asked) - _SAMPLES // 4, 0)
     part = slice(first, min(first + _SAMPLES, len(record)))
     equations = _asked(system, record[part], dataset)
