@@ -116,6 +116,17 @@ def test_one_command_from_a_table_of_two_columns(tmp_path: Path, capsys: pytest.
     assert '"output": "y"' in out
 
 
+def test_a_model_of_plain_numbers_is_compared_with_the_table_that_it_was_fitted_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path / "log.csv", {"u": U, "y": Y})
+    chosen = ["--input", "u", "--output", "y", "--sample-time", str(DT)]
+    fitted = ["identify", path, *chosen, "--identifier", "arx", "-o", tmp_path / "m.json"]
+    assert run(fitted, capsys)[0] == 0
+    code, out, said = run(["compare", tmp_path / "m.json", path, *chosen], capsys)
+    assert (code, "m " in out) == (0, True), said
+
+
 def test_columns_are_never_guessed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = write(tmp_path / "log.csv", {"time": TIME, "u": U, "y": Y})
     for command in ("identify", "order", "spectrum"):

@@ -216,8 +216,8 @@ class Chosen:
             if place in found or placed.get(place, name) != name:
                 raise _two_from_one(place, found[place][0] if place in found else placed[place], name)
             stated = self.units.get(name) or table.read(column, like)[1]
-            if stated is None and ports is None:
-                plain.append(name)
+            if stated is None and known.get(name, "1") == "1":
+                plain.append(name)  # nobody says otherwise, or the model's port is a plain number too
             unit = self.units.get(name, "1" if name in plain else None)
             found[place] = name, SignalSection(role=role, column=column, unit=unit)  # type: ignore[arg-type]
         for title in table.titles:
