@@ -271,3 +271,11 @@ def test_dates_of_parquet_are_a_clock_whatever_they_are_called(tmp_path: Path) -
     stamps = pandas.Timestamp("2024-03-01") + pandas.to_timedelta(10 * np.arange(N), unit="ms")
     pandas.DataFrame({"Aufnahme": stamps, "u [V]": DRIVE, "y [mm]": ANSWER}).to_parquet(tmp_path / "a.parquet")
     same(tmp_path / "a.parquet")
+
+
+def test_units_above_the_titles_are_never_left_aside(tmp_path: Path) -> None:
+    rows = [f"{10 * k},{u},{y}" for k, (_, u, y) in enumerate(CELLS)]
+    same(table(tmp_path, ["Rig 3", "ms,V,mm", "time,u,y"], rows))
+    unclear = table(tmp_path, ["Rig 3", "ms,V,mm", "x,u,y"], rows)
+    with pytest.raises(InputError, match="two rows of titles"):
+        Table(unclear).read("V")

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 
 from harness.data.tables.cells import EMPTY, is_measured, is_number, is_unit_cell, units_below
-from harness.data.tables.headers import clock_of
+from harness.data.tables.headers import TIME_UNITS, clock_of
 from harness.data.times.stamps import is_date, is_time
 from harness.errors import InputError
 
@@ -62,6 +62,8 @@ def sign_of(lines: Sequence[str]) -> str | None:
     --------
     >>> sign_of(["Time, s;Voltage, V", "0,05;1,25", "0,10;1,5", "0,15;1,5"]), sign_of(["t u", "0,5 1", "0,6 1"])
     (';', None)
+    >>> sign_of(["y", "0,5", "0,7"]), sign_of(["t,y", "0,5", "1,7"])
+    (None, ',')
     """
     best: tuple[float, bool, int] = (0.0, False, 0)
     found = max((sign for sign in SIGNS if sign is not None), key=lines[0].count, default=None)
@@ -69,12 +71,10 @@ def sign_of(lines: Sequence[str]) -> str | None:
     for sign in SIGNS:
         rows = _sample([cells_of(line, sign) for line in lines[-SAMPLE - 1 :]])
         width = len(rows[-1])
-        if width < 2:
-            continue
         share = sum(map(_is_reading, (cell for row in rows for cell in row))) / sum(map(len, rows))
         above = (cells_of(line, sign) for line in lines[: -len(rows)][:MOST_ABOVE])
         titled = any(len(row) == width and not any(map(_is_reading, row)) for row in above)
-        if (rank := (round(share, 6), titled, width)) > best:
+        if share and (width > 1 or sign is None) and (rank := (round(share, 6), titled, width)) > best:
             best, found = rank, sign
     return found
 
@@ -109,7 +109,8 @@ def begin_of(rows: Sequence[Row], below: Sequence[Row] | None = None) -> int:
         return 0  # no titles, or such as do not fit: they are refused as such
     whole = [row for row in range(top, first) if _names_all(rows, row, kinds)]
     if whole and (len(whole) == 1 or (_has_clock(rows[whole[-1]]) and not _has_clock(rows[whole[-2]]))):
-        top = whole[-1]
+        # what is said of units above the names is a part of the header
+        top = next((row for row in range(top, whole[-1]) if _is_units(rows, row)), whole[-1])
     return 0 if top > MOST_ABOVE or is_table(rows[:top]) else top
 
 
@@ -193,10 +194,12 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
         return None
     width = len(rows[0])
     head = [list(row) for row in rows[:count]]
+    if above := _units_above(head):
+        head.append(head.pop(0))
     units = [""] * width
     if _are_units(head, kinds_of(rows[count:])):
         units = [cell if is_unit_cell(cell) else "" for cell in head.pop()]
-    if len(head) < 2 and not any(_BRACKETED.fullmatch(cell) for row in head for cell in row):
+    if len(head) < 2 and not above and not any(_BRACKETED.fullmatch(cell) for row in head for cell in row):
         return None  # one row of names: with units below it or without
     for row in head:
         for k, cell in enumerate(row):
@@ -400,6 +403,17 @@ def _heads(rows: Sequence[Row], place: int, kinds: Sequence[Callable[[str], bool
         return True
     named = _is_units(rows, place + 1) and len(filled) == len(row) and not _is_reading(row[0])
     return named or _is_units(rows, place)
+
+
+def _units_above(head: Sequence[Row]) -> bool:
+    """Return True if the first of two rows gives each column its unit, and the clock one of time."""
+    if len(head) != 2 or not all(head[0]) or not _is_units(head, 0):
+        return False
+    try:
+        clock = clock_of(head[1])
+    except InputError:
+        return False
+    return clock is not None and head[0][head[1].index(clock)].strip("[](){}<> ").lower() in TIME_UNITS
 
 
 def _are_units(head: Sequence[Row], kinds: Sequence[Callable[[str], bool] | None]) -> bool:
