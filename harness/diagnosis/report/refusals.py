@@ -49,6 +49,7 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
     Kind.UNDETERMINED: lambda r: (
         f"{r.subject} = {r.numbers[0]:.3g} is not determined by these data: the law is what it is without it"
     ),
+    Kind.TRADED: lambda r: f"it only trades with {r.subject}, which these data tell without it and not beside it",
     Kind.LAW: lambda r: f"its values break its own law, which asks that {r.subject}",
     Kind.UNSEEN: lambda r: (
         f"beside it something moves {r.numbers[0]:.2g} times as fast as these samples can show: faster ones may"

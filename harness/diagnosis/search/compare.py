@@ -143,7 +143,7 @@ def judged(
     names = {*given, *map(str, added)}
     reasons = [*_ended(fit), *unseen(fit), *_wanting(fit, base, nominal, comparison, policy)]
     for placed in added:
-        reasons += impossible(form, placed, fit)
+        reasons += impossible(form, placed, fit) + _traded(placed, fit, base)
         incoherence = fit.incoherence.get(str(placed), 0.0)
         if incoherence > 0.0:  # likelier a line drawn anew in every part than one that repeats
             reasons.append(Refusal(Kind.INCOHERENT, str(placed), (incoherence,)))
@@ -295,6 +295,24 @@ def _undetermined(name: str, neutral: float, fit: Fit) -> bool:
     """
     deviation = fit.beside.get(name, fit.deviations.get(name, 0.0))
     return deviation >= (EFFORT.untold if name in fit.logarithmic else abs(fit.values[name] - neutral))
+
+
+def _traded(placed: Placed, fit: Fit, base: Fit) -> list[Refusal]:
+    """Return whether an effect only trades with parameters that are told without it: together they do what those did.
+
+    Not where it shares the fate of parameters that nothing told before, as a friction that of a scale.
+    """
+    main = placed.name(next(parameter.name for parameter in placed.effect.parameters if parameter.main))
+    lost = [name for name in base.free if name in fit.free and _told(name, base) and not _told(name, fit)]
+    if not lost or main not in fit.free or _told(main, fit):
+        return []
+    return [Refusal(Kind.TRADED, ", ".join(lost))]
+
+
+def _told(name: str, fit: Fit) -> bool:
+    """Return True for a parameter that the records tell by itself, and not in combinations with others alone."""
+    limit = EFFORT.untold if name in fit.logarithmic else abs(fit.values[name])
+    return fit.deviations.get(name, np.inf) < limit
 
 
 def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[Refusal]:

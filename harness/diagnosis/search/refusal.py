@@ -35,6 +35,8 @@ class Kind(Enum):
     """A parameter, the ``subject``, lies on its bound: the bound."""
     UNDETERMINED = "undetermined"
     """The main parameter, the ``subject``, is not told from nothing, or from e times as much: its value."""
+    TRADED = "traded"
+    """Beside it the records tell no more what they told without it: the ``subject``, parameters that it trades with."""
     LAW = "law"
     """What its law asks of its values does not hold: the sentence of the law is the ``subject``."""
     UNSEEN = "unseen"

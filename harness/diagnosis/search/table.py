@@ -10,6 +10,7 @@ import numpy as np
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import Judged, compared, impossible, judged, unseen
 from harness.diagnosis.search.fit import Begun, Fit, Form, InOneGo
+from harness.diagnosis.search.refusal import Kind
 from harness.diagnosis.search.scores import ScoreTest, score_test
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -211,7 +212,18 @@ class Table(InOneGo):
         """Return what speaks for and against effects that were added to a base, the nominal model if none is given."""
         return judged(self.form, added, fit, base or self.nominal, self.nominal, self.policy, self.kept)
 
-    def lawful(self, fit: Fit) -> bool:
-        """Return True for a fit at its end in which physics forbids nothing."""
+    def lawful(self, fit: Fit, before: Fit | None = None) -> bool:
+        """Return True for a fit at its end in which physics forbids nothing but what was not told ``before``."""
+        if not fit.converged or unseen(fit):
+            return False
+        untold = set() if before is None else {one for one in self._forbidden(before) if one[1] is Kind.UNDETERMINED}
+        return self._forbidden(fit) <= untold
+
+    def _forbidden(self, fit: Fit) -> set[tuple[str, Kind, str]]:
+        """Return what physics forbids of the values of effects, but of those that are kept whatever they are."""
         asked = [placed for placed in fit.effects if str(placed) not in self.kept]
-        return fit.converged and not unseen(fit) and not any(impossible(self.form, placed, fit) for placed in asked)
+        return {
+            (str(placed), refusal.kind, refusal.subject)
+            for placed in asked
+            for refusal in impossible(self.form, placed, fit)
+        }

@@ -25,7 +25,8 @@ def sensor_offset(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "output",
-    [par("gain", "1", scale="1.05", sign="+", minimum=0.0, neutral=1.0, main=True, linear=True,
+    # further off is another unit, which the check of columns tells
+    [par("gain", "1", scale="1.05", sign="+", minimum=0.1, maximum=10.0, neutral=1.0, main=True, linear=True,
          meaning="reading per true value")],
     formula="y' = gain y",
     family=("input_gain", "sensor_saturation", "linear_spring"),

@@ -119,8 +119,8 @@ def elastic_load(f: Any, s: Any, p: Any, q: Any, v: Any, pull: Any) -> tuple[Any
 def _play() -> list[EffectParameter]:
     """Return the parameters of a play."""
     return [
-        par("gap", "q", scale="0.1 q", sign="+", minimum=0.0, main=True, grid=(1.0, 2.0, 0.3),
-            meaning="half of the play"),
+        par("gap", "q", scale="0.1 q", ceiling="2 q", sign="+", minimum=0.0, main=True, grid=(1.0, 2.0, 0.3),
+            meaning="half of the play, which the motion must cross"),
         _stiffness("50 F/q", main=False),
         _inertia("0.1 F/a"),
         _damping("3 F/v"),  # gears hardly bounce: damping ratio near 1
