@@ -367,11 +367,12 @@ def _no_number(cell: str, place: str, expected: str, why: str) -> InputError:
         "a cell that is no number" if why != "thousands" else "a number with two readings",
         expected=expected,
         got=repr(cell),
-        remedy=remedies.get(why, f"correct or empty the cell{_MIXED if _is_mixed(cell) else ''}"),
+        remedy=remedies.get(why, f"correct or empty the cell{_MIXED if _is_mixed(cell) else _WORD}"),
         place=place,
     )
 
 
+_WORD = ", or remove the row; what is switched is read as 1 and 0, true and false, or ON and OFF"
 _MIXED = "; a unit belongs into the title, a time is read as in 2024-12-31T23:59:59.5 or in seconds"
 
 

@@ -62,16 +62,21 @@ class ExcelFile(MemoryTable):
         self.titles = names  # two columns may have one
         self.notes += said
         if len(sheets) > 1 and sheet is None:
-            others_named = [repr(name) for name in sheets if name != read]
-            why = "the first, is read" if read == sheets[0] else "the only one with rows of numbers, is read"
-            self.notes.append(
-                f"the workbook has {len(sheets)} sheets: {read!r}, {why}; --sheet names another "
-                f"({', '.join(others_named[:5])}{' ...' if len(others_named) > 5 else ''})"
-            )
+            self.notes.append(_of_sheets(sheets, read))
 
     def numbered(self, column: int) -> FloatArray:
         """Return one column (N,) by its number, as two may have one title."""
         return self._numbers(self.titles[column], self._cells[column])
+
+
+def _of_sheets(sheets: list[str], read: str) -> str:
+    """Return what is said of the sheet that is read, where nobody named it."""
+    others = [repr(name) for name in sheets if name != read]
+    why = "the first, is read" if read == sheets[0] else "the only one with rows of numbers, is read"
+    return (
+        f"the workbook has {len(sheets)} sheets: {read!r}, {why}; --sheet names another "
+        f"({', '.join(others[:5])}{' ...' if len(others) > 5 else ''})"
+    )
 
 
 def _as_per_cent(path: Path, sheet: str, column: int, first: int, cells: list[Any]) -> list[Any] | None:

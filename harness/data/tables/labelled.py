@@ -21,6 +21,9 @@ from harness.errors import InputError
 Named = list[tuple[str, str]]
 """Names and values of one line."""
 
+Columns = dict[str, list[Any]]
+"""Values by title."""
+
 FEWEST = 3
 """Lines of readings that make a table."""
 _STAMPED = re.compile(r"\[?(?P<stamp>[\dT:., /-]*\d:\d\d:\d\d[\d.,]*Z?)\]?\s*(?:->|[:,;|-])?\s+(?P<rest>\D.*)")
@@ -233,7 +236,7 @@ def _of_bus(lines: Sequence[Line], kind: str) -> tuple[list[Line], str]:
     )
 
 
-def json_columns(content: Any) -> dict[str, list[Any]] | None:
+def json_columns(content: Any) -> Columns | None:
     """Return the columns of the one table that JSON holds, by title; None where it holds none, or several.
 
     A table is an object of lists of one length, a list of objects (each a row), what pandas writes by default (an
@@ -254,23 +257,43 @@ def json_columns(content: Any) -> dict[str, list[Any]] | None:
         return {one: [row.get(one) for row in rows] for one in titles} if 1 < len(rows) == len(content) else None
     if not isinstance(content, dict):
         return None
-    if {"columns", "data"} <= set(content) <= {"columns", "data", "index"}:
-        titles, body = content["columns"], content["data"]
-        index = {"index": content["index"]} if content.get("index", []) != list(range(len(body))) else {}
-        square = all(isinstance(row, list) and len(row) == len(titles) for row in body)
-        return index | {title: [row[k] for row in body] for k, title in enumerate(titles)} if square else None
+    for read in (_split, _indexed, _side_by_side):
+        if (found := read(content)) is not None:
+            return found
+    inside = [json_columns(one) for one in content.values() if isinstance(one, dict | list)]
+    tables = [one for one in inside if one is not None]
+    return tables[0] if len(tables) == 1 else None
+
+
+def _split(content: dict[str, Any]) -> Columns | None:
+    """Return the columns of titles beside rows, as pandas splits a table; None for anything else."""
+    if not {"columns", "data"} <= set(content) <= {"columns", "data", "index"}:
+        return None
+    titles, body = content["columns"], content["data"]
+    index = {"index": content["index"]} if content.get("index", []) != list(range(len(body))) else {}
+    square = all(isinstance(row, list) and len(row) == len(titles) for row in body)
+    return index | {title: [row[k] for row in body] for k, title in enumerate(titles)} if square else None
+
+
+def _indexed(content: dict[str, Any]) -> Columns | None:
+    """Return columns whose readings go by the keys of rows, the same in all; None for anything else."""
     columns = list(content.values())
-    if len(columns) > 1 and all(isinstance(column, dict) for column in columns):
-        keys = list(columns[0])
-        if len(keys) > 1 and all(list(column) == keys and not _holds_more(column.values()) for column in columns):
-            index = {"index": keys} if keys != [str(row) for row in range(len(keys))] else {}
-            return index | {title: list(column.values()) for title, column in content.items()}
+    if len(columns) < 2 or not all(isinstance(column, dict) for column in columns):
+        return None
+    keys = list(columns[0])
+    if len(keys) < 2 or any(list(column) != keys or _holds_more(column.values()) for column in columns):
+        return None
+    index: Columns = {"index": keys} if keys != [str(row) for row in range(len(keys))] else {}
+    return index | {title: list(column.values()) for title, column in content.items()}
+
+
+def _side_by_side(content: dict[str, Any]) -> Columns | None:
+    """Return lists of plain values of one length; None where they are not, or there is one alone."""
     lists = {title: column for title, column in content.items() if isinstance(column, list)}
-    if len(lists) > 1 and not any(map(_holds_more, lists.values())):
-        sizes = {len(column) for column in lists.values()}
-        return lists if len(sizes) == 1 and sizes != {1} else None
-    inside = [found for one in columns if isinstance(one, dict | list) and (found := json_columns(one)) is not None]
-    return inside[0] if len(inside) == 1 else None
+    if len(lists) < 2 or any(map(_holds_more, lists.values())):
+        return None
+    sizes = {len(column) for column in lists.values()}
+    return lists if len(sizes) == 1 and sizes != {1} else None
 
 
 def _holds_more(values: Iterable[Any]) -> bool:

@@ -72,7 +72,7 @@ def sign_of(lines: Sequence[str]) -> str | None:
         rows = _sample([cells_of(line, sign) for line in lines[-SAMPLE - 1 :]])
         width = len(rows[-1])
         share = sum(map(_is_reading, (cell for row in rows for cell in row))) / sum(map(len, rows))
-        above = (cells_of(line, sign) for line in lines[: -len(rows)][:MOST_ABOVE])
+        above = (cells_of(line, sign) for line in lines[: min(MOST_ABOVE, len(lines) - len(rows))])
         titled = any(len(row) == width and not any(map(_is_reading, row)) for row in above)
         if share and (width > 1 or sign is None) and (rank := (round(share, 6), titled, width)) > best:
             best, found = rank, sign

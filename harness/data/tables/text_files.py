@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -87,11 +88,7 @@ class TextFile:
         self._commas_read = False
         if coding in CODINGS:
             self.notes.append(f"the text is no UTF-8: its letters are read as {coding} ({CODINGS[coding]})")
-        self._lines = [
-            (number, line)
-            for number, line in (closed_lines(lines) if '"' in text else enumerate(lines, start=1))
-            if line.strip() and not line.lstrip().startswith(_COMMENTS)
-        ]
+        self._lines = _of_tables(closed_lines(lines) if '"' in text else enumerate(lines, start=1))
         for other in (labelled, keyed):
             if (found := other(self._lines)) is not None:
                 self._lines = found[0]
@@ -519,6 +516,11 @@ class TextFile:
     def _cells(self, line: str) -> list[str]:
         """Return the cells of a line."""
         return cells_of(line, self._delimiter)
+
+
+def _of_tables(lines: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Return the lines that are neither empty nor comments."""
+    return [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith(_COMMENTS)]
 
 
 def _are_numbers(cells: list[str]) -> bool:
