@@ -22,6 +22,8 @@ class Runner:
         self._owner = 0
         self._set: dict[str, float] = {}
         self._finer: dict[int, Runner] = {}
+        self.steps = 0
+        """Communication steps that simulations around the FMU took."""
         self._rng = np.random.default_rng(0)  # an FMU draws nothing
 
     def __getstate__(self) -> dict[str, Any]:

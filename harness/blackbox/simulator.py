@@ -201,6 +201,7 @@ class FmuSimulator(BySample):
         n = (u.shape[0] - 1) * parts + 1
         if parts > 1:
             u, extra = np.repeat(u, parts, axis=0)[:n], None if extra is None else np.repeat(extra, parts, axis=0)[:n]
+        self.runner.steps += n
         inner, runner = system.inner_count, self.runner.finer(parts)
         values = {parameter.name: float(value) for parameter, value in zip(system.parameters[:inner], p, strict=False)}
         start = {state.name: float(value) for state, value in zip(system.inner_states, x0, strict=False)}

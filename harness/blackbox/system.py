@@ -105,6 +105,10 @@ class FmuSystem(Dimensions):
     def __str__(self) -> str:
         return " + ".join([f"{self.name} ({self.path.name}, {self.digest})", *map(str, self.effects)])
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but symbols, which belong to one process."""
+        return {name: value for name, value in self.__dict__.items() if name != "u"}
+
     @property
     def states(self) -> tuple[Channel, ...]:
         """Settable states of the FMU, then hidden states of effects."""

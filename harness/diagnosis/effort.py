@@ -60,6 +60,17 @@ class Effort:
         "relative decrease of the cost at which a fit that is only ranked, or a start, has come far enough",
         "cost",
     )
+    windows: int = number(
+        12,
+        "short windows of which an FMU's parameters are first fitted: every one costs a run a parameter and state",
+        "cost; 40 of them took 30 s of CPU of a geared drive",
+    )
+    steps: int = number(
+        3_000_000,
+        "communication steps of an FMU after which the search around it fits no more and says what it did not try",
+        "cost: 10 to 20 us of CPU each in foreign FMUs with a solver inside, a minute in all",
+        "a spring pendulum of another tool, 4 million at 61 s",
+    )
     exchanges: int = number(
         16,
         "times in a sample that dry friction around an FMU is told, at most",

@@ -195,3 +195,15 @@ def test_the_loop_around_an_fmu_ends_with_its_report_from_the_command_line(
         main(["close-loop", str(tmp_path / "dataset.toml"), "--model", str(fixed), "--out", str(out)])
     assert left.value.code == 0, capsys.readouterr().err
     assert compare_reports(out, out).differences == ()
+
+
+def test_an_fmu_whose_symbols_were_asked_for_goes_to_another_process() -> None:
+    """A report that names an FMU is made in a process of its own, and comes back from there."""
+    system = fmu_system(mockup("pendulum"), SPEC)
+    law = Placed(builtin()["load_dependent_friction"], "theta")
+    before = surround(system, [law])  # it asks for the force of the inputs
+    assert system.input_forces.shape == (1, 1)
+    for one in (system, before):
+        again = pickle.loads(pickle.dumps(one))
+        assert (str(again), again.fingerprint) == (str(one), one.fingerprint)
+        assert again.u.shape == (1, 1)

@@ -12,17 +12,21 @@ from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.blackbox.system import FmuSystem
 from harness.diagnosis.directions.directions import Direction
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.fmu.passes import FreePass, Run
 from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_of
-from harness.diagnosis.fmu.pushes import Moved, pushes, test_pushes
+from harness.diagnosis.fmu.pushes import Moved, as_measured, pushes, test_pushes
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
 from harness.diagnosis.forms.predictive import whitened
-from harness.diagnosis.search.fit import Column, Fit
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.search.fit import Begun, Column, Fit
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
+from harness.errors import HarnessError
 from harness.physics.compiled.kalman_pass import Filtered, Pass
 from harness.physics.compiled.smoother import Smoothed
+from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Trajectory
 
 PUSH = 1e-3
@@ -40,7 +44,39 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         laws: Dictionary | None = None,
     ) -> None:
         self.runner = Runner(system, dataset.spec.sample_time)
+        self._left: dict[str, None] = {}
         super().__init__(system, dataset, sizes, laws)
+
+    def begin(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        hope: float = -np.inf,
+    ) -> Begun | None:
+        """Begin as every form does, until the FMU has taken the steps that a search may cost."""
+        return None if self._spent(effects, base) else super().begin(effects, starts, base, hope)
+
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
+        """Finish likewise."""
+        return None if self._spent(begun.effects, base) else super().finish(begun, base, rival, least)
+
+    def _spent(self, effects: Sequence[Placed], base: Fit | None) -> bool:
+        """Return whether a search may cost no more, and keep what it leaves."""
+        if base is None or self.runner.steps <= EFFORT.steps:
+            return False
+        known = set(map(str, base.effects))
+        self._left |= dict.fromkeys(name for name in map(str, effects) if name not in known)
+        return True
+
+    def left_out(self) -> list[str]:
+        """See :class:`harness.diagnosis.forms.form.WholeForm`."""
+        if not self._left:
+            return []
+        return [
+            f"the search around the FMU ended after {EFFORT.steps / 1e6:g} million of its steps, the most that it may "
+            f"cost: not tried to the end, alone or beside what was found, were {', '.join(self._left)}"
+        ]
 
     def judges(self, placed: Placed) -> bool:
         """Return True for an effect that can be put around an FMU."""
@@ -79,6 +115,29 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         rough = rough_values(self.nominal, self.dataset, self.runner)
         return [declared] if rough is None else [rough, declared]
 
+    def without_memory(self, fit: Fit) -> Fit | None:
+        """Return the nominal model with its declared parameters, None where its free runs follow their record.
+
+        A spring without the friction that damps it comes nearest to its record where it hardly moves: from there no law
+        promises anything. What the user believes in is nearer to the plant.
+        """
+        point = likelihood_detail(fit).points["estimation"]
+        if fit.effects or (point.noise.r <= POLICY.tie * sensor_noise(self.records["estimation"])).all():
+            return None
+        system, passes = self.nominal, likelihood_detail(fit).passes
+        likelihood = self._likelihood(system, "estimation", passes)
+        held = [name for name in likelihood.names if name not in system.parameter_names]
+        p = system.vector()
+        try:
+            start = likelihood.concentrated(replace(point, p=p, x0=self._starts(system, passes, p, "estimation", None)))
+            near = likelihood.maximise(start, free=held, most=EFFORT.first_steps, exact=False)
+            best = likelihood.maximise(near.point, most=0, exact=False)
+            own, told, expected = self._validated(system, passes, best, None)
+            outside = self._outside(system, passes, expected.point, told)
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        return None if outside is None else self._fitted((), system, passes, best, own, outside, expected, told)
+
     def resize(self, nominal: Fit) -> bool:
         """Take the sizes of positions and rates from the nominal fit; False: it stands."""
         self.sizes = sizes_of(self.nominal, [motion for use in USES for motion in self._moved(nominal, USES)[use]])
@@ -99,7 +158,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         return float("inf")
 
     def _moved(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Moved]]:
-        """Return the motion of every record of some uses along the free run of a fit."""
+        """Return the motion of every record of some uses: the free run of a fit, led to what the sensors tell."""
         simulator: FmuSimulator = likelihood_detail(fit).passes.simulator
         moved: dict[str, list[Moved]] = {}
         for use in uses:
@@ -108,6 +167,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
             for record, x0 in zip(self.records[use], point.x0, strict=True):
                 seen = simulator.sampled.inputs(record.u[None], point.p[None], False)[0][0]
                 q, v, y = simulator.motion(point.p, x0, seen, float(record.t[0]))
+                q, v = as_measured(self.nominal, record, q, v, y)
                 moved[use].append(Moved(record, seen, q, v, y, self.dt))
         return moved
 

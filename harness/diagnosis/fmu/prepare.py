@@ -35,6 +35,8 @@ STARTS, ROUGH = 4, 40
 PULSE, ORDER = 4, 1.5
 """Samples in which a force over one sample has moved the readings, and the power of the exchanges in a sample with
 which the error of dry friction falls."""
+ALIKE = 0.1
+"""Of the motion: how far a run that goes on from its own states may be off the one that was not interrupted."""
 DECREASE = 1e-5
 """Relative decrease of the cost at which the states of windows are fitted: finite differences see no more."""
 
@@ -114,10 +116,13 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
     """
     simulator, p = FmuSimulator(system, runner), system.vector()
     records = [run.measured() for run in dataset.estimation]
-    windows = FmuWindows(simulator, records, short_window(dataset), _spread(dataset))  # type: ignore[arg-type]
     told = [measured_states(system, simulator, record, p) for record in records]
     hidden = [not all(known) for known in zip(*(known for _, known in told), strict=True)]
-    begun = windows.starts_from([states for states, _ in told])
+    length = round(short_window(dataset) / dataset.spec.sample_time)
+    places = _places([len(record) for record in records], length, whole=restarts(simulator, records[0], p, told[0][0]))
+    pieces = [records[number][first : first + length] for number, first in places]
+    windows = FmuWindows(simulator, pieces, None, _spread(dataset))  # type: ignore[arg-type]
+    begun = windows.starts_from([told[number][0][first : first + length] for number, first in places])
     rng = stream("nominal FMU", system.digest)
     free = np.array([not parameter.fixed for parameter in system.parameters], dtype=bool)
     tried: list[Solution] = []
@@ -130,6 +135,28 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
     if not best.converged:
         best = minimise(windows, best.p, best.x0, free, ROUGH - EFFORT.first_steps, decrease=EFFORT.roughly)
     return system.values(dict(zip(system.parameter_names, map(float, best.p), strict=True)))
+
+
+def restarts(simulator: FmuSimulator, record: Trajectory, p: FloatArray, states: FloatArray) -> bool:
+    """Return whether a run that begins anew in the middle of a record, at the states that it had there, goes on alike.
+
+    Where a state cannot be set, every run begins at the FMU's own start: only the beginnings of records are windows.
+    """
+    middle, t = len(record) // 2, record.t
+    x, y = simulator.run(p, states[0], record.u, float(t[0]))
+    if not np.isfinite(y).all():  # nothing is told
+        return True
+    again = simulator.run(p, x[middle], record.u[middle:], float(t[middle]))[1]
+    return bool((np.sqrt(np.mean((again - y[middle:]) ** 2, axis=0)) <= ALIKE * np.std(y, axis=0)).all())
+
+
+def _places(lengths: Sequence[int], length: int, *, whole: bool) -> list[tuple[int, int]]:
+    """Return the record and the first sample of each window: their beginnings, or some evenly over all of them."""
+    every = [(number, first) for number, n in enumerate(lengths) for first in range(0, max(n - length, 0) + 1, length)]
+    if not whole:
+        return [place for place in every if place[1] == 0]
+    most = min(len(every), EFFORT.windows)
+    return [every[k] for k in np.linspace(0, len(every) - 1, most).round().astype(int)]
 
 
 def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Dataset, runner: Runner) -> Horizon:

@@ -24,6 +24,7 @@ from harness.diagnosis.search.fit import WAVE
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.errors import HarnessError
+from harness.physics.fitting.smoothing import Smoothed, smooth
 from harness.signals import FloatArray, Trajectory
 
 PARTS = 4
@@ -32,7 +33,7 @@ PARTS = 4
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """A record with what the FMU did: inputs behind delays (K, nu), positions and rates (K, n), outputs (K, ny)."""
+    """A record, the inputs behind delays (K, nu), positions and rates (K, n), outputs of the free run (K, ny)."""
 
     record: Trajectory
     u: FloatArray
@@ -45,6 +46,39 @@ class Moved:
     def expected(self) -> FloatArray:
         """Outputs of the model (K, ny)."""
         return self.y
+
+
+def as_measured(
+    nominal: FmuSystem, record: Trajectory, q: FloatArray, v: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return positions and rates (K, n) of a free run, led to those that its record tells.
+
+    Without what it lacks, a model may move quite otherwise than its plant did: a spring without the friction that damps
+    it swings through ten times the way. The force of a law is that along the motion of the plant, and the response of
+    the model to it is exact where the model is linear. So the error of the free run, smoothed, is added to it: where
+    the model is right nothing is.
+    """
+    dt = record.spec.sample_time
+    error: dict[str | None, Smoothed] = {}
+    for k, channel in enumerate(record.spec.outputs):
+        off = record.y[:, k] - y[:, k]
+        period = channel.period or 0.0
+        off = (off + period / 2) % period - period / 2 if period > 0 else off
+        error[channel.name] = error[nominal.shown.get(channel.name)] = smooth(np.nan_to_num(off), dt)
+    error.pop(None, None)
+    q, v = q.copy(), v.copy()
+    for row, coordinate in enumerate(nominal.coordinates):
+        place, rate = error.get(coordinate.position), error.get(coordinate.rate)
+        if place is not None:
+            q[:, row] += place.value
+        if rate is not None:
+            v[:, row] += rate.value
+        elif place is not None:
+            v[:, row] += place.rate
+        if place is None and rate is not None:  # its integral, but for where it began and for a drift
+            gone = dt * np.concatenate([[0.0], np.cumsum(0.5 * (rate.value[1:] + rate.value[:-1]))])
+            q[:, row] += gone - np.polyval(np.polyfit(record.t, gone, 1), record.t)
+    return q, v
 
 
 def pushes(

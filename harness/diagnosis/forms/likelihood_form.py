@@ -259,6 +259,10 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         """Return True for a base that a model with these effects contains: it cannot explain the records worse."""
         return {str(placed) for placed in base.effects} <= self.laws.contained(effects)
 
+    def left_out(self) -> list[str]:
+        """See :class:`harness.diagnosis.forms.form.WholeForm`: everything was tried."""
+        return []
+
     def record(self, fit: Fit) -> dict[str, Any]:
         """Return a finished fit as plain numbers."""
         detail = likelihood_detail(fit)

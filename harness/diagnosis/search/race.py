@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -166,7 +166,7 @@ def chosen(test: ScoreTest, laws: Dictionary, policy: Policy = POLICY) -> list[L
 
 
 def _remembered(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> list[Lead]:
-    """Return leads that promise something only where the latent force does not remember what it took up."""
+    """Return leads that promise something only where the base has not taken it up, and that start from there."""
     without_memory = table.form.without_memory(base)
     if without_memory is None:
         return []
@@ -174,4 +174,6 @@ def _remembered(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Plac
     known = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.gain >= policy.lead}
     others = [placed for placed in untried if str(placed) not in known]
     leads = score_test(table.form, without_memory, others, policy).leads
-    return [lead for lead in leads if lead.penalised > 0.0 and lead.share >= policy.clear][: EFFORT.faint]
+    clear = [lead for lead in leads if lead.penalised > 0.0 and lead.share >= policy.clear][: EFFORT.faint]
+    origin = without_memory.values
+    return [replace(lead, starts=tuple({**origin, **start} for start in lead.starts)) for lead in clear]

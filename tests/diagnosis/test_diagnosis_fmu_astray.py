@@ -1,0 +1,98 @@
+"""An FMU whose free run goes quite another way than its plant: laws are looked for along what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from harness import registry
+from harness.blackbox.reader import fmu_system
+from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator
+from harness.diagnosis import close_loop
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.fmu import form as forms
+from harness.diagnosis.fmu.form import FmuForm
+from harness.diagnosis.fmu.prepare import measured_states, nominal_fmu, restarts
+from harness.diagnosis.fmu.pushes import as_measured
+from harness.diagnosis.search.scores import score_test
+from harness.diagnosis.steps import nominal_fit
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+from plants.mockups import mockup
+
+DT = 0.02
+FORCE = Channel("u", "N m")
+FRICTION = Placed(builtin()["coulomb_friction"], "theta")
+RIVALS = ("input_delay@u", "actuator_lag@u", "sensor_delay@theta", "rate_limit@u", "saturation@u")
+
+
+def swung(n: int = 600, **parameters: float) -> Dataset:
+    """Return records of the pendulum FMU that is driven near its resonance, its angle measured."""
+    runs = []
+    for seed, use in enumerate(("estimation", "validation")):
+        rng = np.random.default_rng(seed)
+        t = np.arange(n) * DT
+        u = sum(0.2 * np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.31, 0.55, 0.72, 1.4))[:, None]
+        given = {"J": 0.06, "b": 0.0, "mgl": 1.1, **parameters}
+        with registry.create("plants", "fmu", path=mockup("pendulum"), sample_time=DT, outputs=["theta"],
+                             parameters=given) as plant:  # fmt: skip
+            y = np.vstack([plant.reset(rng=rng, x0={"theta": 0.2}), plant.rollout(u[:-1])])
+            spec = PlantSpec(plant.spec.inputs, plant.spec.outputs, DT)
+        runs.append(Run(Trajectory(t, u, y + rng.normal(0, 1e-3, y.shape), spec), use))  # type: ignore[arg-type]
+    return Dataset("pendulum", tuple(runs), noise={"theta": 1e-3})
+
+
+@pytest.mark.parametrize("seen", ["theta", "omega"])
+def test_laws_act_along_the_measured_motion_and_along_the_free_run_where_it_is_right(seen: str) -> None:
+    spec = PlantSpec((FORCE,), (Channel(seen, "rad" if seen == "theta" else "rad/s"),), DT)
+    system = fmu_system(mockup("pendulum"), spec)
+    t = np.asarray(DT * np.arange(500), dtype=np.float64)
+    q, v = np.sin(2 * t)[:, None], 2 * np.cos(2 * t)[:, None]
+    true = q if seen == "theta" else v
+    record = Trajectory(t, np.zeros((500, 1)), true + np.random.default_rng(0).normal(0, 1e-3, true.shape), spec)
+    still = np.zeros_like(q)
+    for free_q, free_v, free_y in ((still, still, still), (q, v, true)):
+        led_q, led_v = as_measured(system, record, free_q, free_v, free_y)
+        assert np.std(led_v - v) < 0.02 * np.std(v)
+        assert np.std(led_q - q) < 0.2 * np.std(q), "an integral is told but for a line"
+
+
+def test_short_windows_are_asked_for_only_where_an_fmu_can_begin_anew() -> None:
+    record = swung().estimation[0].measured()
+    system = fmu_system(mockup("pendulum"), record.spec)
+    simulator = FmuSimulator(system, Runner(system, DT))
+    states = measured_states(system, simulator, record, system.vector())[0]
+    assert restarts(simulator, record, system.vector(), states)
+    rates = [k for k, state in enumerate(system.inner_states) if state.name == "omega"]
+    less = replace(system, inner_states=tuple(system.inner_states[k] for k in rates))
+    assert not restarts(FmuSimulator(less, Runner(less, DT)), record, less.vector(), states[:, rates])
+
+
+def test_friction_that_a_model_without_damping_cannot_follow_is_promised_first_from_what_is_declared() -> None:
+    data = swung(400, Fc=0.12)
+    known = {"J": 0.05, "mgl": 1.0, "b": {"value": 0.0, "fixed": True}}
+    form = FmuForm(nominal_fmu(mockup("pendulum"), data, known), data, {})
+    nominal = nominal_fit(form, form, [])  # type: ignore[arg-type]
+    declared = form.without_memory(nominal)
+    assert declared is not None
+    assert [declared.values[name] for name in ("J", "mgl")] == pytest.approx([0.05, 1.0])
+    rivals = [Placed(builtin()[one.split("@")[0]], one.split("@")[1]) for one in RIVALS]
+    leads = score_test(form, declared, [FRICTION, *rivals]).leads
+    assert str(max(leads, key=lambda lead: lead.gain).placed) == str(FRICTION)
+    right = swung(300)
+    follows = FmuForm(nominal_fmu(mockup("pendulum"), right, known), right, {})
+    assert follows.without_memory(nominal_fit(follows, follows, [])) is None  # type: ignore[arg-type]
+
+
+def test_a_search_that_costs_too_much_ends_and_says_what_it_did_not_try(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forms, "EFFORT", replace(EFFORT, steps=1))
+    data = swung(300, Fc=0.05, b=0.04)
+    report = close_loop(data, mockup("pendulum"), parameters={"J": 0.05, "b": 0.04, "mgl": 1.0},
+                        dictionary=[builtin()["coulomb_friction"]])  # fmt: skip
+    assert report.data["effects"] == []
+    (said,) = [words for words in report.data["warnings"] if "not tried to the end" in words]
+    assert "coulomb_friction@theta" in said
