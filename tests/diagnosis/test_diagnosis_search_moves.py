@@ -93,12 +93,21 @@ def test_on_a_model_that_says_nothing_no_second_effect_is_built() -> None:
     assert ended.model.effects == tuple(one.placed for one in ended.accepted)
 
 
-@pytest.mark.parametrize(("ahead", "taken"), [(4.0, False), (6.0, True)])
-def test_a_pair_in_the_place_of_one_law_brings_what_is_asked_of_an_effect(ahead: float, taken: bool) -> None:
-    """A bent scale with an offset was as likely as a cyclic error, and took its place for a parameter less."""
+@pytest.mark.parametrize(
+    ("special", "ahead", "taken"), [(False, 4.0, False), (False, 6.0, True), (True, 1.0, False), (True, 4.0, True)]
+)
+def test_a_pair_in_the_place_of_one_law_brings_what_is_asked_of_an_effect(
+    special: bool, ahead: float, taken: bool
+) -> None:
+    """A bent scale with an offset was as likely as a cyclic error, and took its place for a parameter less.
+
+    A Stribeck friction whose likelier special case beside a drag has no more parameters goes for more than a tie.
+    """
     form = LinearForm(linear_records(9, {"linear_spring": 0.4, "quadratic_drag": 0.4}))
     nominal = form.fit((), [], None)
     spring, drag, one = placed("linear_spring"), placed("quadratic_drag"), placed("cubic_spring")
+    if special:
+        one = replace(one, effect=replace(one.effect, nests=(spring.effect.name,)))
     alone, both = form.fit([spring], [], nominal), form.fit([spring, drag], [], nominal)
     terms = {use: [values - ahead / len(values) for values in both.terms[use]] for use in USES}
     answer = replace(form.fit([one], [], nominal), terms=terms, count=both.count)

@@ -31,11 +31,13 @@ def preferred(table: Table, new: Answer, old: Answer, *, simpler: bool = False) 
     """Return True if one answer is to take the place of another: the rule of all moves.
 
     Every effect more must bring the evidence that is asked of one, an exchange more than a tie, and an effect less may
-    cost no more than a tie. A special case of a law takes its place where the data do not tell the two apart,
+    cost no more than a tie. A law that gives way to its own special case and another law, with no more parameters, is
+    exchanged: it stood in for both. A special case of a law takes its place where the data do not tell the two apart,
     and where the law adds less than the share of a further effect: then it is the corner of the special case.
     """
     policy, more = table.policy, len(new.accepted) - len(old.accepted)
-    asked = 2 * policy.evidence * more if more > 0 else policy.tie if more == 0 else -policy.tie
+    split = new.model.count <= old.model.count and any(_special(old, placed) for placed in new.model.effects)
+    asked = -policy.tie if more < 0 else policy.tie if more == 0 or split else 2 * policy.evidence * more
     if simpler:
         _, error = difference(old.model, new.model, ("estimation", "validation"), policy)
         asked = -max(policy.tie, policy.tie_z * error, _corner(table, old.model))
@@ -157,7 +159,11 @@ def pair(table: Table, answer: Answer) -> Iterator[Answer]:
 
 
 def _rivals(table: Table, answer: Answer) -> list[Judged]:
-    """Return the likeliest candidates of the first round that may be one of two; what refines others comes later."""
+    """Return the candidates of the first round that may be one of two; what refines others comes later.
+
+    First the special cases of a law of the answer, which may stand in for one of them and another law, then the
+    likeliest.
+    """
     policy, present = table.policy, named(answer.model.effects)
     so_far = value(answer.model) - value(table.nominal)
     rows = [
@@ -170,11 +176,20 @@ def _rivals(table: Table, answer: Answer) -> list[Judged]:
         and (physical(row) or row.refusals == (Refusal(Kind.STOPPED),))
         and (not answer.accepted or total(row) >= policy.reach * so_far)
     ]
-    return sorted(rows, key=lambda row: -total(row))[: EFFORT.pairs]
+    return sorted(rows, key=lambda row: (not _special(answer, row.added[0]), -total(row)))[: EFFORT.pairs]
+
+
+def _special(answer: Answer, simple: Placed) -> bool:
+    """Return True for a special case of a law of an answer."""
+    return any(placed.generalises(simple) for placed in answer.model.effects)
 
 
 def _second(table: Table, answer: Answer, rival: Judged, fit: Fit) -> Iterator[Lead]:
-    """Yield what may be the second of a pair: its column promises enough of what the pair would need."""
+    """Yield what may be the second of a pair: its column promises enough of what the pair would need.
+
+    Nothing is promised where a latent force has taken it up. That something is there, beside its special case, the law
+    of an answer tells.
+    """
     policy = table.policy
     ruled_out = {str(row.added[0]) for past in table.rounds[1:] for row in past.candidates if not physical(row)}
     tried = {*named(fit.effects), *ruled_out}
@@ -182,7 +197,8 @@ def _second(table: Table, answer: Answer, rival: Judged, fit: Fit) -> Iterator[L
     leads = [lead for lead in score_test(table.form, fit, others, policy).leads if lead.share >= policy.clear]
     needed = value(answer.model) - value(table.nominal) + 2 * policy.evidence - total(rival)
     for lead in leads[:2]:
-        if not answer.accepted or 2 * lead.penalised / policy.reach >= needed:  # both uses gain alike, at first order
+        promised = 2 * lead.penalised / policy.reach >= needed  # both uses gain alike, at first order
+        if not answer.accepted or promised or _special(answer, rival.added[0]):
             yield lead
 
 
