@@ -29,6 +29,7 @@ def bursts_of(y: FloatArray, u: FloatArray) -> list[tuple[int, int, float]]:
     A window of 32 rows counts if its errors are larger than elsewhere (chi-square, Bonferroni over the windows), most
     of them, and without the correlation of neighbours that a load, or what a linear prediction does not know of a
     plant, leaves (von Neumann 1941, Ann. Math. Stat. 12:367). The errors of nearly all other windows must be alike.
+    What is below a thousandth of the range is no matter.
 
     Parameters
     ----------
@@ -58,6 +59,8 @@ def bursts_of(y: FloatArray, u: FloatArray) -> list[tuple[int, int, float]]:
     loud &= np.sum(np.diff(errors, axis=1) ** 2, axis=1) > _NEUMANN * power
     low, high = chi2.ppf([_USUAL, 1.0 - _USUAL], _WINDOW) * np.array([1.0 / ODD.heavy, ODD.heavy])
     alike = (power > low) & (power < high)
+    smallest = ODD.smallest * float(np.subtract(*np.percentile(y, [90, 10])))
+    loud &= power * usual**2 > _WINDOW * smallest**2
     if loud.mean() > 0.5 or alike[~loud].mean() < _ALIKE:
         return []
     found: list[tuple[int, int, float]] = []

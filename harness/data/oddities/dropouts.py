@@ -66,9 +66,11 @@ def dropouts_of(outputs: FloatArray, u: FloatArray, column: int) -> list[Stretch
         window = rows[ODD.order :]  # a smooth answer is right once all its lags lie in the stretch
         power = product = 0.0
         for one in felt:
-            answer = one.answer(change)[window] / one.scale[window]
+            # what is not foretold of a plant is now small, now large: its mean square counts
+            scale = np.maximum(one.scale[window], np.sqrt(np.mean(one.error[~odd] ** 2)))
+            answer = one.answer(change)[window] / scale
             power += float(answer @ answer)
-            product += float(answer @ (one.error[window] / one.scale[window]))
+            product += float(answer @ (one.error[window] / scale))
         lost = 0.5 * power - product  # log-likelihood of a plant that felt nothing of the drop over one that felt all
         sudden = lively and min(moves[rows[0] - 1], moves[ends[k] - 1]) > STRIDES * largest
         if lost > ODD.felt or (sudden and lost > -ODD.felt):
