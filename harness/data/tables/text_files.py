@@ -66,10 +66,10 @@ class TextFile:
     What parts the cells is the comma, semicolon, tab, bar or white space by which most cells of the last rows are
     readings (or what a first line ``sep=;`` of Excel names), and the titles stand right above the first rows that hold
     numbers and times where the last ones do; what stands above them is left aside and said. A first line of numbers
-    only means that there is no header, unless a comment right above it names every column; the columns are then called ``0``, ``1``, ... A line
-    of units below the header belongs to it. Lines that start with ``#`` or ``%`` and empty lines are skipped. Empty
-    cells are NaN. Where the comma does not separate, it may be the decimal sign. Dates and times of ISO 8601 become
-    seconds from the first.
+    only means that there is no header, unless a comment right above it names every column; the columns are then called
+    ``0``, ``1``, ... A line of units below the header belongs to it. Lines that start with ``#`` or ``%`` and empty
+    lines are skipped. Empty cells are NaN. Where the comma does not separate, it may be the decimal sign. Dates and
+    times of ISO 8601 become seconds from the first.
 
     Raises
     ------
