@@ -26,7 +26,7 @@ from harness.data.oddities.held import held_readings, rhythm_of, runs_of_equal, 
 from harness.data.oddities.leaps import leaps_of
 from harness.data.oddities.levels import coarse_step
 from harness.data.oddities.pace import band_of, trend_of
-from harness.data.oddities.spikes import _is_word, _sizes, alike
+from harness.data.oddities.spikes import _sizes, alike, is_word
 from harness.data.sections import FilterSection, ResampleSection
 from harness.data.tables.cells import measured, numbers_of, refuse_thousands, units_below
 from harness.data.tables.headers import clock_of, clock_unit, split_header
@@ -314,7 +314,7 @@ def test_a_value_that_odd_rows_share_is_a_word_where_chance_would_not_have_it() 
         groups = {value: own.tolist() for value, own in alike(y, rows)}
         assert (7.5 in groups) == (chance < 0.01)
         assert sorted(itertools.chain(*groups.values())) == rows.tolist()
-    assert [_is_word(value) for value in (0.0, -1.0, 999.0, -9999.0, 99.9, 99.0, 1.0, 990.0)] == [
+    assert [is_word(value) for value in (0.0, -1.0, 999.0, -9999.0, 99.9, 99.0, 1.0, 990.0)] == [
         True, True, True, True, True, False, False, False
     ]  # fmt: skip
 
