@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from harness.errors import InputError, refuse_unknown
-from harness.units import convert, told
+from harness.units import behind, convert, told
 
 VERDICTS = ("effects_found", "nothing_missing", "unexplained", "model_does_not_fit")
 """What ``verdict`` of report.json may say (harness/schemas/report.json)."""
@@ -144,7 +144,7 @@ class Demands:
             said = "diverges"
             if value is not None and math.isfinite(value):
                 size, own = told(value, unit, stated or unit)
-                said = f"{size:.4g} {own}"
+                said = f"{size:.4g}{behind(own)}"
             passed = value is not None and value <= limit
             found.append(
                 Check(

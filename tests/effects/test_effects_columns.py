@@ -26,7 +26,8 @@ from harness.physics.models import cart_pole, pendulum, two_tanks
 DT = 0.005
 PENDULUM, CART = pendulum().system(), cart_pole().system()
 NO_FORCE = {"backlash", "unilateral_backlash", "elastic_load", "elasticity", "hardening_elasticity"} | {
-    f"sensor_{one}" for one in ("cyclic_error", "drift", "nonlinearity", "quantisation", "rectification", "saturation")
+    f"sensor_{one}"
+    for one in ("cyclic_error", "drift", "lag", "nonlinearity", "quantisation", "rectification", "saturation")
 }
 
 

@@ -313,5 +313,5 @@ def drop(table: Table, answer: Answer) -> Iterator[Answer]:
     """Yield answers without one of the earlier effects: a later one may have made it needless."""
     for number, _ in answer.earlier:
         fit = table.fit(answer.without(number), [answer.model.values], answer.model, answer.model)
-        if fit is not None and table.lawful(fit):
+        if fit is not None and table.lawful(fit, answer.model):
             yield answer.dropped(number, fit)

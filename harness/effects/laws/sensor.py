@@ -93,6 +93,24 @@ def sensor_delay(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "output",
+    [par("tau", "s", scale="2 dt", floor="0.1 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
+         meaning="time constant")],
+    states={"z": "y"},
+    initial={"z": "signal"},
+    formula="y' = z, z' = (y - z)/tau",
+    family=("sensor_delay", "actuator_lag", "input_delay"),
+    same_as={"actuator_lag": "where the nominal is linear, but for the response to the initial state"},
+    limits={"sensor_delay": "at frequencies far below 1/tau"},
+    experiment="a free swing with a second, fast sensor",
+    told_by=("chirp",),
+)  # fmt: skip
+def sensor_lag(y: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Filter of first order behind a sensor."""
+    return s.z, [(y - s.z) / p.tau]
+
+
+@effect(
+    "output",
     formula="y' = |y|",
     family=("sensor_saturation", "sensor_offset"),
     experiment="reverse the motion: the reading does not change its sign",
