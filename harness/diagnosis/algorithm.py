@@ -18,9 +18,11 @@ from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
+from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.controller_check import check_controller
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.starts import with_known_starts
+from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.rounding import with_rounding
 from harness.diagnosis.search.search import search
 from harness.diagnosis.second import halved, searched_unless_carried, second_opinion
@@ -147,8 +149,7 @@ def diagnose(
         outcome = widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)
         apart = form.apart(outcome.model)
-        alarms = [doubt.words for doubt in doubts if not doubt.certain]
-        alarms += [] if doubts else sizes_off(system, outcome.model)
+        alarms = _alarms(doubts, system, outcome)
         far = sizes_off(system, outcome.model, DATA_POLICY.far * DATA_POLICY.near)
     diagnosis = Diagnosis(
         dataset,
@@ -173,6 +174,11 @@ def diagnose(
         return replace(instead, seconds=time.monotonic() - began)
     _add_doubts(diagnosis, thinned.factor)
     return diagnosis
+
+
+def _alarms(doubts: Sequence[Doubt], system: AnySystem, outcome: Outcome) -> list[str]:
+    """Return what may be wrong with columns, or where nothing is said of them with the sizes that were declared."""
+    return [doubt.words for doubt in doubts if not doubt.certain] if doubts else sizes_off(system, outcome.model)
 
 
 def _add_doubts(diagnosis: Diagnosis, factor: int) -> None:

@@ -53,8 +53,8 @@ def hum_of(y: FloatArray, u: FloatArray) -> Hum | None:
     """Return the line that a signal holds above its motion and that no input brings; None if there is none.
 
     Lines are looked for where the spectrum of the signal, or of what a prediction of it misses, stands out most of what
-    is beside. One counts if a sine beside the past of the signal
-    and the inputs lowers what a linear prediction misses (an F test, Bonferroni over the frequencies), with one
+    is beside. One counts if a sine beside the past of the signal and the inputs lowers what a linear prediction misses
+    (an F test, Bonferroni over the frequencies), with one
     amplitude and phase from the first half of the record to the second, and if it is no multiple of a line of an input
     or of the largest line of the signal: so a nonlinear plant answers.
 

@@ -141,14 +141,7 @@ def fit_output_error(
             first = _better(simulator, records, guesses, free, path[0], sigma)
             begun = [first, *_scattered(system, first, free, starts - 1, rng)]
         ended = [_follow(simulator, records, p, free, path, sigma, known, scale, max_iterations, x0) for p in begun]
-        finite = [result for result in ended if np.isfinite(result.objective)]
-        if not finite:
-            raise FitError(
-                f"output-error fit of {system.name}",
-                expected="a start from which the simulation stays finite",
-                got=f"{len(ended)} starts that all diverge",
-                remedy="give start values nearer to the plant, or a shorter horizon",
-            )
+        finite = _finite(system, ended)
         best = min(finite, key=lambda result: result.objective)
         needed = default_substeps(system, dt, best.solution.p)
         if substeps or needed <= steps:
@@ -222,6 +215,19 @@ def simulate_error(
         states = _repaired(windows.together(evaluation.states), states)
     assert evaluation is not None
     return windows.together(evaluation.residuals)
+
+
+def _finite(system: System, ended: Sequence[Result]) -> list[Result]:
+    """Return the fits that did not diverge."""
+    finite = [result for result in ended if np.isfinite(result.objective)]
+    if not finite:
+        raise FitError(
+            f"output-error fit of {system.name}",
+            expected="a start from which the simulation stays finite",
+            got=f"{len(ended)} starts that all diverge",
+            remedy="give start values nearer to the plant, or a shorter horizon",
+        )
+    return finite
 
 
 # ---- one start --------------------------------------------------------------------------------------------------
