@@ -54,9 +54,9 @@ def hum_of(y: FloatArray, u: FloatArray) -> Hum | None:
 
     Lines are looked for where the spectrum of the signal, or of what a prediction of it misses, stands out most of what
     is beside. One counts if a sine beside the past of the signal and the inputs lowers what a linear prediction misses
-    (an F test, Bonferroni over the frequencies), with one
-    amplitude and phase from the first half of the record to the second, and if it is no multiple of a line of an input
-    or of the largest line of the signal: so a nonlinear plant answers.
+    (an F test, Bonferroni over the frequencies), with one amplitude and phase from the first half of the record to the
+    second, and if it is no multiple of a line of an input or of the largest line of the signal: so a nonlinear plant
+    answers.
 
     Parameters
     ----------
@@ -125,7 +125,8 @@ def _standing_out(y: FloatArray) -> tuple[FloatArray, FloatArray]:
     plain = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
     power = np.abs(np.fft.rfft(window * plain)) ** 2
     level = median_filter(power, size=2 * _BESIDE + 1, mode="nearest")
-    over = power / np.maximum(level, 1e-24 * float(power.max(initial=1e-300)))
+    floor = max(1e-24 * float(power.max(initial=0.0)), float(np.finfo(float).tiny))  # of a column that stands still
+    over = power / np.maximum(level, floor)
     over[: int(2 * _NEAR)] = 0.0
     peak = np.concatenate([[False], (over[1:-1] >= over[:-2]) & (over[1:-1] >= over[2:]), [False]])
     return np.where(peak, over, 0.0), power
