@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import cont2discrete, lsim
 
 from harness.diagnosis.arm.effects import wide_effects
-from harness.diagnosis.arm.motion import arm_runs
+from harness.diagnosis.arm.motion import ArmRun, arm_runs, clear_runs
 from harness.diagnosis.arm.rotor import Swinging, swinging
 from harness.diagnosis.arm.wide import WideResult, wide_search
 from harness.diagnosis.close import close_loop
@@ -90,6 +90,24 @@ def test_a_rigid_joint_with_a_rotor_has_no_spring(joint: ArmModel) -> None:
     result = searched(joint, log(joint, "motor", 0.0, 2))
     assert not result.accepted
     assert result.rotors[0] == pytest.approx(ROTOR, rel=0.01)
+
+
+def test_dry_friction_in_a_torque_that_is_half_a_sample_late_is_a_clock_and_no_spring(joint: ArmModel) -> None:
+    """Where springs are looked for, the clock's column held no jumps: a rigid six-axis arm had an elastic joint."""
+    step, t = 0.01, 0.01 * np.arange(1000)
+    f, phase = np.array([0.15, 0.3, 0.5]), np.array([0.3, 1.0, 2.0])
+    y = np.sin(2 * np.pi * np.outer(t, f) + phase).sum(1)
+    spec = PlantSpec(joint.inputs, joint.positions, step)
+
+    def recorded(late: float) -> ArmRun:
+        v = np.cos(2 * np.pi * np.outer(t - late, f) + phase) @ (2 * np.pi * f)
+        record = Trajectory(t, np.tanh(v / 0.01)[:, None], y[:, None], spec)
+        return clear_runs(arm_runs(joint, Dataset("joint", (Run(record, "estimation"),))))["estimation"][0]
+
+    on_time, late = recorded(0.0), recorded(0.5 * step)
+    change = late.slim(late.motion.u - on_time.motion.u)
+    clock = 0.5 * step * late.slim(late.first)
+    assert np.linalg.norm(change + clock) < 0.5 * np.linalg.norm(change)
 
 
 def test_a_stiff_spring_changes_the_torque_in_proportion_to_its_compliance(joint: ArmModel) -> None:

@@ -33,7 +33,7 @@ class ArmRun:
         M times the noise of the acceleration; a regressor with that noise would follow it (a mass comes out too
         small), and feedback carries it into the torques as well (an elasticity comes out of nothing).
     first : array (N, n)
-        Time derivatives of the calm torques.
+        Time derivatives of the torques that regressors are taken from: the calm ones, or where the motion is clear.
     rigid : array (N, n)
         Torque that the nominal arm needs along the motion, the URDF's damping and friction included.
     corner : float
@@ -56,6 +56,10 @@ class ArmRun:
     def sharp(self) -> ArmRun:
         """The record with its true motion in the place of the calm one: what a known inertia needs there."""
         return replace(self, calm=replace(self.motion, u=self.calm.u))
+
+    def rate_of(self, torques: FloatArray) -> FloatArray:
+        """Return the time derivatives (N, n) of torques."""
+        return np.asarray(np.gradient(torques, self.motion.sample_time, axis=0))
 
     def calmed(self, values: FloatArray) -> FloatArray:
         """Return columns (N,) or (N, k) filtered as the calm motion is."""
@@ -202,14 +206,18 @@ def clear_runs(runs: Mapping[str, Sequence[ArmRun]]) -> dict[str, tuple[ArmRun, 
     """Return the records with their true motion, decimated to the band in which all of it is free of noise.
 
     A calm motion, whose filter bends what lies near its corner, would pass for a spring, and so would the noise of a
-    sharp one beyond that band.
+    sharp one beyond that band. So would the jumps of dry friction in a torque that is recorded a fraction of a sample
+    late, if its rate were that of the calm torque: it is taken in the same band as all else.
     """
     every = [run for parts in runs.values() for run in parts]
     most = min((run.motion.inside.stop - run.motion.inside.start) // ARM_POLICY.fewest for run in every)
     bands = (min(run.clear, run.motion.cutoff) * run.motion.sample_time for run in every)
     factor = max(min(most, *(int(ARM_POLICY.kept / band) for band in bands)), 1)
     return {
-        use: tuple(replace(run.sharp, motion=replace(run.motion, factor=factor)) for run in parts)
+        use: tuple(
+            replace(run.sharp, motion=replace(run.motion, factor=factor), first=run.rate_of(run.motion.u))
+            for run in parts
+        )
         for use, parts in runs.items()
     }
 
