@@ -48,6 +48,22 @@ q' = w
 w' = (T - b*w - k*q)/J
 output q
 """
+CRANE = """input F [N]
+state s [m], a [rad], v [m/s], w [rad/s]
+motion s: v
+motion a: w
+M = 5 kg >= 0
+m = 1.5 kg >= 0
+l = 0.7 m >= 0
+b = 4 N s/m >= 0
+c = 0.01 N m s/rad >= 0
+s' = v
+a' = w
+s: (M+m)*v' + m*l*cos(a)*w' = F - b*v + m*l*sin(a)*w^2
+a: m*l*cos(a)*v' + m*l^2*w' = -m*9.81*l*sin(a) - c*w
+output s
+output a
+"""
 
 
 def recorded(
@@ -120,3 +136,17 @@ def test_what_only_trades_with_parameters_that_were_told_is_no_effect(
     report = close_loop(data, nominal, dictionary=[builtin()[name] for name in (law, *rivals)])
     assert [one["name"] for one in report.data["effects"]] == [law]
     assert report.data["parameters"]["after"]["k"]["value"] == pytest.approx(6.0, rel=0.01)
+
+
+def test_a_filter_behind_one_of_two_sensors_is_that_sensor_s() -> None:
+    """The other sensor says that the drive is not late."""
+    nominal, filtered = read_equations(CRANE, "crane").system(), Placed(builtin()["sensor_lag"], "a")
+    truth = {"M": 6.0, "m": 1.2, "l": 0.8, "b": 5.0, "c": 0.015, filtered.name("tau"): 0.03}
+    t, rng = 5e-3 * np.arange(3000), np.random.default_rng(3)
+    lines = 2 * np.pi * np.geomspace(0.1, 2.0, 12)
+    inputs = [5.0 * np.sin(np.outer(t, lines) + rng.uniform(0, 6, 12)).sum(axis=1) for _ in range(2)]
+    data = recorded(compose(nominal, [filtered]), truth, inputs, np.array([1e-4, 5e-4]), 5e-3)
+    rivals = ("sensor_lag", "sensor_delay", "actuator_lag", "input_delay")
+    report = close_loop(data, nominal, dictionary=[builtin()[name] for name in rivals])
+    assert [(one["name"], one["at"]) for one in report.data["effects"]] == [("sensor_lag", "a")]
+    assert report.data["parameters"]["after"][filtered.name("tau")]["value"] == pytest.approx(0.03, rel=0.02)
