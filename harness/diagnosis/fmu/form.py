@@ -20,7 +20,7 @@ from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
 from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.fit import Begun, Column, Fit
+from harness.diagnosis.search.fit import Column, Fit
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
@@ -47,22 +47,8 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         self._left: dict[str, None] = {}
         super().__init__(system, dataset, sizes, laws)
 
-    def begin(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        hope: float = -np.inf,
-    ) -> Begun | None:
-        """Begin as every form does, until the FMU has taken the steps that a search may cost."""
-        return None if self._spent(effects, base) else super().begin(effects, starts, base, hope)
-
-    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
-        """Finish likewise."""
-        return None if self._spent(begun.effects, base) else super().finish(begun, base, rival, least)
-
-    def _spent(self, effects: Sequence[Placed], base: Fit | None) -> bool:
-        """Return whether a search may cost no more, and keep what it leaves."""
+    def spent(self, effects: Sequence[Placed], base: Fit | None) -> bool:
+        """Return whether the FMU took the steps that a search may cost, and keep what that leaves out."""
         if base is None or self.runner.steps <= EFFORT.steps:
             return False
         known = set(map(str, base.effects))

@@ -126,6 +126,8 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         hope: float = -np.inf,
     ) -> Begun | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
+        if self.spent(effects, base):
+            return None
         try:
             system = self.composed(effects)
             vectors = [within(system, awake(system, known(system, start))) for start in starts]
@@ -221,6 +223,8 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
+        if self.spent(begun.effects, base):
+            return None
         first = begun.detail
         assert isinstance(first, FirstSteps)
         system, passes, likelihood, tried = first.system, first.passes, first.likelihood, first.tried
@@ -258,6 +262,10 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
     def _within_it(self, base: Fit, effects: Sequence[Placed]) -> bool:
         """Return True for a base that a model with these effects contains: it cannot explain the records worse."""
         return {str(placed) for placed in base.effects} <= self.laws.contained(effects)
+
+    def spent(self, effects: Sequence[Placed], base: Fit | None) -> bool:
+        """Return whether a search may cost no more, before effects are fitted beside a base; only an FMU's may not."""
+        return False
 
     def left_out(self) -> list[str]:
         """See :class:`harness.diagnosis.forms.form.WholeForm`: everything was tried."""
