@@ -93,7 +93,8 @@ def test_a_spring_behind_a_coil_is_found_and_no_force_is_claimed_of_the_equation
     report = close_loop(data, nominal, dictionary=[hard.effect])
     assert [one["name"] for one in report.data["effects"]] == ["cubic_spring"]
     assert report.data["parameters"]["after"][hard.name("k3")]["value"] == pytest.approx(4e7, rel=0.01)
-    assert report.data["errors"]["after"]["equation_error"]["meaning"] != "force"
+    errors = report.data["errors"]["after"]["equation_error"]["validation"]
+    assert {one["unit"] for one in errors.values()} == {"A", "m"}, "of readings one step ahead, not of a force"
 
 
 def test_a_process_has_the_values_that_all_readings_tell() -> None:

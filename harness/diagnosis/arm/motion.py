@@ -57,10 +57,6 @@ class ArmRun:
         """The record with its true motion in the place of the calm one: what a known inertia needs there."""
         return replace(self, calm=replace(self.motion, u=self.calm.u))
 
-    def rate_of(self, torques: FloatArray) -> FloatArray:
-        """Return the time derivatives (N, n) of torques."""
-        return np.asarray(np.gradient(torques, self.motion.sample_time, axis=0))
-
     def calmed(self, values: FloatArray) -> FloatArray:
         """Return columns (N,) or (N, k) filtered as the calm motion is."""
         return low_passed(values, self.corner, self.motion.sample_time)
@@ -215,7 +211,11 @@ def clear_runs(runs: Mapping[str, Sequence[ArmRun]]) -> dict[str, tuple[ArmRun, 
     factor = max(min(most, *(int(ARM_POLICY.kept / band) for band in bands)), 1)
     return {
         use: tuple(
-            replace(run.sharp, motion=replace(run.motion, factor=factor), first=run.rate_of(run.motion.u))
+            replace(
+                run.sharp,
+                motion=replace(run.motion, factor=factor),
+                first=np.gradient(run.motion.u, run.motion.sample_time, axis=0),
+            )
             for run in parts
         )
         for use, parts in runs.items()
