@@ -248,7 +248,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
                     best = replace(best, converged=False, beyond=True)
                     break
                 best, passes = hopeful(followed, least), finer
-            best = from_instants(likelihood, hopeful(best, least), reach=reach)
+            best = likelihood.past_forces(from_instants(likelihood, hopeful(best, least), reach=reach))
             if best.nll < close and not best.beyond:  # elsewhere nothing is decided by what the last steps add
                 best = likelihood.maximise(best, reach=reach, near=best.converged)
             own, told, expected = self._validated(system, passes, best, base)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from harness.physics.compiled.system import System
     from harness.physics.fitting.maximum import NoiseModel, Point
 
-_ENOUGH = 0.02
+ENOUGH = 0.02
 """A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth."""
 _BROKEN = 1.0
 """A promise that no step keeps ends a fit at its maximum up to here: rivals tie within three times as much."""
@@ -236,17 +236,17 @@ class FisherScoring:
             trial[entries] = np.clip(z + step, self._low, self._high)
             moved = trial[entries] - z
             promise = model.promise(moved)
-            if heavy and 0 <= promise < _ENOUGH:  # only a long step promises little where there is little
+            if heavy and 0 <= promise < ENOUGH:  # only a long step promises little where there is little
                 self.damping, heavy = FIRST_DAMPING, False
                 continue
             heavy = False
             first = promise if first == np.inf and promise >= 0 else first
             place = self._likelihood.place(trial)
-            if self.valley and promise >= _ENOUGH:
+            if self.valley and promise >= ENOUGH:
                 place = self._around_the_bend(model, place, moved, self.at.value - _KEPT * promise)
             if place.value < self.at.value:
                 return Step(place, promise, first)
-            if 0 <= promise < _ENOUGH:
+            if 0 <= promise < ENOUGH:
                 break
             self.damping, growth = max(self.damping, self.least_raised) * growth, 8.0 if self.valley else 32.0
         return Step(None, promise, first)
@@ -301,7 +301,7 @@ class FisherScoring:
         if not self.last:
             self.last = max(self.gain, step.promise) < _ROUGH
             return False
-        if self.gain >= _ENOUGH:
+        if self.gain >= ENOUGH:
             return False
         short = self.damping > 8.0 * _LEAST_DAMPING and not (self.valley and self._latent)
         if short and not model.whole_promise() < _ROUGH:  # a narrow valley that bends: long steps, corrected for it
@@ -344,7 +344,7 @@ class FisherScoring:
         curvature = np.maximum(np.diag(model.matrix), 1e-12)
         promises = np.where(rest, 0.5 * gradient**2 / curvature, 0.0)
         for row in np.argsort(-promises)[:_CORNERS]:
-            if promises[row] < _ENOUGH:
+            if promises[row] < ENOUGH:
                 break
             k = self._entries[row]
             for part in _SIDES:
@@ -352,7 +352,7 @@ class FisherScoring:
                 step = part * abs(gradient[row]) / curvature[row]
                 trial[k] = np.clip(trial[k] + step, self._low[row], self._high[row])
                 place = self._likelihood.place(trial)
-                if place.value < self.at.value - _ENOUGH:
+                if place.value < self.at.value - ENOUGH:
                     return False, place
             rest[row] = False
             if undamped(model.matrix[np.ix_(rest, rest)], gradient[rest]) < _BROKEN:

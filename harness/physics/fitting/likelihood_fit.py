@@ -133,7 +133,7 @@ def _likeliest(likelihood: Likelihood, points: Sequence[Point]) -> LikelihoodFit
     best: LikelihoodFit | None = None
     for point in points:
         try:
-            found = likelihood.maximise(point)
+            found = likelihood.past_forces(likelihood.maximise(point))
         except FitError:
             continue
         if best is None or found.nll < best.nll:
