@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import re
 
 import numpy as np
@@ -16,13 +17,13 @@ from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import equation_error, simulation_error
 from harness.scoring.regret import regret
-from harness.signals import Channel, PlantSpec, Trajectory
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.hybrid.automaton import HybridAutomaton, HybridModel, grouped
 from identifiers.hybrid.jumps import find_jumps
 from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel
 from identifiers.online.leader import FollowTheLeader
-from plants.equations.compass_gait import CompassGait
 from plants.pymunk.bouncing_mass import PymunkBouncingMass
+from plants.pymunk.compass_gait import PymunkCompassGait
 
 SWAPS = (("stance", "swing"),)
 
@@ -42,29 +43,58 @@ def bounces(noise: float) -> tuple[Trajectory, Trajectory]:
 @functools.cache
 def walks(count: int, seed: int, pushed: float = 0.6) -> list[Trajectory]:
     """Return walks from states near the limit cycle, those that do not fall."""
-    plant, draw, found = CompassGait(), rng(seed), []
+    plant, draw, found = PymunkCompassGait(substeps=50), rng(seed), []
     names = [channel.name for channel in plant.spec.states]
     start = np.array([0.2187, -0.3234, -1.0918, -0.3772])
     while len(found) < count:
         spread = draw.normal(size=4) * np.array([0.02, 0.02, 0.06, 0.06]) * (pushed > 0)
-        rows = [plant.reset(rng=draw, x0=dict(zip(names, start + spread, strict=True)))]
+        first = plant.reset(rng=draw, x0=dict(zip(names, start + spread, strict=True)))
         u = np.repeat(draw.uniform(-pushed, pushed, size=35), 10)[:, None]
         try:
-            rows += [plant.step(row) for row in u[:-1]]
+            rows = np.vstack([first, plant.rollout(u[:-1])])
         except PlantError:  # the walker fell over
             continue
-        found.append(Trajectory(0.01 * np.arange(350), u, np.array(rows), plant.spec))
+        found.append(Trajectory(0.01 * np.arange(350), u, rows, plant.spec))
     return found
 
 
-def test_the_impact_keeps_angular_momentum():
+def struck(x: FloatArray) -> FloatArray:
+    """Return the state after a strike: momentum about the new foot and of the other leg about the hip is kept.
+
+    Goswami et al. 1998, appendix, for legs of 5 kg half-way along 1 m and a hip of 10 kg.
+    """
+    c = math.cos(x[1] - x[0])
+    before = np.array([[-1.25, -1.25 + 15.0 * c], [0.0, -1.25]])
+    after = np.array([[2.5 * (0.5 - c), 5.0 * (1.0 - 0.5 * c) + 11.25], [1.25, -2.5 * c]])
+    swing_rate, stance_rate = np.linalg.solve(after, before @ np.array([x[3], x[2]]))
+    return np.array([x[1], x[0], stance_rate, swing_rate])
+
+
+def test_the_engine_walks_as_was_published():
+    """Goswami et al. 1998: steps of 0.734 s at 3 degrees, and impacts that keep angular momentum."""
     with pytest.raises(InputError, match="restitution"):
         PymunkBouncingMass(restitution=1.2)
-    # Two strikes of the published limit cycle at 3 degrees, 0.734 s apart (Goswami et al. 1998, table).
-    (walk,) = walks(1, 0, pushed=0.0)
-    strikes = np.flatnonzero(np.abs(np.diff(walk.y[:, 0])) > 0.3)
-    assert np.diff(strikes) * 0.01 == pytest.approx(0.734, abs=0.01)
-    assert CompassGait().impact(np.array([-0.3234, 0.2187, -1.48, -1.78]))[:2].tolist() == [0.2187, -0.3234]
+    walker = PymunkCompassGait(sample_time=5e-4, substeps=5)
+    x = np.vstack([walker.reset(rng=rng()), walker.rollout(np.zeros((3100, 1)))])
+    strikes = np.flatnonzero(np.abs(np.diff(x[:, 0])) > 0.3)
+    assert np.diff(strikes) * 5e-4 == pytest.approx(0.734, abs=0.002)
+    for k in strikes:  # within the 0.5 ms between the two rows
+        assert x[k + 1] == pytest.approx(struck(x[k]), abs=6e-3)
+        assert x[k, 0] + x[k, 1] == pytest.approx(-2 * walker.slope, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_beyond_the_published_bifurcation_short_and_long_steps_alternate():
+    """Goswami et al. 1998, fig. 8: beyond 4.37 degrees a period doubles (40 s of an engine: slow)."""
+    openings = {}
+    for degrees in (3.0, 4.8):
+        walker = PymunkCompassGait(slope=math.radians(degrees), substeps=50)
+        x = np.vstack([walker.reset(rng=rng()), walker.rollout(np.zeros((2000, 1)))])
+        strikes = np.flatnonzero(np.abs(np.diff(x[:, 0])) > 0.3)[-8:]
+        openings[degrees] = x[strikes + 1, 0] - x[strikes + 1, 1]
+    assert np.ptp(openings[3.0]) < 0.01
+    assert np.abs(np.diff(openings[4.8])).min() > 0.05
+    assert np.abs(openings[4.8][2:] - openings[4.8][:-2]).max() < 0.02
 
 
 @pytest.mark.parametrize(("noise", "within"), [(0.0, 1e-3), (1e-3, 5e-3)])
@@ -132,12 +162,12 @@ def _flight() -> PiecewiseAffineModel:
 
 
 def test_a_compass_gait_its_guard_and_its_impact():
-    recorded, plant = walks(8, 1), CompassGait()
+    recorded, plant = walks(8, 1), PymunkCompassGait()
     model = HybridAutomaton(swaps=SWAPS, starts=1).fit([one.measured() for one in recorded], rng=rng())
     assert model.guards[0] / model.guards[0, 0] == pytest.approx([1.0, 1.0, 0.0, 0.0, 2 * plant.slope], abs=5e-3)
     strikes = [(one.y[k], one.y[k + 1]) for one in walks(2, 2) for k in np.flatnonzero(abs(np.diff(one.y[:, 0])) > 0.2)]
     before = np.array([first for first, _ in strikes])
-    right = np.array([plant.impact(x) for x in before])
+    right = np.array([struck(x) for x in before])
     given = np.hstack([before, np.ones((len(before), 1))]) @ model.resets[0].T
     assert np.abs(given - right)[:, :2].max() == 0.0, "the legs change names"
     assert np.sqrt(np.mean((given - right)[:, 2:] ** 2, axis=0)) == pytest.approx([0.0, 0.0], abs=0.05)
