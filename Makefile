@@ -6,6 +6,9 @@ READY := $(VENV)/.ready
 # one thread for linear algebra: the harness runs processes in parallel instead
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
+# what Python compiled is kept beside its source also where the surroundings forbid it (images for containers do):
+# the tests start many processes, and each would compile all that it imports once more
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test nightly style lint bench docs clean
 
