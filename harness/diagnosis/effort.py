@@ -103,12 +103,6 @@ class Effort:
     close: float = number(
         30.0, "log-likelihood within which the second start goes on beside the first", "cost", "tests"
     )
-    ends: float = number(
-        3.0,
-        "standard deviations along the longest axis of an answer from which it is fitted again",
-        "chance takes one of 400 estimates that far: a nearer end lies in the same basin",
-        "one of 20 judged records of base 520000 gained by it, 36 and 32 in log-likelihood",
-    )
     margin: float = number(50.0, "log-likelihood that first steps of an exchange may still lack", "cost", "tests")
     finer: int = number(
         3, "times that a fit goes on with finer steps of the solver, where its law became faster than they are", "cost"

@@ -118,10 +118,6 @@ class LinearForm:
             on_bound=(),
         )
 
-    def ends(self, fit: Fit) -> list[dict[str, float]]:
-        """Return nothing: a linear model has one maximum."""
-        return []
-
     def without_memory(self, fit: Fit) -> Fit | None:
         """Return nothing: there is no latent force."""
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -27,13 +26,12 @@ from harness.diagnosis.runs.compare import _motion
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.refusal import Kind
 from harness.diagnosis.search.table import Table
-from harness.diagnosis.search.warm import polished, settled
+from harness.diagnosis.search.warm import polished
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.physics.fitting.fisher_scoring import damped
-from harness.physics.fitting.maximum import LikelihoodFit
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 DT = 0.01
@@ -133,36 +131,12 @@ def test_an_accepted_law_is_not_polished_into_what_it_forbids() -> None:
     base, rival = Stub(0.1, 100.0), Stub(0.1, 150.0)
     form: Any = SimpleNamespace(damping=lambda fit, at: None)
     form.begin = lambda effects, starts, fit, hope: type("B", (), {"log_likelihood": 140.0})()
-    form.ends = lambda fit: [rival.values]
     for level, kept in ((-0.17, True), (0.12, False)):
         better = Stub(level, 160.0)
         form.finish = lambda begun, fit, better=better: better
-        ways: list[Callable[[Any], Any]] = [
-            lambda table: polished(table, base, [rival]),  # type: ignore[arg-type, list-item]
-            lambda table: settled(table, base),  # type: ignore[arg-type]
-        ]
-        for again in ways:
-            table = Table(form, base, [])  # type: ignore[arg-type]
-            assert (again(table) is base) is kept
-            assert (table.fits[frozenset({str(placed)})] is base) is kept, "the set has its best fit"
-
-
-def test_the_ends_of_the_longest_axis_lie_as_far_as_asked() -> None:
-    """What moves together moves together; a logarithm by no more than a step; what is not determined stays."""
-    deviations, together = np.array([0.2, 0.5, 3.0]), np.array([[1.0, -0.9, 0.0], [-0.9, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    fit: Any = LikelihoodFit(
-        system=SimpleNamespace(parameter_names=("m", "k", "w")),  # type: ignore[arg-type]
-        point=SimpleNamespace(p=np.array([1.0, 4.0, 7.0])),  # type: ignore[arg-type]
-        nll=0.0, terms=[], names=("m", "k", "w"), covariance=together * np.outer(deviations, deviations),
-        logarithmic=np.array([False, True, False]), converged=True, on_bound=(), iterations=1, undetermined=("w",),
-    )  # fmt: skip
-    ends = fit.ends(2.0)
-    z = np.array([[end["m"] - 1.0, np.log(end["k"] / 4.0)] for end in ends])
-    assert all("w" not in end for end in ends)
-    assert np.allclose(z[0], -z[1])
-    assert z[0, 0] * z[0, 1] < 0.0
-    assert z[0] @ np.linalg.solve(fit.covariance[:2, :2], z[0]) == pytest.approx(4.0)
-    assert max(abs(np.log(end["k"] / 4.0)) for end in fit.ends(50.0)) == pytest.approx(1.5)
+        table = Table(form, base, [])  # type: ignore[arg-type]
+        assert (polished(table, base, [rival]) is base) is kept  # type: ignore[arg-type, list-item]
+        assert (table.fits[frozenset({str(placed)})] is base) is kept, "the set has its best fit"
 
 
 # ---- what is left, over a motion that no straight line follows ------------------------------------------------------

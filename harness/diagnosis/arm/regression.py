@@ -396,11 +396,6 @@ class RegressionForm(InOneGo):
         """See :class:`harness.diagnosis.search.fit.Form`."""
         return [self._answered(fit, change) for change in self.regression.changes(fit.values, candidates)]
 
-    def ends(self, fit: Fit) -> list[dict[str, float]]:
-        """Return nothing: what is linear in its parameters has one maximum."""
-        del fit
-        return []
-
     def without_memory(self, fit: Fit) -> Fit | None:
         """Return the fit with white errors of the same size at joints whose error remembers much of a record.
 

@@ -542,10 +542,6 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             detail.smooth[use] = [self.smooth(passed) for passed in detail.paths[use]]
         return detail.paths[use], detail.smooth[use]
 
-    def ends(self, fit: Fit) -> list[dict[str, float]]:
-        """See :class:`harness.diagnosis.search.fit.Form`."""
-        return [{**fit.values, **end} for end in likelihood_detail(fit).best.ends(EFFORT.ends)]
-
     def without_memory(self, fit: Fit) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         if not self.latent:

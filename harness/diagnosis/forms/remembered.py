@@ -76,10 +76,6 @@ class Remembered(InOneGo):
         self.store.put(key, {} if fit is None else self.form.record(fit))
         return fit
 
-    def ends(self, fit: Fit) -> list[dict[str, float]]:
-        """Pass on."""
-        return self.form.ends(fit)
-
     def without_memory(self, fit: Fit) -> Fit | None:
         """Pass on."""
         return self.form.without_memory(fit)

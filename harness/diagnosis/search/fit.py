@@ -282,13 +282,6 @@ class Form(Protocol):
         """Begin and finish."""
         ...
 
-    def ends(self, fit: Fit) -> list[dict[str, float]]:
-        """Return the parameters at both ends of the longest axis of what the records tell; empty where none is known.
-
-        The direction, of all parameters together, in which the fit may be furthest from the truth.
-        """
-        ...
-
     def without_memory(self, fit: Fit) -> Fit | None:
         """Return a fit with latent forces that are as quick as the fitted ones and remember nothing, None if they do.
 

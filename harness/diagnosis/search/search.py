@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Fit, Form
@@ -24,7 +23,6 @@ from harness.diagnosis.search.moves import (
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.table import Answer, Say, Table, silent
 from harness.diagnosis.search.ties import asked_again, tie_set_of_last, unknown_parts
-from harness.diagnosis.search.warm import settled
 from harness.effects.effect import Placed
 
 
@@ -82,7 +80,6 @@ def search(
             break
         answer = better
     answer = climbed(table, answer, specialise, simpler=True)
-    answer = replace(answer, model=settled(table, answer.model))
     answer = unknown_parts(table, asked_again(table, answer))
     return Outcome(form, table.nominal, answer.model, answer.accepted, tuple(table.rounds))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from itertools import permutations
 
 from harness.diagnosis.effort import EFFORT
@@ -88,34 +88,15 @@ def polished(table: Table, base: Fit, fits: Sequence[Fit]) -> Fit:
     best = max(fits, key=lambda fit: fit.penalised, default=None)
     if best is None or best.penalised < base.penalised:
         return base
-    return _again(table, base, [best.values], best)
-
-
-def settled(table: Table, fit: Fit) -> Fit:
-    """Return a fit, or a likelier one of its set that lies beyond an end of its longest axis.
-
-    Along a narrow valley that bends, a search may come to its end before the valley does. Each end is as far from the
-    fit as chance takes the truth, all that the records tell together moved along.
-    """
-    for _ in range(EFFORT.onward):
-        found = _again(table, fit, table.form.ends(fit), fit)
-        if found is fit:
-            break
-        fit = found
-    return fit
-
-
-def _again(table: Table, fit: Fit, starts: Sequence[Mapping[str, float]], near: Fit) -> Fit:
-    """Return a fit of the same effects from other starts if it is likelier and as lawful, else the fit as it was."""
-    known = fit.log_likelihood("estimation")
-    begun = table.begin(fit.effects, starts, near, known) if starts else None
+    known = base.log_likelihood("estimation")
+    begun = table.begin(base.effects, [best.values], best, known)
     if begun is None or begun.log_likelihood < known - EFFORT.margin:
-        return fit
-    again = table.form.finish(begun, near)
-    if again is None or again.penalised <= fit.penalised + 0.5 or (fit.converged and not again.converged):
-        return fit
-    for placed in fit.effects:  # it was accepted as a law
-        if impossible(table.form, placed, again) and not impossible(table.form, placed, fit):
-            return fit
-    table.fits[named(fit.effects)] = again
+        return base
+    again = table.form.finish(begun, best)
+    if again is None or again.penalised <= base.penalised + 0.5 or (base.converged and not again.converged):
+        return base
+    for placed in base.effects:  # it was accepted as a law
+        if impossible(table.form, placed, again) and not impossible(table.form, placed, base):
+            return base
+    table.fits[named(base.effects)] = again
     return again

@@ -155,25 +155,6 @@ class LikelihoodFit:
         explained = along @ np.linalg.lstsq(both / np.outer(size, size), along, rcond=1e-12)[0]
         return float(np.sqrt(max(self.covariance[k, k] - explained, 0.0)))
 
-    def ends(self, far: float) -> list[dict[str, float]]:
-        """Return the parameters at both ends of the longest axis of the ellipsoid ``far`` deviations around the fit.
-
-        The axes are those of the correlations, so that no unit decides. What the records do not determine stays.
-        """
-        values, kept = self.parameters, list[int]()
-        for k, name in enumerate(self.names):
-            if name in values and name not in self.undetermined and 0.0 < self.covariance[k, k] < np.inf:
-                kept.append(k)
-        if not kept:
-            return []
-        size, names = np.sqrt(np.diag(self.covariance)[kept]), [self.names[k] for k in kept]
-        lengths, axes = np.linalg.eigh(self.covariance[np.ix_(kept, kept)] / np.outer(size, size))
-        axis = far * np.sqrt(max(lengths[-1], 0.0)) * axes[:, -1] * size
-        logarithmic = self.logarithmic[kept]
-        steps = np.where(logarithmic, np.clip(axis, -LONGEST, LONGEST), axis).tolist()
-        pairs = [interval(values[name], *step) for name, *step in zip(names, steps, logarithmic, strict=True)]
-        return [dict(zip(names, end, strict=True)) for end in zip(*pairs, strict=True)]
-
     def interval(self, name: str, level: float = 1.96) -> tuple[float, float]:
         """Return the 95 % interval of a parameter."""
         k = self.names.index(name)
