@@ -16,8 +16,10 @@ from harness.errors import InputError
 from harness.signals import FloatArray
 from identifiers.finite.decision import Labels, groups_of_rows, optimal_values
 
-_PROBES = 2
-"""Random weights that tell distributions over classes apart in each round; a result is verified afterwards."""
+_PROBES = 2  # Random weights that tell distributions over classes apart in each round; a result is verified afterwards.
+
+LEVEL = 0.01
+"""Chance that the counts of a process split states that are the same."""
 
 _TRIES = 5
 """Draws of other weights if the verification finds a class that is none (two probes agree by chance to 1e-9)."""
@@ -67,6 +69,61 @@ def bisimulation(transition: FloatArray | Sequence[Any], reward: FloatArray, *, 
         if _deviation(matrices, labels) <= 10 * tolerance:
             return labels
     return _by_probabilities(matrices, reward, tolerance)
+
+
+def counted_bisimulation(counts: FloatArray, reward: FloatArray, *, level: float = LEVEL) -> Labels:
+    """Return the fewest classes that counted transitions allow: the class of every state (S,).
+
+    Classes are split as in :func:`bisimulation`, a state from a class only if a chi-squared test of all its actions
+    rejects that both reach the classes alike, at ``level`` shared among all pairs of states (Bonferroni). States that
+    the counts do not tell apart are one: more data may split them.
+
+    Parameters
+    ----------
+    counts : array (S, A, S)
+    reward : array (S, A)
+    level : float
+
+    Examples
+    --------
+    >>> counts, reward = np.array([[[0, 5, 5]], [[9, 1, 0]], [[6, 0, 4]]]), np.array([[1.0], [0.0], [0.0]])
+    >>> counted_bisimulation(counts, reward).tolist(), counted_bisimulation(20 * counts, reward).tolist()
+    ([0, 1, 1], [0, 1, 2])
+    """
+    states = len(reward)
+    labels = groups_of_rows(reward, 1e-9)
+    share = level / max(1, states * (states - 1) // 2)
+    while True:
+        seen = counts @ np.eye(int(labels.max()) + 1)[labels]
+        pooled: dict[tuple[int, int], FloatArray] = {}  # of each class so far, its number within the class before
+        finer = np.empty((states, 1))
+        for state in np.argsort(-seen.sum(axis=(1, 2)), kind="stable"):
+            old = int(labels[state])
+            mine = [key for key in pooled if key[0] == old]
+            key = next((one for one in mine if _alike(pooled[one], seen[state], share)), (old, len(mine)))
+            pooled[key] = pooled.get(key, 0.0) + seen[state]
+            finer[state] = list(pooled).index(key)
+        found = groups_of_rows(finer, 0.5)
+        if found.max() == labels.max():
+            return found
+        labels = found
+
+
+def _alike(one: FloatArray, other: FloatArray, level: float) -> bool:
+    """Return whether two tables of counts (A, C) may have the same probabilities (chi-squared test of homogeneity)."""
+    from scipy.stats import chi2
+
+    both, sizes = one + other, (one.sum(axis=1), other.sum(axis=1))
+    tried = (sizes[0] > 0) & (sizes[1] > 0)
+    if not tried.any():
+        return True
+    total = (sizes[0] + sizes[1])[tried, None]
+    statistic = 0.0
+    for table, size in zip((one, other), sizes, strict=True):
+        expected = np.maximum(size[tried, None] * both[tried] / total, 1e-300)
+        statistic += float(((table[tried] - expected) ** 2 / expected).sum())
+    free = int((both[tried] > 0).sum() - tried.sum())
+    return free == 0 or float(chi2.sf(statistic, free)) >= level
 
 
 def quotient(

@@ -11,11 +11,19 @@ import numpy as np
 from harness.errors import InputError
 from harness.models.analysis import Findings, Takes, as_dataset
 from harness.signals import FloatArray
-from identifiers.finite.bisimulation import bisimulation, bisimulation_metric, information_gap, quotient
+from identifiers.finite.bisimulation import (
+    LEVEL,
+    bisimulation,
+    bisimulation_metric,
+    counted_bisimulation,
+    information_gap,
+    quotient,
+)
+from identifiers.finite.decision import Labels, optimal_values, value_error_bound
 from identifiers.finite.hmm import HiddenMarkov
+from identifiers.finite.mdp import weissman_bound
 
-_SETTLED = 1e-7
-"""Relative gain of the divergence in an iteration below which it ends."""
+_SETTLED = 1e-7  # Relative gain of the divergence in an iteration below which it ends.
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +115,7 @@ def _divergence(b: FloatArray, mixture: FloatArray) -> float:
     return float(np.maximum(np.sum(b * np.log(ratio), axis=1), 0.0).mean())
 
 
-_SHOWN = 12
-"""States of a class that are named in the table."""
+_SHOWN = 12  # States of a class that are named in the table.
 
 
 @dataclass(frozen=True)
@@ -123,23 +130,31 @@ class Bisimulation:
     ----------
     discount : float
         Of future rewards, below 1.
-    tolerance : float
-        Probabilities and rewards that differ by less are equal: of a process that was counted from data a tolerance of
-        the size of their errors.
+    tolerance : float, optional
+        Probabilities and rewards that differ by less are equal. By default 1e-9; of a process that was counted from
+        data states are equal unless a test of the counts tells them apart
+        (:func:`identifiers.finite.bisimulation.counted_bisimulation`).
     reward : sequence, optional
         Reward of each state, or of each state and action; needed where the process has none of its own.
     """
 
     takes: ClassVar[Takes] = "process"
     discount: float = 0.9
-    tolerance: float = 1e-9
+    tolerance: float | None = None
     reward: Sequence[Any] | None = None
 
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return the classes of states, with the largest distance to another class and within."""
         transition, reward = self._tables(subject)
-        labels = bisimulation(transition, reward, tolerance=self.tolerance)
-        small, earned = quotient(transition, reward, labels)
+        visits = getattr(subject, "visits", None) if self.tolerance is None else None
+        if visits is None:
+            tolerance = 1e-9 if self.tolerance is None else self.tolerance
+            labels = bisimulation(transition, reward, tolerance=tolerance)
+            small, earned = quotient(transition, reward, labels)
+            told = f"no experiment tells apart within {tolerance:g}"
+        else:
+            labels, small, told = _counted(transition, visits, reward, self.discount)
+            earned = quotient(transition, reward, labels)[1]
         distance = bisimulation_metric(small, earned, self.discount)
         gap = information_gap(transition, reward, labels, self.discount)
         rows = []
@@ -156,7 +171,7 @@ class Bisimulation:
                 }
             )
         words = (
-            f"{len(labels)} states in {len(small)} classes that no experiment tells apart within {self.tolerance:g}",
+            f"{len(labels)} states in {len(small)} classes that {told}",
             f"values of the classes differ from those of the states by at most {gap.realised:.3g} (bound "
             f"{gap.bound:.3g}); their policy loses at most {gap.loss:.3g}",
         )
@@ -193,6 +208,42 @@ class Bisimulation:
                 remedy="give one number for each state, or for each state and action",
             )
         return table, reward
+
+
+def _counted(
+    transition: FloatArray, visits: FloatArray, reward: FloatArray, discount: float
+) -> tuple[Labels, FloatArray, str]:
+    """Return the classes of a counted process, its pooled transitions (B, A, B), and how surely they are known.
+
+    Raises
+    ------
+    InputError
+        If a pair of state and action was never tried.
+    """
+    if not visits.all():
+        never = [(int(s), int(a)) for s, a in np.argwhere(visits == 0)]
+        raise InputError(
+            "bisimulation of a counted process",
+            expected="every action tried in every state",
+            got=f"{len(never)} of {visits.size} pairs never tried, such as {', '.join(map(str, never[:3]))}",
+            remedy="record longer with actions at random, or give a tolerance to take the prior for their answer",
+        )
+    counts = transition * visits[:, :, None]
+    labels = counted_bisimulation(counts, reward)
+    member = np.eye(int(labels.max()) + 1)[labels]
+    pooled = np.einsum("sb,sac,cd->bad", member, counts, member)
+    tried = pooled.sum(axis=2)
+    small = pooled / tried[:, :, None]
+    radius = weissman_bound(tried, len(small))
+    values, _ = optimal_values(small, quotient(transition, reward, labels)[1], discount)
+    return (
+        labels,
+        small,
+        f"{visits.sum():.0f} counted transitions tell apart (a class too many in {LEVEL:.0%} of records); states that "
+        f"they do not tell apart count as one. Between classes every pair was tried at least {tried.min():.0f} times: "
+        f"probabilities are off by at most {radius.max():.2g} (l1, 95 % each), values by at most "
+        f"{value_error_bound(radius, values, discount):.2g}",
+    )
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def test_copies_of_states_fall_into_one_class(copies: int, states: int, seed: in
     split = rng.dirichlet(np.ones(copies), size=(states * copies, 2, states))
     table = (small[owner][..., None] * split).reshape(states * copies, 2, states * copies)
     spec = PlantSpec((Channel("a", "1", 0, 1, "category"),), (Channel("s", "1", 0, len(owner) - 1, "category"),), 1.0)
-    found = Bisimulation(reward=reward[owner].tolist()).of(
+    found = Bisimulation(reward=reward[owner].tolist(), tolerance=1e-9).of(
         MdpModel(spec, table, np.ones(table.shape[:2])), rng=np.random.default_rng(0)
     )
     assert found.details["labels"].tolist() == owner.tolist()
@@ -80,12 +80,36 @@ def test_copies_of_states_fall_into_one_class(copies: int, states: int, seed: in
 def test_a_process_counted_from_data_and_a_wrong_reward(tmp_path: Path, sysid: Callable[..., Any]) -> None:
     spec = PlantSpec((Channel("a", "1", 0, 1, "category"),), (Channel("s", "1", 0, 2, "category"),), 1.0)
     table = np.array([[[0, 0.5, 0.5]] * 2, [[1, 0, 0]] * 2, [[1, 0, 0]] * 2], dtype=float)
-    (tmp_path / "model.json").write_text(json.dumps(MdpModel(spec, table, np.ones((3, 2))).to_dict()), encoding="utf-8")
+    (tmp_path / "model.json").write_text(
+        json.dumps(MdpModel(spec, table, np.full((3, 2), 40.0)).to_dict()), encoding="utf-8"
+    )
     asked = ["analyse", "bisimulation", str(tmp_path / "model.json")]
     assert json.loads(sysid(*asked, "-O", "reward=[0, 1, 1]", "--json").out)["labels"] == [0, 1, 1]
     assert "expected shape (3, 2) or (3,)" in sysid(*asked, "-O", "reward=[0, 1]", status=2).err
     assert "-O reward=" in sysid(*asked, status=2).err
     assert "did you mean bisimulation" in sysid("analyse", "bisimulations", "corridors-mdp", status=2).err
+
+
+def test_a_counted_process_has_the_classes_that_its_counts_tell_apart() -> None:
+    """Six states of which three times two are the same: noise of counting would make six classes of them."""
+    rng, owner = np.random.default_rng(1), np.repeat([0, 1, 2], 2)
+    small = np.array([[0.7, 0.2, 0.1], [0.2, 0.5, 0.3], [0.5, 0.2, 0.3]])
+    split = rng.dirichlet(np.ones(2), size=(6, 3)).reshape(6, 6)
+    table = small[owner][:, owner] * split
+    spec = PlantSpec((), (Channel("s", "1", 0, 5, "category"),), 1.0)
+    reward, found = [1.0, 1.0, 0.0, 0.0, 0.0, 0.0], {}
+    for tried in (10, 1000):
+        counts = np.array([rng.multinomial(tried, row) for row in table])[:, None, :]
+        counted = MdpModel(spec, counts / tried, np.full((6, 1), float(tried)))
+        found[tried] = Bisimulation(reward=reward).of(counted, rng=rng)
+        assert Bisimulation(reward=reward, tolerance=1e-9).of(counted, rng=rng).details["labels"].max() == 5
+    assert found[10].details["labels"].tolist() == [0, 0, 1, 1, 1, 1], "ten visits do not tell .2, .5 from .5, .2"
+    assert found[1000].details["labels"].tolist() == owner.tolist()
+    assert found[1000].details["transition"][:, 0] == pytest.approx(small, abs=0.05)
+    assert "6000 counted transitions" in found[1000].words[0]
+    rare = MdpModel(spec, counts / tried, np.array([[0.0]] + [[9.0]] * 5))
+    with pytest.raises(InputError, match=r"1 of 6 pairs never tried, such as \(0, 0\)"):
+        Bisimulation(reward=reward).of(rare, rng=rng)
 
 
 def test_corridors_that_are_alike_are_one(sysid: Callable[..., Any]) -> None:
