@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import os
 from collections.abc import Callable
@@ -81,6 +82,17 @@ def sysid(capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
         return said
 
     return call
+
+
+def pytest_sessionstart() -> None:
+    """Nothing is thrown away while tests are collected, so nothing is looked through for garbage."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """What was collected stays to the end: the collector leaves it out for good."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
