@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -17,19 +17,19 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
 from identifiers.common.records import usable
+from identifiers.finite.hmm_errors import probability_errors
 from identifiers.finite.hmm_pass import Record, expected_counts, filtered_beliefs
 from identifiers.finite.mdp import finite_sizes, moved_beliefs
 
-_MOST_STATES = 12
-"""Where the number of states is asked of the data, more are not tried."""
+_MOST_STATES = 12  # Where the number of states is asked of the data, more are not tried.
 
 _SHORT = 20
 """Iterations of every start before the best ones go on: by then the likelihoods of good and bad starts differ."""
 
-_KEPT = 2
-"""Starts that go on."""
-SHOWN, LIKELY = 8, 0.1
-"""Hidden states that are described, and the least probability of an observation that is named."""
+_KEPT = 2  # Starts that go on.
+SHOWN, LIKELY = 8, 0.1  # Hidden states that are described, and the least probability of an observation that is named.
+POORLY = 0.075
+"""Standard error from which a probability counts as not known: a 95 % interval wider than 0.3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,8 @@ class HmmModel(Described):
         ``transition[s, a, s']``.
     emission : array (S, O)
         ``emission[s, o]``.
+    transition_error, emission_error : array, optional
+        Standard errors of both tables (:func:`identifiers.finite.hmm_errors.probability_errors`).
     """
 
     spec: PlantSpec
@@ -55,6 +57,8 @@ class HmmModel(Described):
     kind = "hidden-markov"
     burn_in: ClassVar[int] = 0
     notes: dict[str, Any] = field(default_factory=dict)
+    transition_error: FloatArray | None = None
+    emission_error: FloatArray | None = None
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -67,6 +71,9 @@ class HmmModel(Described):
             stays = ", ".join(f"{p:.2f}" for p in self.transition[number, :, number])
             shows = ", ".join(f"{o} ({row[o]:.2f})" for o in most)
             said.append(f"state {number} shows {shows}; stays with {stays}" + (" by action" if self.spec.nu else ""))
+        if self.transition_error is not None and self.emission_error is not None:
+            worst = self.transition_error.max(), self.emission_error.max()
+            said.append("standard errors: at most {:.2g} of a transition, {:.2g} of an observation".format(*worst))
         return tuple(said)
 
     def initial_state(self, data: Trajectory) -> FloatArray:
@@ -108,12 +115,15 @@ class HmmModel(Described):
     def relabelled(self, order: npt.ArrayLike) -> HmmModel:
         """Return the same model with its hidden states in another order."""
         index = np.asarray(order, dtype=np.intp)
+        moved, seen = self.transition_error, self.emission_error
         return HmmModel(
             self.spec,
             self.initial[index],
             self.transition[index][:, :, index],
             self.emission[index],
             self.notes,
+            None if moved is None else moved[index][:, :, index],
+            None if seen is None else seen[index],
         )
 
     def matched(self, emission: FloatArray) -> HmmModel:
@@ -173,7 +183,7 @@ class HiddenMarkov:
         records = [_record(record) for record in given]
         samples = sum(len(seen) for seen, _ in records)
         if self.states is not None:
-            return self._fitted(records, spec, self.states, actions, observations, rng)
+            return self._judged(self._fitted(records, spec, self.states, actions, observations, rng), records)
         best, table = None, []
         least = np.inf
         for states in range(1, _MOST_STATES + 1):
@@ -192,7 +202,23 @@ class HiddenMarkov:
         if best is None:  # pragma: no cover - the first order is finite or refused above
             raise FitError(what, expected="a finite criterion", got="none", remedy="give option states")
         best.notes["criterion"] = table
-        return best
+        return self._judged(best, records)
+
+    def _judged(self, model: HmmModel, records: list[Record]) -> HmmModel:
+        """Return a model of maximum likelihood with its standard errors, and a warning where they are large."""
+        if self.method != "em":
+            return model
+        tables = (model.initial, model.transition, model.emission)
+        moves, shows = probability_errors(records, *tables, prior=self.prior)
+        poor = int((moves > POORLY).sum() + (shows > POORLY).sum())
+        notes = dict(model.notes)
+        if poor:
+            notes["warning"] = (
+                f"{poor} of {moves.size + shows.size} probabilities are known no better than within {2 * POORLY:.2g} "
+                f"(95 %; at worst within {2 * max(moves.max(), shows.max()):.2g}): the records are too short for "
+                f"{len(model.initial)} hidden states (record longer, or ask for fewer states)"
+            )
+        return replace(model, notes=notes, transition_error=moves, emission_error=shows)
 
     def _fitted(
         self,
