@@ -147,19 +147,11 @@ def test_all_angles_of_a_record_may_be_in_degrees(cart: Trajectory) -> None:
     assert "u is in degrees, not in radians" not in words
 
 
-@pytest.mark.parametrize("change", ["swapped", "degrees"])
-def test_columns_in_doubt_are_a_model_that_does_not_fit_with_a_report(
-    foreign_pendulum, change: str, tmp_path: Path
-) -> None:
+def test_columns_in_doubt_are_a_model_that_does_not_fit_with_a_report(foreign_pendulum, tmp_path: Path) -> None:
     """Exchanged columns were refused without a report."""
-
-    def wrong(record: Trajectory) -> Trajectory:
-        if change == "swapped":
-            return replace(record, u=record.y.copy(), y=record.u.copy())
-        return scaled(record, "y", 0, np.pi / 180)
-
     good = foreign_pendulum(8, n=600)
-    runs = tuple(replace(run, trajectory=wrong(run.trajectory)) for run in good)
+    records = [replace(run.trajectory, u=run.trajectory.y.copy(), y=run.trajectory.u.copy()) for run in good]
+    runs = tuple(replace(run, trajectory=record) for run, record in zip(good, records, strict=True))
     report = close_loop(replace(good, runs=runs), "pendulum", out=tmp_path / "out")
     assert report.verdict == "model_does_not_fit", report.data["summary"]
     assert report.data["adequacy"] == "does_not_fit"

@@ -156,7 +156,6 @@ def dry(tmp_path_factory):
     return report, folder, data
 
 
-@pytest.mark.slow
 def test_friction_inside_the_fmu_is_found_from_the_angle_alone(dry):
     report, folder, _ = dry
     assert report.verdict == "effects_found"

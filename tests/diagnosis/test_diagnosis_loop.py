@@ -28,7 +28,6 @@ def dry_report(foreign_pendulum, tmp_path_factory):
     return close_loop(data, "pendulum", out=out), out, data
 
 
-@pytest.mark.slow
 def test_dry_friction_is_named_with_its_size(dry_report) -> None:
     report, _, _ = dry_report
     assert report.verdict == "effects_found"

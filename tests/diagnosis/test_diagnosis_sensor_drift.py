@@ -23,7 +23,7 @@ def record(seed: int, drift: float) -> Trajectory:
     return Trajectory(t, u, y, PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT))
 
 
-@pytest.mark.parametrize("drift", [0.0, 0.02, -0.2])
+@pytest.mark.parametrize("drift", [0.0, -0.02])
 def test_a_drift_of_the_sensor_is_named_with_its_size(drift: float) -> None:
     runs = tuple(Run(record(seed, drift), use) for seed, use in ((1, "estimation"), (2, "validation")))
     report = close_loop(Dataset("drift", runs), load_model("pendulum"))

@@ -9,7 +9,9 @@ import pytest
 
 from harness.diagnosis import close_loop
 from harness.physics.symbolic.typed import read_equations
-from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+
+State = tuple[float, float, float, float]
 
 BODY, WHEEL, SPRING, TYRE, DAMPER, DT = 250.0, 35.0, 16e3, 160e3, 1000.0, 0.005
 SPEC = PlantSpec((Channel("z", "m"),), (Channel("zs", "m"), Channel("zu", "m")), DT)
@@ -41,18 +43,23 @@ def drive(force: Callable[[float, float], float], seed: int) -> Trajectory:
         * np.sin(2 * np.pi * np.outer(t, np.linspace(0.3, 12, 14)) + rng.uniform(0, 6.28, 14)).sum(axis=1)
     )
 
-    def rates(x: FloatArray, z: float) -> FloatArray:
-        between = SPRING * (x[0] - x[1]) + DAMPER * (x[2] - x[3]) + force(x[0] - x[1], x[2] - x[3])
-        return np.array([x[2], x[3], -between / BODY, (between - TYRE * (x[1] - z)) / WHEEL])
+    def after(by: float, x: State, rate: State) -> State:
+        return x[0] + by * rate[0], x[1] + by * rate[1], x[2] + by * rate[2], x[3] + by * rate[3]
 
-    x, rows, h = np.zeros(4), [], DT / 8
-    for z in road:
+    def rates(x: State, z: float) -> State:
+        between = SPRING * (x[0] - x[1]) + DAMPER * (x[2] - x[3]) + force(x[0] - x[1], x[2] - x[3])
+        return x[2], x[3], -between / BODY, (between - TYRE * (x[1] - z)) / WHEEL
+
+    x, rows, h = (0.0, 0.0, 0.0, 0.0), [], DT / 8
+    for z in road.tolist():
         rows.append(x[:2])
         for _ in range(8):
             k1 = rates(x, z)
-            k2 = rates(x + h / 2 * k1, z)
-            k3 = rates(x + h / 2 * k2, z)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(x + h * k3, z))
+            k2 = rates(after(h / 2, x, k1), z)
+            k3 = rates(after(h / 2, x, k2), z)
+            k4 = rates(after(h, x, k3), z)
+            for weight, rate in ((1, k1), (2, k2), (2, k3), (1, k4)):
+                x = after(weight * h / 6, x, rate)
     return Trajectory(t, road[:, None], np.array(rows) + 1e-4 * rng.standard_normal((3000, 2)), SPEC)
 
 

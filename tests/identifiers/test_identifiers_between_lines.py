@@ -57,7 +57,7 @@ def lines(count: int, seed: int, n: int = 800) -> FloatArray:
 
 def test_a_few_lines_vouch_for_nothing_that_an_order_makes_up_between_them():
     wrong, fits = 0, 0
-    for seed in range(24):
+    for seed in range(12):
         data = answered(lines(1 + seed % 5, seed), seed, (0.0, 0.01, 0.05)[seed % 3])
         for name, options in (("arx", {}), ("arx", {"order": 4}), ("dmdc", {"delays": 2})):
             try:
@@ -65,7 +65,7 @@ def test_a_few_lines_vouch_for_nothing_that_an_order_makes_up_between_them():
             except HarnessError:
                 continue
             fits, wrong = fits + 1, wrong + (off(model, seed) > 0.5)
-    assert fits > 30
+    assert fits > 15
     assert wrong <= 1
 
 
