@@ -56,7 +56,9 @@ def directions(
         kind = port_of(nominal, placed).kind
         try:
             if kind == "output":
-                possible += reading_directions(traces, nominal, placed, sizes, ports=_ports(traces))
+                over_time = placed.effect.parameter_of("frequency") is not None
+                lines = frequencies(traces["estimation"], nominal) if over_time else []
+                possible += reading_directions(traces, nominal, placed, sizes, ports=_ports(traces), lines=lines)
             elif nominal.coordinates and traces["estimation"][0].passes.nl:
                 possible += _forces(traces, signals, nominal, known, placed, sizes)
             else:
@@ -209,14 +211,22 @@ def reading_directions(
     sizes: Mapping[str, Mapping[str, float]],
     *,
     ports: int,
+    lines: Sequence[float] = (),
 ) -> list[Direction]:
-    """Return the directions of a sensor's error: what it changes in the readings that the model expects."""
+    """Return the directions of a sensor's error: what it changes in the readings that the model expects.
+
+    ``lines`` are the angular frequencies [rad/s] at which one that repeats in time is looked for.
+    """
     row = [channel.name for channel in nominal.outputs].index(placed.at)
     if placed.effect.sampled == "quantise" or not placed.effect.parameters:
         return []
     at = sizes.get(placed.at, {})
-    if placed.effect.parameter_of("wave number") is not None:
-        return _waves_of_readings(traces, nominal, placed, row, ports)
+    wave_number, frequency = (placed.effect.parameter_of(role) for role in ("wave number", "frequency"))
+    if wave_number is not None:
+        angle = np.concatenate([trace.expected[:, row] for trace in traces["estimation"]])
+        return _waves_of_readings(traces, nominal, placed, {wave_number.name: waves(angle, wave_number)}, row, ports)
+    if frequency is not None:
+        return _waves_of_readings(traces, nominal, placed, {frequency.name: lines}, row, ports)
     directions = []
     for given, linear in choices(placed, at):
         names = linear or ("effect",)
@@ -242,16 +252,19 @@ def reading_directions(
 
 
 def _waves_of_readings(
-    traces: Mapping[str, Sequence[Along]], nominal: AnySystem, placed: Placed, row: int, ports: int
+    traces: Mapping[str, Sequence[Along]],
+    nominal: AnySystem,
+    placed: Placed,
+    tried: Mapping[str, Sequence[float]],
+    row: int,
+    ports: int,
 ) -> list[Direction]:
-    """Return the directions of an error that repeats along the reading itself: sine and cosine of every wave number."""
-    angle = np.concatenate([trace.expected[:, row] for trace in traces["estimation"]])
-    main = placed.effect.main
-    wave_number, turn = (placed.effect.parameter_of(role) for role in ("wave number", "phase"))
+    """Return the directions of an error that repeats, along the reading or in time: sine and cosine of each wave."""
+    main, turn = placed.effect.main, placed.effect.parameter_of("phase")
     directions: list[Direction] = []
-    if main is None or wave_number is None or turn is None:
+    if main is None or turn is None:
         return directions
-    for k in waves(angle, wave_number):
+    for given in ({name: value} for name, values in tried.items() for value in values):
         readings: dict[str, list[FloatArray]] = {}
         for use, parts in traces.items():
             readings[use] = []
@@ -259,10 +272,9 @@ def _waves_of_readings(
                 y = trace.expected[:, row]
                 column = np.zeros((len(y), nominal.ny, 2))
                 for number, phase in enumerate((0.0, 0.5 * np.pi)):
-                    at = {wave_number.name: k, turn.name: phase, main.name: 1.0}
+                    at = {**given, turn.name: phase, main.name: 1.0}
                     column[:, row, number] = _sensor(placed, trace, y, at) - y
                 readings[use].append(column)
-        given = {wave_number.name: k}
         directions.append(Direction(placed, given, WAVE, _nothing(traces, ports, 2), readings, "wave"))
     return directions
 

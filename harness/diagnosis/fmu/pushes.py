@@ -93,7 +93,8 @@ def pushes(
         kind = port_of(nominal, placed).kind  # type: ignore[arg-type]
         try:
             if kind == "output":
-                directions += reading_directions(moved, nominal, placed, sizes, ports=nominal.nu)
+                lines = _lines(moved) if placed.effect.parameter_of("frequency") is not None else []
+                directions += reading_directions(moved, nominal, placed, sizes, ports=nominal.nu, lines=lines)
             else:
                 directions += _commands(nominal, moved, placed, sizes, kind)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
@@ -185,17 +186,22 @@ def _tried(
     frequency = placed.effect.parameter_of("frequency")
     if frequency is None:
         return [(given, linear, False) for given, linear in choices(placed, at)]
+    return [({frequency.name: omega}, WAVE, True) for omega in _lines(moved)]
+
+
+def _lines(moved: Mapping[str, Sequence[Moved]]) -> list[float]:
+    """Return the angular frequencies [rad/s] of the strongest lines of the output error."""
     longest = max(moved["estimation"], key=lambda part: len(part.y))
     error = np.nan_to_num(longest.record.y - longest.y)
     n = len(error)
     power = (np.abs(np.fft.rfft((error - error.mean(axis=0)) * np.hanning(n)[:, None], 4 * n, axis=0)) ** 2).sum(axis=1)
     omega = 2 * np.pi * np.arange(len(power)) / (4 * n * longest.dt)
     power[omega * n * longest.dt < 2 * 2 * np.pi] = 0.0  # two periods at least
-    lines: list[tuple[dict[str, float], tuple[str, ...], bool]] = []
+    lines: list[float] = []
     for _ in range(EFFORT.lines):
         peak = int(np.argmax(power))
         if omega[peak] > 0:
-            lines.append(({frequency.name: float(omega[peak])}, WAVE, True))
+            lines.append(float(omega[peak]))
         power[max(peak - 12, 0) : peak + 13] = 0.0
     return lines
 
