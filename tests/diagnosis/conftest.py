@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -43,22 +44,24 @@ def pendulum_dataset(
         u = multisine(n, dt, rng, amplitude)
         slow = np.asarray(lfilter([1.0], [1.0, -0.97], rng.standard_normal(n + 300))[300:])
         force = (u if command is None else command(u)) + coloured * amplitude * slow / slow.std()
-        x, y, parts = np.array([0.1, 0.0]), np.empty(n), 10
+        (q, v), y, parts = (0.1, 0.0), np.empty(n), 10
         h = dt / parts
-        for k in range(n):
-            y[k] = x[0]
+        for k, now in enumerate(force.tolist()):
+            y[k] = q
             for s in range(parts):
-                first = slope(x, force[k], k * dt + s * h, law)
-                x = x + 0.5 * h * (first + slope(x + h * first, force[k], k * dt + (s + 1) * h, law))
+                a = acceleration(q, v, now, k * dt + s * h, law)
+                ahead = v + h * a
+                b = acceleration(q + h * v, ahead, now, k * dt + (s + 1) * h, law)
+                q, v = q + 0.5 * h * (v + ahead), v + 0.5 * h * (a + b)
         measured = y + noise * rng.standard_normal(n)
         runs.append(Run(Trajectory(np.arange(n) * dt, u[:, None], measured[:, None], SPEC), use))  # type: ignore[arg-type]
     return Dataset(f"pendulum {seed}", tuple(runs))
 
 
-def slope(x: np.ndarray, u: float, t: float, law: Law | None) -> np.ndarray:
-    """Return the derivative of (angle, rate)."""
-    hidden = law(x[0], x[1], u, t) if law is not None else 0.0
-    return np.array([x[1], (u - 0.05 * x[1] - np.sin(x[0]) + hidden) / 0.1])
+def acceleration(q: float, v: float, u: float, t: float, law: Law | None) -> float:
+    """Return the derivative of the rate."""
+    hidden = law(q, v, u, t) if law is not None else 0.0
+    return (u - 0.05 * v - math.sin(q) + hidden) / 0.1
 
 
 @pytest.fixture(scope="session")
