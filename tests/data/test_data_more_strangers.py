@@ -283,10 +283,12 @@ def test_units_in_other_languages(unit: str, like: str, factor: float) -> None:
         ("cp932", "時間 [秒],u [V],y [V]", "Japanese"),
         ("cp949", "시간 [초],u [V],y [V]", "Korean"),
         ("cp1250", "čas [s],u [V],y [V]", "Central Europe"),
+        ("cp1250", "# położenie kąta\nt [s],u [V],y [V]", "Windows, Central Europe"),
+        ("iso8859-2", "# ciśnienie\nt [s],u [V],y [V]", "iso8859-2"),
         ("cp1252", "durée [s],u [V],y [V]", "Western Europe"),
     ],
 )
-def test_codings_are_told_by_the_word_for_time(coding: str, head: str, name: str, tmp_path: Path) -> None:
+def test_codings_are_told_by_their_words(coding: str, head: str, name: str, tmp_path: Path) -> None:
     path = written(tmp_path / "a.csv", (head + "\n" + rows(TIME, U, Y)).encode(coding))
     assert any(name in note for note in same(path))
 

@@ -44,6 +44,12 @@ SERIAL = {
     + "".join(f"t: {t} ms, u: {u} V, y: {y} rad\n" for t, u, y in zip(MS, U, Y, strict=True))
     + "t: 12",
     "stamps before an arrow": "".join(f"{t} -> u:{u}, y:{y}\n" for t, u, y in zip(clock(DT), U, Y, strict=True)),
+    "ESP-IDF, in colour, boot lines": "I (312) main: Starting\n"
+    + "".join(f"\x1b[0;32mI ({500 + t}) pid: u={u} y={y}\x1b[0m\n" for t, u, y in zip(MS, U, Y, strict=True)),
+    "ROS 2": "".join(
+        f"[INFO] [{1732874400 + k * DT:.6f}] [ctl]: u={u}, y={y}\n" for k, u, y in zip(K, U, Y, strict=True)
+    ),
+    "Zephyr": "".join(f"[{t},000] <inf> ctl: u={u} y={y}\n" for t, u, y in zip(clock(DT), U, Y, strict=True)),
     "logfmt": "".join(f"ts=2024-11-29T{t}Z level=info u={u} y={y}\n" for t, u, y in zip(clock(DT), U, Y, strict=True)),
     "InfluxDB": "".join(
         f"motor,id=1 u={u},y={y} {1732874400000000000 + 20000000 * k}\n" for k, u, y in zip(K, U, Y, strict=True)
@@ -120,6 +126,16 @@ HEADS = {
     "pandas, spans as index": ",u,y\n" + joined(clock(DT, "0 days 00:{:02d}:{:09.6f}"), U, Y),
     "titles of two words": "Time (s)   u    y\n" + joined(SECONDS, U, Y, sign="   "),
     "Excel fills lines above up": "Rig 7;;;\nDate: 29.11.2024;;;\nt / ms;u;y;\n" + joined(MS, U, Y, [""] * N, sign=";"),
+    "titles between apostrophes": "'t [s]','u','y'\n" + joined(SECONDS, U, Y),
+    "a comment apart by blanks": "# rig 7\n# t [s]   u   y\n" + joined(SECONDS, U, Y, sign="   "),
+    "comments of names and units": "% t  u  y\n% s  V  V\n" + joined(SECONDS, U, Y, sign="\t"),
+    "Origin: short and long names, units, comments": "A(X)\tB(Y)\tC(Y)\nt\tu\ty\nms\tV\tV\n\tDAC\tLVDT, 2 kHz\n"
+    + joined(MS, U, Y, sign="\t"),
+    "a comment of one cell below the units": "t,u,y\nms,V,V\nrig 7,,\n" + joined(MS, U, Y),
+    "fractional seconds": "Date,Time,Fractional Seconds,u,y\n"
+    + "".join(f"2024-11-29,10:00:0{k // 50},{k % 50 * DT:.2f},{U[k]},{Y[k]}\n" for k in K),
+    "HOBO": '"Plot Title: 7"\n"#","Date Time, GMT+01:00","u, V (LGR S/N: 7, SEN S/N: 8, LBL: in)","y, V (LGR S/N: 7)"\n'
+    + joined(range(1, N + 1), clock(DT, "11/29/24 10:{:02d}:{:06.3f}"), U, Y),
     "a flight time": "OSD.flyTime,OSD.flyTime [s],u,y\n" + joined(["0m"] * N, SECONDS, U, Y),
     "dates under another title": "Datum,u,y\n" + joined(clock(DT, "2024-11-29 10:{:02d}:{:06.3f}"), U, Y),
     "WinCC's two clocks": "VarName;TimeString;VarValue;Time_ms\n"
@@ -141,6 +157,7 @@ UNTITLED = {
     "ROS": joined([1732874400 + k // 50 for k in K], [k % 50 * 20000000 for k in K], ["base"] * N, U, Y),
     "dates": joined(clock(DT, "2024-11-29 10:{:02d}:{:06.3f}"), U, Y),
     "dates, decimal commas": joined(clock(DT, "2024-11-29 10:{:02d}:{:06.3f}"), U, Y, sign=";").replace(".", ","),
+    "ESP-IDF": "".join(f"I ({t}) adc: {u}, {y}\n" for t, u, y in zip(MS, U, Y, strict=True)),
     "arrow": "".join(f"{t} -> {u}\t{y}\n" for t, u, y in zip(clock(DT), U, Y, strict=True)),
 }
 
@@ -198,6 +215,12 @@ def test_statistics_and_a_count_of_its_own_are_no_parts(tmp_path: Path) -> None:
 def test_a_node_of_spice_is_no_unit_and_slashes_are(tmp_path: Path) -> None:
     assert [split_header(one)[1] for one in ("V(in)", "V(s)", "I(L)", "y / u")] == [None] * 4
     assert [split_header(one)[1] for one in ("V(m/s)", "I(mA)", "u / V", "CH1 in mV")] == ["m/s", "mA", "V", "mV"]
+    assert [split_header(one)[1] for one in ("Phase, A", "Speed, min", "Torque, Nm")] == [None, None, "Nm"]
+
+
+def test_a_row_that_holds_a_number_below_units_is_no_comment(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"line 3.*'ERR'"):
+        read(tmp_path / "a.csv", "t,u,y\nms,V,V\n0,ERR,0\n" + joined(MS, U, Y))
     data = read(
         tmp_path / "a.txt",
         "time\tV(in)\tI(R1)\n" + joined(SECONDS, U, Y, sign="\t"), input="V(in)", output="I(R1)",

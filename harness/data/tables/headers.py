@@ -19,7 +19,9 @@ TRUTH = "truth:"
 _HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 _INDEX = re.compile(r"(?!\s*1?\s*$)\s*(?:\d+|:)\s*(?:,\s*(?:\d+|:)\s*)*")
 _ROUND = re.compile(r"^(?P<name>.*?)\s*[(<{](?P<unit>[^()<>{}]*)[)>}]\s*$")
-_BEHIND = re.compile(r"^(?P<name>.*\S)\s+(?:/|in)\s+(?P<unit>[^\s/\[\](){}][^\[\](){}]*)$")
+_BEHIND = re.compile(r"^(?P<name>.*[^\s,])(?P<sign>\s+/|\s+in|,)\s+(?P<unit>[^\s/\[\](){}][^\[\](){}]*)$")
+_ABOUT = re.compile(r"\s*\((?:[^():,]+: [^():,]+(?:, *|(?=\))))+\)$")
+"""What a logger says of a channel behind its title, as HOBOware does: ``(LGR S/N: 1023, LBL: inlet)``."""
 _OF_NODE = {"V": ("V", "m^3", "m/s"), "I": ("A", "kg m^2", "m^4", "W/m^2", "cd", "%")}
 """What V and I stand for: in brackets behind them no other unit stands, but a node or a part (SPICE's ``V(in)``)."""
 _ALONE = frozenset("smgVAWNJKCFHTh%°")
@@ -110,8 +112,9 @@ COUNTS = frozenset("tick ticks count counts cycle cycles sample samples frame fr
 def split_header(header: str) -> tuple[str, str | None]:
     """Return name and unit of a column title that has the unit in brackets; in round ones only where it is a unit.
 
-    So it is behind ``in`` or a slash between blanks (ISO 80000-1). A number in brackets is the index of an element, but
-    for 1, which is the unit of plain numbers.
+    So it is behind ``in`` or a slash between blanks (ISO 80000-1), or behind a comma, where one letter may be a part's
+    name unless a logger's remarks follow. A number in brackets is the index of an element, but for 1, which is the unit
+    of plain numbers.
 
     Examples
     --------
@@ -121,8 +124,11 @@ def split_header(header: str) -> tuple[str, str | None]:
     (('u', 'N m'), ('theta', None), ('theta', 'deg'), ('theta (raw)', None))
     >>> split_header("u / V"), split_header("CH1 in mV"), split_header("V(in)")
     (('u', 'V'), ('CH1', 'mV'), ('V(in)', None))
+    >>> split_header("Torque, Nm"), split_header("Motor, A"), split_header("Volt, V (LGR S/N: 1023, SEN S/N: 7)")
+    (('Torque', 'Nm'), ('Motor, A', None), ('Volt', 'V'))
     """
     header = header.translate(_WIDE) if not header.isascii() else header
+    header, remarks = _ABOUT.subn("", header.strip()) if header.endswith(")") and ":" in header else (header, 0)
     found = _HEADER.match(header)
     if found is not None and found["name"] and _INDEX.fullmatch(found["unit"]):
         return header.strip(), None
@@ -132,8 +138,10 @@ def split_header(header: str) -> tuple[str, str | None]:
     if found is not None and found["name"] and _says_unit(found["unit"]) and not _is_of_node(**found.groupdict()):
         return _bare(found["name"]), found["unit"].strip()
     found = _BEHIND.match(header.strip())
-    if found is not None and _says_unit(found["unit"]) and (len(found["unit"]) > 1 or found["unit"] in _ALONE):
-        return _bare(found["name"]), found["unit"].strip()
+    if found is not None and _says_unit(found["unit"]):
+        unit, comma = found["unit"].strip(), found["sign"] == "," and not remarks
+        if unit.lower() not in _OTHERWISE if len(unit) > 1 else unit in ("°%" if comma else _ALONE):
+            return _bare(found["name"]), unit
     return header.strip(), None
 
 
@@ -245,13 +253,14 @@ def fraction_of(title: str, titles: Sequence[str]) -> str | None:
     --------
     >>> fraction_of("stamp.sec", ["stamp.sec", "stamp.nanosec", "u"]), fraction_of("secs", ["secs", "nsecs"])
     ('stamp.nanosec', 'nsecs')
-    >>> fraction_of("time [s]", ["time [s]", "time [ms]"]) is None
-    True
+    >>> fraction_of("time [s]", ["time [s]", "time [ms]"]), fraction_of("Seconds", ["Seconds", "Fraction", "u"])
+    (None, 'Fraction')
     """
     stem, word = _last_word(title)
     if word not in _WHOLE:
         return None
     found = [other for other in titles if _last_word(other)[0] == stem and _last_word(other)[1] in _WHOLE[word]]
+    found = found or [other for other in titles if part_unit(other) == "s"]
     return found[0] if len(found) == 1 else None
 
 
@@ -307,11 +316,18 @@ def part_unit(name: str) -> str | None:
 
     Examples
     --------
-    >>> part_unit("ms"), part_unit("millis()"), part_unit("s"), part_unit("latency_ms")
-    ('ms', 'ms', None, None)
+    >>> part_unit("ms"), part_unit("millis()"), part_unit("s"), part_unit("latency_ms"), part_unit("Fractional Seconds")
+    ('ms', 'ms', None, None, 's')
     """
     unit = TIME_UNITS.get(name.strip(" ()").lower())
+    first, *more = words_of(name) or [""]
+    if first in _FRACTIONS and all(TIME_UNITS.get(word) == "s" or word in _BESIDE for word in more):
+        return "s"
     return unit if unit in ("ms", "us", "ns") else None
+
+
+_FRACTIONS = ("fraction", "fractional", "frac", "subsec", "subsecond", "subseconds")
+"""Words for the part of a second behind whole ones."""
 
 
 def _last_word(title: str) -> tuple[str, str]:

@@ -26,15 +26,25 @@ Columns = dict[str, list[Any]]
 
 FEWEST = 3
 """Lines of readings that make a table."""
-_STAMPED = re.compile(r"\[?(?P<stamp>[\dT:., /-]*\d:\d\d:\d\d[\d.,]*Z?)\]?\s*(?:->|[:,;|-])?\s+(?P<rest>\D.*)")
-_ARROW = re.compile(r"\s*([\dT:., /-]*\d:\d\d:\d\d[\d.,]*)\s*->\s*(\S.*)")
+_WRITTEN = r"(?P<at>[\dT:., /-]*\d:\d\d:\d\d[\d.,]*Z?)"
+_STAMPS = {
+    re.compile(rf"(?:[EWIDV] \(|\[)?{_WRITTEN}[\])]?"): "time",
+    re.compile(r"[EWIDV] \((?P<at>\d+)\)"): "time [ms]",  # Espressif, ESP-IDF, "Logging library": since the start
+    re.compile(r"(?:\[[A-Z]+\] )?\[\s*(?P<at>\d+\.\d+)\]"): "time [s]",  # ROS 2 and the kernel of Linux
+}
+"""Stamps before readings, and the titles of their columns."""
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
+_BEHIND = re.compile(
+    r"\s*(?P<sign>->|[:,;|-])?(?:\s+|(?<=>))"
+    r"(?P<words>(?:(?![^\W\d][\w.\[\]/]*\s*[:=]\s*[+-]?[\d.])(?:[^\W\d]\w*|\[[^\]]*\]|<\w+>|\d+):?\s+)*)"
+)
+_NODE = re.compile(r"[^\W\d]\w*:\s+")
+"""What a program says between a stamp and its readings: ``INFO controller:``."""
 _ITEM = re.compile(
     r"(?P<name>[^\W\d][\w.\[\]/²³°%-]*)\s*[:=]\s*"
     r'(?P<value>"[^"]*"|\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d[^\s,;|]*|[^\s,;|]+)'
     r"(?:[ ]?(?P<unit>(?:[^\W\d_]|[°%])[^\s,;|:=]*)(?=\s*(?:[,;|]|$)|\s+[^\W\d][^\s:=]*\s*[:=]))?[\s,;|]*"
 )
-_WORDS = re.compile(r"(?:[^\W\d]\w*\s+)*[^\W\d]\w*:?\s+(?=[^\W\d][\w.\[\]/]*\s*[:=]\s*[+-]?[\d.])")
-"""What a program says before its readings: ``INFO controller:``."""
 _INFLUX = re.compile(
     r"(?P<series>[^\s,=]+(?:,[^\s,=]+=[^\s,]+)*) (?P<fields>[^\s,=]+=[^\s,]+(?:,[^\s,=]+=[^\s,]+)*)(?: (?P<at>\d+))?"
 )
@@ -81,19 +91,44 @@ def labelled(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
         first = next((row for row in range(len(above) - FEWEST + 1) if all(above[row : row + FEWEST])), None)
         if first is not None:
             return _table(lines[first:], read, lines[0][0] if first else None)
-    return _of_arrows(lines)
+    return _of_stamped(lines)
 
 
-def _of_arrows(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
-    """Return readings without names behind a stamp and an arrow as a table without titles; None for other lines."""
-    if len(lines) < FEWEST or not all(_ARROW.fullmatch(line) for _, line in lines[:FEWEST]):
+def _led(line: str) -> tuple[Named, str, str]:
+    """Return the stamp before the readings of a line, what a program says behind it, and the readings.
+
+    Examples
+    --------
+    >>> _led("I (120) pid: u=1"), _led("[12.5] 3.5, 2"), _led("u:1")
+    (([('time [ms]', '120')], 'pid: ', 'u=1'), ([('time [s]', '12.5')], '', '3.5, 2'), ([], '', 'u:1'))
+    """
+    line = _COLOUR.sub("", line).strip()
+    stamps = ((found, title) for one, title in _STAMPS.items() if (found := one.match(line)) is not None)
+    found, title = next(stamps, (None, ""))
+    begin = 0 if found is None else found.end()
+    behind = _BEHIND.match(line if begin else f" {line}", begin)
+    if behind is None:
+        return [], "", line
+    at = [] if found is None else [(title, found["at"].strip(" ,"))]
+    return at, (behind["sign"] or "") + behind["words"], line[behind.end() - (not begin) :]
+
+
+def _of_stamped(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
+    """Return readings without names behind a stamp and an arrow or words as a table; None for other lines."""
+    if len(lines) < FEWEST or not all(_led(line)[0] for _, line in lines[:FEWEST]):
         return None
-    stamped = [(number, _ARROW.fullmatch(line)) for number, line in lines]
-    rows = [(number, one) for number, one in stamped if one is not None]
+    found = [(number, *_led(line)) for number, line in lines]
+    rows = [
+        (number, [at[0][1], *re.split(r"[,;\s]+", _NODE.sub("", rest, count=1).strip(" ,;"))])
+        for number, at, said, rest in found
+        if at and (said or _NODE.match(rest))
+    ]
+    rows = [(number, row) for number, row in rows if all(map(is_number, row[1:]))]
     if len(rows) < len(lines) - 1:
         return None
-    return [(n, _joined([one[1], *re.split(r"[,;\s]+", one[2].strip(" ,;"))])) for n, one in rows], (
-        "stamps before an arrow, as a serial monitor writes them, are the first column"
+    head = [found[0][1][0][0], *(str(k + 1) for k in range(len(rows[0][1]) - 1))]
+    return [(rows[0][0], _joined(head)), *((number, _joined(row)) for number, row in rows)], (
+        "stamps before the readings, as a serial monitor writes them, are the time: the columns are called 1, 2, ..."
     )
 
 
@@ -140,10 +175,8 @@ def _joined(cells: Sequence[str]) -> str:
 
 def _of_items(line: str) -> Named | None:
     """Return the readings of ``u:1.2 y=3.4``, perhaps behind a stamp; None for any other line."""
-    stamped = _STAMPED.fullmatch(line.strip())
-    found: Named = [("time", stamped["stamp"].strip())] if stamped is not None else []
-    rest = line.strip() if stamped is None else stamped["rest"]
-    at = words.end() if (words := _WORDS.match(rest)) is not None else 0
+    found, _, rest = _led(line)
+    at = 0
     while at < len(rest):
         item = _ITEM.match(rest, at)
         if item is None:

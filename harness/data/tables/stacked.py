@@ -32,6 +32,7 @@ UNEVEN = 0.2
 """Part of a step by which two steps differ where numbers are no clock."""
 
 _LETTER = re.compile(r"[^\W\d_]|[\[(<{°%]")
+_TITLE = re.compile(r"[^\s\[(/]+(?:\s*[\[(][^\])]*[\])]|\s/\s\S+)?")
 _BRACKETED = re.compile(r"[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]")
 
 
@@ -51,6 +52,24 @@ def cells_of(line: str, sign: str | None) -> list[str]:
     if '"' not in line:
         return [cell.strip() for cell in line.split(sign)]
     return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=sign, skipinitialspace=sign != "\t"))]
+
+
+def titles_of(line: str, sign: str | None, width: int) -> list[str]:
+    """Return the titles in a line, as many as the table has columns if they can be parted so, else its cells.
+
+    Of columns apart by blanks, a unit in brackets or behind a slash belongs to the title before it; titles of several
+    words stand two blanks apart.
+
+    Examples
+    --------
+    >>> titles_of("t [s] u [N m]", None, 2), titles_of("Input voltage / V   y", None, 2), titles_of("t u y", None, 2)
+    (['t [s]', 'u [N m]'], ['Input voltage / V', 'y'], ['t', 'u', 'y'])
+    """
+    cells = cells_of(line, sign)
+    if sign not in (None, "\t") or len(cells) == width:
+        return cells
+    parted = (re.split(r"\s{2,}|\t", line.strip()), _TITLE.findall(line))
+    return next((titles for titles in parted if len(titles) == width), cells)
 
 
 def sign_of(lines: Sequence[str]) -> str | None:
@@ -165,9 +184,10 @@ def is_table(rows: Sequence[Row]) -> bool:
 def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | None:
     """Return the titles that several rows give together, and how many rows these are; None where one row does.
 
-    The lowest row that names every column once gives the names. Where there is none, a column's lowest text is its
-    name, with those above it in front (``left.X``) as far as names would be shared; an empty cell of an upper row
-    belongs to the text on its left, as cells are merged. A row of units stands below them all.
+    The row that names every column once, right above the units where there are any, gives the names. Where there is
+    none, a column's lowest text is its name, with those above it in front (``left.X``) as far as names would be shared;
+    an empty cell of an upper row belongs to the text on its left, as cells are merged. What stands below a row of units
+    is a remark (OriginLab, *Origin Help*: long name, units, comments).
 
     Parameters
     ----------
@@ -192,26 +212,39 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
     count = _head_rows(rows)
     if count < 2:
         return None
-    width = len(rows[0])
-    head = [list(row) for row in rows[:count]]
-    if above := _units_above(head):
-        head.append(head.pop(0))
-    units = [""] * width
-    if _are_units(head, kinds_of(rows[count:])):
-        units = [cell if is_unit_cell(cell) else "" for cell in head.pop()]
-    if len(head) < 2 and not above and not any(_BRACKETED.fullmatch(cell) for row in head for cell in row):
-        return None  # one row of names: with units below it or without
-    for row in head:
-        for k, cell in enumerate(row):
-            found = _BRACKETED.fullmatch(cell)
-            if found is not None and is_unit_cell(found["unit"]):
-                row[k], units[k] = "", units[k] or cell
+    parted = _without_units([list(row) for row in rows[:count]], kinds_of(rows[count:]))
+    if parted is None:
+        return None
+    head, units = parted
     used = [k for k, cell in enumerate(rows[count]) if cell]
     names = _names(head, used)
     if names is None:
         return None
     titles = units_below(names, units) if any(units) else names
     return None if titles is None else (titles, count + named)
+
+
+def _without_units(
+    head: list[list[str]], kinds: Sequence[Callable[[str], bool] | None]
+) -> tuple[list[list[str]], list[str]] | None:
+    """Return the rows of names of a header, and the units that it states; None for one row of names above units."""
+    count, units = len(head), [""] * len(head[0])
+    if above := _units_above(head):
+        head.append(head.pop(0))
+    if below := next((k for k in range(count, 1, -1) if _are_units(head[:k], kinds)), 0):
+        units = [cell if is_unit_cell(cell) else "" for cell in head[below - 1]]
+        head = head[: below - 1]
+        if len(head) > 1 and all(head[-1]) and len(set(head[-1])) == len(units):
+            head, above = head[-1:], True
+        above = above or below < count
+    if len(head) < 2 and not above and not any(_BRACKETED.fullmatch(cell) for row in head for cell in row):
+        return None
+    for row in head:
+        for k, cell in enumerate(row):
+            found = _BRACKETED.fullmatch(cell)
+            if found is not None and is_unit_cell(found["unit"]):
+                row[k], units[k] = "", units[k] or cell
+    return head, units
 
 
 def are_counted(rows: Sequence[Sequence[str]]) -> bool:
@@ -300,6 +333,7 @@ def _with_index_name(rows: Sequence[Sequence[str]]) -> tuple[Sequence[Sequence[s
         if (
             rows[row][0]
             and not any(rows[row][1:])
+            and not _is_remark(rows, row)
             and all(_is_head(one[1:]) for one in rows[:row])
             and len(rows[0]) > 2
         ):
@@ -311,7 +345,9 @@ def _with_index_name(rows: Sequence[Sequence[str]]) -> tuple[Sequence[Sequence[s
 def _head_rows(rows: Sequence[Sequence[str]]) -> int:
     """Return how many rows of words stand above a row of numbers, all of one width; 0 where they do not."""
     width, count = len(rows[0]) if rows else 0, 0
-    while count < min(len(rows) - 1, MOST_ROWS) and len(rows[count]) == width and _is_head(rows[count]):
+    while count < min(len(rows) - 1, MOST_ROWS) and len(rows[count]) == width:
+        if not _is_head(rows[count]) and not _is_remark(rows, count):
+            break
         count += 1
     if width < 2 or len(rows[count]) != width:
         return 0
@@ -351,6 +387,13 @@ def _is_head(row: Sequence[str]) -> bool:
     """Return True if all cells of a row are words or units, two of them at least."""
     cells = [cell for cell in row if cell]
     return len(cells) > 1 and all(_LETTER.match(cell) or (not is_number(cell) and is_unit_cell(cell)) for cell in cells)
+
+
+def _is_remark(rows: Sequence[Row], place: int) -> bool:
+    """Return True for a row below one of units, or below such a remark, that holds no number."""
+    if place < 2 or any(map(_is_plain, rows[place])):
+        return False
+    return _is_units(rows, place - 1) or _is_remark(rows, place - 1)
 
 
 def _commas(row: Sequence[str]) -> int:
@@ -397,6 +440,8 @@ def _heads(rows: Sequence[Row], place: int, kinds: Sequence[Callable[[str], bool
     """Return True for a row of words as wide as the table; one alone in the first column is a remark."""
     row = rows[place]
     filled = [cell for cell in row if cell]
+    if filled and len(row) == len(kinds) and _is_remark(rows, place):
+        return True
     if len(row) != len(kinds) or not filled or (len(filled) < 2 < len(row) + 1 and row[0]):
         return False
     if not any(map(_is_reading, filled)):

@@ -17,8 +17,10 @@ from harness.data.tables.cells import (
     EMPTY,
     arrow_values,
     is_number,
+    is_unit_cell,
     numbers_of,
     refuse_thousands,
+    units_below,
     with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
@@ -38,9 +40,10 @@ from harness.data.tables.stacked import (
     logger_titles,
     sign_of,
     stacked_titles,
+    titles_of,
     units_among,
 )
-from harness.data.tables.texts import CODINGS, closed_lines, text_of
+from harness.data.tables.texts import CODINGS, closed_lines, plainly_quoted, text_of
 from harness.data.times.stamps import clock
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -81,6 +84,7 @@ class TextFile:
         text, coding = text_of(path)
         if "\u2212" in text:
             text = _MINUS.sub("-", text)
+        text = plainly_quoted(text) if "'" in text else text
         lines = text.splitlines()
         self.titles: list[str] = []
         self.notes: list[str] = []
@@ -262,14 +266,19 @@ class TextFile:
 
     def _named(self, lines: list[str], width: int) -> list[str] | None:
         """Return the titles that a comment right above the numbers gives to all columns; None where it does not."""
-        above = lines[self._lines[0][0] - 2].strip() if self._lines[0][0] > 1 else ""
-        if not above.startswith((*_COMMENTS, *_OTHER_COMMENTS)):
+        first, head = self._lines[0][0], []
+        for line in reversed(lines[max(0, first - 1 - MOST_ROWS) : first - 1]):
+            titles = titles_of(line.strip().lstrip("#%;/!* \t"), self._delimiter, width)
+            if not line.strip().startswith((*_COMMENTS, *_OTHER_COMMENTS)) or len(titles) != width:
+                break
+            head.append(titles)
+            if not all(map(is_unit_cell, titles)):
+                break
+        if not head or not all(head[-1]) or any(map(is_number, head[-1])):
             return None
-        titles = self._cells(above.lstrip("#%;/!* \t"))
-        if len(titles) != width or not all(titles) or any(map(is_number, titles)):
-            return None
-        self.notes.append(f"line {self._lines[0][0] - 1}, a comment above the numbers, gives their titles")
-        return titles
+        said = f"line {first - len(head)}, a comment above the numbers, gives their titles"
+        self.notes.append(said + (f", line {first - len(head) + 1} their units" if len(head) > 1 else ""))
+        return units_below(head[-1], head[-2]) if len(head) > 1 else head[-1]
 
     def _leave_out_cut_end(self) -> None:
         """Leave out the last row of a text without an end of its line, where its last cell lacks what all others have.
@@ -315,8 +324,8 @@ class TextFile:
         while len(self.titles) > 2 and _SETTING.fullmatch(self.titles[-1]):  # t0 = -0.5, tInc = 0.01 of a scope
             self.titles = self.titles[:-1]
         lengths = self._lengths()
-        apart = re.split(r"\s{2,}", self._first.strip()) if self._delimiter is None else []
-        if 1 < len(apart) < len(self.titles) and (lengths == len(apart)).all():  # titles of several words
+        apart = titles_of(self._first, self._delimiter, int(lengths[0]))
+        if lengths[0] != len(self.titles) and (lengths == len(apart)).all():
             self.titles = apart
         width = len(self.titles)
         if (lengths == width).all():

@@ -24,8 +24,15 @@ CODINGS = {
     "big5": "Traditional Chinese",
     "cp1250": "Windows, Central Europe",
     "koi8-r": "Russian",
+    "iso8859-2": "Central Europe",
 }
 """Codings of one and two bytes that are tried, and whose they are."""
+_SPELT = ("cp1252", "cp1250", "iso8859-2")
+"""Those of Latin letters, the most frequent first."""
+_NO_LETTER = re.compile(
+    r"(?<=[^\W\d_])[^\w\s\x00-\x7f\u00b7\u2018\u2019](?=[^\W\d_])|(?<=[^\W\d_])[\u00b2\u00b3\u00b9](?=[^\W\d_])"
+)
+"""A sign in the middle of a word, where none stands but for the dot of a product and an apostrophe."""
 _MAGIC = {
     b"MDF ": ".mf4",
     b"UnFinMF": ".mf4",
@@ -44,6 +51,8 @@ _HEAD = 4096
 """Bytes in which a header stands."""
 _OPENED = re.compile(r'(?:^|[,;\t])\s*"[^"]*$')
 """A quoted cell that goes on behind the end of its line."""
+_APOSTROPHES = re.compile(r"""(?:(?<=[,;\t|])|^) *'(?P<cell>[^"\n]*?)'(?= *(?:[,;\t|\r]|$))""", re.MULTILINE)
+"""A cell between apostrophes."""
 _CLOSED = re.compile(r'[^"]*"\s*(?:[,;\t]|$)')
 """The line in which it ends: a sign for a quotation that stands elsewhere closes none, and no row is lost to it."""
 MOST_BROKEN = 30
@@ -70,6 +79,17 @@ def _refuse_other_text(text: str) -> None:
     raise InputError("a file of another format", expected="a table in text", got=kind, remedy=remedy)
 
 
+def plainly_quoted(text: str) -> str:
+    r"""Return a text with quotation marks about cells that stand between apostrophes.
+
+    Examples
+    --------
+    >>> plainly_quoted("'t, s','u', 1'234"), plainly_quoted("d'x,'0', 5")
+    ('"t, s","u", 1\'234', 'd\'x,"0", 5')
+    """
+    return _APOSTROPHES.sub(lambda found: f'"{found["cell"]}"', text)
+
+
 def closed_lines(lines: Sequence[str]) -> list[tuple[int, str]]:
     """Return numbered lines, those together between which a quoted cell goes on (RFC 4180): Excel breaks titles so."""
     found: list[tuple[int, str]] = []
@@ -89,12 +109,15 @@ def closed_lines(lines: Sequence[str]) -> list[tuple[int, str]]:
 
 
 def _coding(raw: bytes) -> str:
-    """Return the coding of a text that is no UTF-8: the first in which its beginning holds a word for time."""
+    """Return the coding of a text that is no UTF-8: the first in which its beginning holds a word for time.
+
+    Where it holds none, that of Latin letters in which the fewest words have a sign among their letters.
+    """
     for coding in CODINGS:
         words = words_of(raw[:_HEAD].decode(coding, "ignore"))
         if any(not word.isascii() and word in TIME_WORDS for word in words):
             return coding
-    return "cp1252"
+    return min(_SPELT, key=lambda coding: len(_NO_LETTER.findall(raw[:_HEAD].decode(coding, "ignore"))))
 
 
 def suffix_by_content(path: Path) -> str | None:

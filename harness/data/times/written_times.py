@@ -46,6 +46,8 @@ _YEAR_LAST = re.compile(
 )
 _UNPADDED = re.compile(r"(?P<year>\d{4})(?P<sign>[-/.])(?P<month>\d{1,2})(?P=sign)(?P<day>\d{1,2})(?!\d)")
 _FOURTH = re.compile(rf"(?P<whole>{_TIME}:[0-5]\d):(?P<part>\d{{3}}|\d{{6}}|\d{{9}})(?!\d)")
+_TWICE = re.compile(r"(?<=:\d\d\.\d{3}),(?=\d{3}\b)")
+"""What Zephyr writes between milli- and microseconds."""
 _HOUR_MINUTE = re.compile(
     rf"(?P<date>.*\d(?:[T ]|, ?))(?P<time>{_TIME})(?P<rest>\s*(?:[AaPp]\.?[Mm]\.?)?\s*(?:Z|[+-]\d\d(?::?\d\d)?)?)"
 )
@@ -73,8 +75,8 @@ def plain_time(cell: str) -> str:
     --------
     >>> plain_time("31-Mar-2024 00:30:00.5"), plain_time("2024/3/1 0:30"), plain_time("2024年3月1日 上午 9:30:05")
     ('31.3.2024 00:30:00.5', '2024/03/01 0:30:00', '2024-03-01 9:30:05 AM')
-    >>> plain_time("Sun Mar 31 00:30:00 2024"), plain_time("12:00:01:250"), plain_time("0.5")
-    ('31.3.2024 00:30:00', '12:00:01.250', '0.5')
+    >>> plain_time("Sun Mar 31 00:30:00 2024"), plain_time("12:00:01:250"), plain_time("12:00:01.250,004")
+    ('31.3.2024 00:30:00', '12:00:01.250', '12:00:01.250004')
     >>> plain_time("2024-W18-3T10:00:05"), plain_time("2024-122T10:00:05Z"), plain_time("2024:122:10:00:05")
     ('2024-05-01T10:00:05', '2024-05-01T10:00:05Z', '2024-05-01 10:00:05')
     """
@@ -91,7 +93,7 @@ def plain_time(cell: str) -> str:
     if re.search(_WORD, text):
         text = _with_month(text.replace(" at ", " "))
     text = _UNPADDED.sub(lambda one: f"{one['year']}{one['sign']}{one['month']:0>2}{one['sign']}{one['day']:0>2}", text)
-    text = _FOURTH.sub(r"\g<whole>.\g<part>", text)
+    text = _FOURTH.sub(r"\g<whole>.\g<part>", _TWICE.sub("", text))
     found = _HOUR_MINUTE.fullmatch(text)
     return text if found is None else f"{found['date']}{found['time']}:00{found['rest']}"
 
