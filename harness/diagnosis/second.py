@@ -59,7 +59,8 @@ def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) ->
     A likelihood with an unmeasured force may be carried by that force: where it would do most of what moves a mass,
     where one effect alone runs far nearer to the validation records than the answer, and where a model that lacks
     nothing runs far further from the validation records than from the others. Output error has no such force (Ljung
-    1999, sec. 7.4), sees less, and errs otherwise. It stands where it brings free runs nearer.
+    1999, sec. 7.4), sees less, and errs otherwise. It stands where it brings free runs nearer; what the halves of all
+    records tell has to bring the validation records as near as the others were, or they are of another machine.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) ->
             "records as on the others: every record is halved, the first parts to fit and the others to validate"
         )
         other = again(halves=True)
-        able = other.verdict == "effects_found"
+        able = other.verdict == "effects_found" and first.runs.cured_by(other.final, policy)
     else:
         return None
     return _told(other, why) if able and nearer(simple, other.final, first.final, policy) else None

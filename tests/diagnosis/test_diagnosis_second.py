@@ -28,6 +28,7 @@ class Answer:
     verdict: str = "unexplained"
     rival: str = ""
     astray: bool = False
+    further: float = 7.0
     force: float = 0.1
     misfit: tuple[str, ...] = ()
     latent: bool = True
@@ -55,7 +56,12 @@ class Answer:
 
     @property
     def runs(self) -> Any:
-        return SimpleNamespace(further=7.0)
+        """The others leave 1, the validation records ``further``, and of that a fit the share that its error says."""
+
+        def cured_by(fit: Any, policy: Any) -> bool:
+            return bool(fit.error * self.further <= policy.further)
+
+        return SimpleNamespace(further=self.further, cured_by=cured_by)
 
 
 class Runs:
@@ -155,6 +161,10 @@ def test_where_the_validation_records_go_further_each_record_is_halved() -> None
     assert "7 times as far" in found.warnings[0]
     assert asked == ["halves"]
     assert opinion(Answer(astray=True), Answer(error=0.2))[0] is None  # it explains nothing either
+    two_machines = Answer(astray=True, further=30.0)
+    assert opinion(two_machines, Answer(verdict="effects_found", error=0.2))[0] is None, (
+        "as far as six times the others"
+    )
 
 
 def test_halves_hold_every_sample_once() -> None:

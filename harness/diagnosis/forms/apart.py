@@ -80,7 +80,7 @@ def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
     own = [name for name in likelihood.names if name not in fit.free or name in fit.own]
     try:
         before = likelihood.maximise(point, free=own, exact=False)
-        after = likelihood.maximise(before, exact=False)
+        after = likelihood.past_forces(likelihood.maximise(before, exact=False))
         shared = min(
             before.terms,
             _within_spread(likelihood, fit, after),

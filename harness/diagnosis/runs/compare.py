@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -105,6 +105,13 @@ class FreeRuns:
             for errors in (self.after.estimation, self.after.validation)
         )
         return float(np.max(validation / np.maximum(estimation, 1e-300)))
+
+    def cured_by(self, fit: Fit, policy: Policy) -> bool:
+        """Return True if another model brings the validation records as near as the final one has the others."""
+        other = seen(self.output, fit)
+        if self.after is None or other is None or not other.finite:
+            return False
+        return replace(self, after=replace(self.after, validation=other.validation)).further <= policy.further
 
     def nearer(self, policy: Policy) -> bool:
         """Return True if the final model runs nearer to the validation records than the nominal one, by as much.
