@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,7 +17,7 @@ from harness.diagnosis.directions.trace import Along, Trace
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.fit import WAVE, ColumnKind
 from harness.diagnosis.systems import AnySystem
-from harness.effects.along import Signals
+from harness.effects.along import Signals, runge_kutta
 from harness.effects.columns import ColumnBlock, column_blocks
 from harness.effects.compose import compose
 from harness.effects.effect import EffectParameter, Placed
@@ -25,6 +26,9 @@ from harness.effects.sampled import delay
 from harness.errors import HarnessError
 from harness.physics.compiled.system import System
 from harness.signals import FloatArray
+
+_PARTS = 4
+"""Of a sample, in which hidden states of a sensor are advanced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,9 +285,26 @@ def _waves_of_readings(
 
 def _sensor(placed: Placed, trace: Along, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
     """Return what a sensor reads along a record."""
-    still = [0.0] * len(placed.effect.states)
-    value, _ = placed.effect.evaluate(y, still, values, y, 0.0, t=trace.record.t, a=0.0, load=0.0)
+    states = _sensor_states(placed, trace, y, values)
+    value, _ = placed.effect.evaluate(y, states, values, y, 0.0, t=trace.record.t, a=0.0, load=0.0)
     return np.asarray(value) * np.ones_like(y)
+
+
+def _sensor_states(placed: Placed, trace: Along, y: FloatArray, values: Mapping[str, float]) -> list[FloatArray]:
+    """Return the hidden states of a sensor (K,) along readings, which are straight from row to row."""
+    effect = placed.effect
+    if not effect.states:
+        return []
+    z, here, there, t = ca.SX.sym("z", len(effect.states)), *map(ca.SX.sym, ("here", "there", "t"))
+
+    def derivative(now: Any, share: float) -> Any:
+        read, time = here + share * (there - here), t + share * trace.dt
+        return ca.vertcat(*effect.evaluate(read, ca.vertsplit(now), values, read, 0.0, t=time, a=0.0, load=0.0)[1])
+
+    step = ca.Function("step", [z, here, there, t], [runge_kutta(derivative, z, trace.dt, _PARTS)])
+    begun = np.array([y[0] if name in effect.initial else 0.0 for name in effect.states])
+    run = step.mapaccum(len(y) - 1)(begun, y[None, :-1], y[None, 1:], trace.record.t[None, :-1])
+    return list(np.column_stack([begun, run.full()]))
 
 
 def _rates(

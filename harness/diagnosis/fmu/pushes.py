@@ -21,6 +21,7 @@ from harness.diagnosis.directions.directions import (
 )
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.fit import WAVE
+from harness.effects.along import runge_kutta
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.errors import HarnessError
@@ -238,16 +239,10 @@ def _compiled(nominal: FmuSystem, placed: Placed, dt: float) -> tuple[FmuSystem,
     sizes = (nominal.nu, len(nominal.coordinates), len(nominal.coordinates), 1)
     start, end = ([ca.SX.sym(name, size) for name, size in zip("uqvt", sizes, strict=True)] for _ in range(2))
     first, own = ca.SX.sym("z", around.z.shape[0]), ca.SX.sym("p", len(placed.effect.parameters))
-    state, h = first, dt / PARTS
 
     def derivative(now: Any, share: float) -> Any:
         mixed = [start[0], *((1 - share) * a + share * b for a, b in zip(start[1:], end[1:], strict=True))]
         return around.functions["derivatives"](*mixed, now, own)
 
-    for part in range(PARTS):
-        k1 = derivative(state, part / PARTS)
-        k2 = derivative(state + 0.5 * h * k1, (part + 0.5) / PARTS)
-        k3 = derivative(state + 0.5 * h * k2, (part + 0.5) / PARTS)
-        k4 = derivative(state + h * k3, (part + 1) / PARTS)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return made, ca.Function("step", [first, *start, *end, own], [state])
+    after = runge_kutta(derivative, first, dt, PARTS)
+    return made, ca.Function("step", [first, *start, *end, own], [after])
