@@ -31,8 +31,7 @@ SAMPLES, DT = 600, 0.01
 COPIES = 20
 FIRST = 10_000
 ROUND = 10
-MODELS = {"pendulum": False, "cart-pole": True}
-"""Whether rates are measured."""
+MODELS = {"pendulum": False, "cart-pole": True}  # Whether rates are measured.
 FORMS = ("torque", "energy", "momentum")
 CRITERIA = ("least-squares", "unweighted", "total", "instruments", "huber", "l1")
 Task = tuple[str, str, str, int]

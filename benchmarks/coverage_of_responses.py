@@ -29,8 +29,7 @@ from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
 STATES = PlantSpec((Channel("u", "V"),), (Channel("y", "m"), Channel("v", "m")), 0.1)
-F = np.array([1.0, -1.5, 0.7])
-"""Poles 0.75 +- 0.37i: 0.84 in modulus."""
+F = np.array([1.0, -1.5, 0.7])  # Poles 0.75 +- 0.37i: 0.84 in modulus.
 B = np.array([0.0, 1.0, 0.5])
 GAIN = 0.15
 FREQUENCY = np.array([0.02, 0.1, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0])

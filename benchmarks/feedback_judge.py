@@ -28,14 +28,11 @@ from harness.errors import HarnessError
 from harness.scoring import predict
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-NOISES = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.1)
-"""Of the sensors, relative to the outputs."""
-SAMPLES = 1000
-"""Of a record."""
+NOISES = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.1)  # Of the sensors, relative to the outputs.
+SAMPLES = 1000  # Of a record.
 RIGHT = 0.5
 """One-step error under fresh inputs, relative to that of the last value, of a model that knows the plant still."""
-BASE = 10_000
-"""First seed: those below may be used while tuning."""
+BASE = 10_000  # First seed: those below may be used while tuning.
 IDENTIFIERS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("least-squares", {}),
     ("least-squares", {"method": "iv"}),

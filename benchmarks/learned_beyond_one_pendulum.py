@@ -28,11 +28,8 @@ from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory, residual
 
 LEVEL = 0.9
-HONEST = (0.85, 0.95)
-"""What 90 % bands are to hold."""
-
-FIRST = 50
-"""Samples from which the state at the start of a test record is estimated."""
+HONEST = (0.85, 0.95)  # What 90 % bands are to hold.
+FIRST = 50  # Samples from which the state at the start of a test record is estimated.
 
 RECORDS, SAMPLES = 40, 600
 """Records to learn from, 30 s at 20 Hz each. Two fifths of each and more are held out (the Gaussian process: all of

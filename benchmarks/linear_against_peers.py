@@ -35,24 +35,16 @@ from harness import registry
 from harness.scoring import errors
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-BASE = 10_000
-"""First seed."""
+BASE = 10_000  # First seed.
 KINDS = ("white", "coloured", "two by two", "oversampled", "delayed", "short", "long", "loop")
-EACH = 5
-"""Data sets of a kind."""
-SETTLE, FRESH, REST = 300, 1000, 20
-"""Samples before a record, of the fresh record, and of rest at its beginning."""
-POLE = 0.9
-"""Of noise that remembers."""
-REMEMBERED = ("coloured", "long", "loop")
-"""Kinds with such a noise."""
-MARKOV = 60
-"""Markov parameters that python-control's realisation is given."""
+EACH = 5  # Data sets of a kind.
+SETTLE, FRESH, REST = 300, 1000, 20  # Samples before a record, of the fresh record, and of rest at its beginning.
+POLE = 0.9  # Of noise that remembers.
+REMEMBERED = ("coloured", "long", "loop")  # Kinds with such a noise.
+MARKOV = 60  # Markov parameters that python-control's realisation is given.
 OURS: tuple[tuple[str, dict[str, Any]], ...] = (("arx", {}), ("n4sid", {}), ("prediction-error", {}))
-CLOSE = 1.05
-"""Beyond so many times the least error a method is not among the best."""
-DIVERGED = 1e6
-"""Times its outputs: a free run so far off has diverged."""
+CLOSE = 1.05  # Beyond so many times the least error a method is not among the best.
+DIVERGED = 1e6  # Times its outputs: a free run so far off has diverged.
 
 
 @dataclass(frozen=True)

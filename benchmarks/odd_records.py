@@ -14,12 +14,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from harness.algebra import runge_kutta
 from harness.data.oddities import examined
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 Step = Callable[[FloatArray, float], FloatArray]
-NOISE = (1e-4, 1e-3, 1e-2)
-"""Sensor noise over the spread of the output."""
+NOISE = (1e-4, 1e-3, 1e-2)  # Sensor noise over the spread of the output.
 SUBSTEPS = 4
 
 
@@ -87,11 +87,7 @@ def simulated(plant: str, u: FloatArray) -> FloatArray:
     for k, value in enumerate(u):
         y[k] = x[0] if states < 2 or plant != "room" else x[1]
         for _ in range(SUBSTEPS):
-            a = rates(x, value)
-            b = rates(x + h / 2 * a, value)
-            c = rates(x + h / 2 * b, value)
-            d = rates(x + h * c, value)
-            x = x + h / 6 * (a + 2 * b + 2 * c + d)
+            x = runge_kutta(lambda state, held=value: rates(state, held), x, h)
     return y
 
 

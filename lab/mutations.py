@@ -46,14 +46,11 @@ ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
 }
 """By room its folder, what only has a look (or is being built) in it, and the tests that are to notice beside its own
 examples, in pytest's words."""
-FAILING = 4
-"""Tests of a room that must not fail unharmed; fewer are left out."""
-SECONDS = 30.0
-"""What the tests of one fault may take together, by the time that they took unharmed."""
+FAILING = 4  # Tests of a room that must not fail unharmed; fewer are left out.
+SECONDS = 30.0  # What the tests of one fault may take together, by the time that they took unharmed.
 PATIENCE = 10.0
 """With a fault they may take this many times as long, and start in :data:`SECONDS`; what takes longer is noticed."""
-ROUNDING = 1e-6
-"""Below it a number is there for rounding."""
+ROUNDING = 1e-6  # Below it a number is there for rounding.
 SWAPS: Mapping[type[ast.AST], tuple[str, str]] = {
     ast.Lt: ("<", "<="), ast.LtE: ("<=", "<"), ast.Gt: (">", ">="), ast.GtE: (">=", ">"),
     ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.In: ("in", "not in"), ast.NotIn: ("not in", "in"),
@@ -61,8 +58,7 @@ SWAPS: Mapping[type[ast.AST], tuple[str, str]] = {
     ast.And: ("and", "or"), ast.Or: ("or", "and"),
 }  # fmt: skip
 """What stands between two operands, and what is planted instead."""
-TOLERANCES = ("rtol", "atol", "rcond")
-"""Arguments that let rounding pass where they are that small."""
+TOLERANCES = ("rtol", "atol", "rcond")  # Arguments that let rounding pass where they are that small.
 LEFT_ALONE = ("annotation", "returns", "decorator_list", "op", "ops")
 """Parts of the syntax tree that hold no faults of their own."""
 TRACER = """

@@ -28,8 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LIST = Path(__file__).with_suffix(".toml")
 TREE = ("harness", "plants", "identifiers", "scenarios", "tests", "examples", "docs", "pyproject.toml")
 AIM = 0.9
-LIMIT = 900.0
-"""Seconds for the tests of one fault."""
+LIMIT = 900.0  # Seconds for the tests of one fault.
 
 
 @dataclass(frozen=True)

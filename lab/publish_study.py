@@ -31,8 +31,7 @@ from sysid_lab.store import read_rows
 
 Row = dict[str, str]
 STUDIES = Path(__file__).parents[1] / "docs/studies"
-CELLS = 5
-"""Repetitions that a judged study plans."""
+CELLS = 5  # Repetitions that a judged study plans.
 HEADER = """# Studies of earlier versions
 
 Each line is one version of the closed loop on records that nobody had seen before (`history.csv.xz` has their rows:

@@ -16,8 +16,7 @@ from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec
 from scenarios.closed_loop import ArmTracking
 
-SMALL = 1e-3
-"""Scale of a lumped parameter that is believed to be 0, relative to the largest."""
+SMALL = 1e-3  # Scale of a lumped parameter that is believed to be 0, relative to the largest.
 
 
 @dataclass(frozen=True, kw_only=True)

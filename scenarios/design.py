@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.algebra import unit_columns
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -21,8 +22,7 @@ Criterion = Callable[[FloatArray], float]
 FORBIDDEN = 1e9
 """Cost of a reference that breaks a limit, before the size of the breach: above any condition number in doubles."""
 
-PROMISING = 4
-"""Starts that are searched from before one is chosen."""
+PROMISING = 4  # Starts that are searched from before one is chosen.
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +185,8 @@ def deviation_of(W: FloatArray, column: int) -> float:
     >>> deviation_of(np.array([[1.0, 1.0], [0.0, 2.0]]), 1)
     0.5
     """
-    others = np.delete(W, column, axis=1)
-    size = np.linalg.norm(others, axis=0)
-    part = np.linalg.lstsq(others / np.where(size > 0, size, 1.0), W[:, column], rcond=None)[0]
-    left = float(np.linalg.norm(W[:, column] - others / np.where(size > 0, size, 1.0) @ part))
+    others = unit_columns(np.delete(W, column, axis=1))
+    left = float(np.linalg.norm(W[:, column] - others @ np.linalg.lstsq(others, W[:, column], rcond=None)[0]))
     return 1.0 / left if left > 0 else float("inf")
 
 

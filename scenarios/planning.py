@@ -22,8 +22,7 @@ from scenarios.noise import PerChannel, per_channel
 _ROUNDS = {"mppi": 1, "cem": 3}
 """Times that a plan is drawn and improved at every sample; the plan of the sample before is its start."""
 
-_LOST = 1e9
-"""Cost of a plan whose prediction diverges."""
+_LOST = 1e9  # Cost of a plan whose prediction diverges.
 
 
 def read_model(source: Any) -> Model:

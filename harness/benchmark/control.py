@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from harness.algebra import divisor
 from harness.errors import FitError, InputError
 from harness.parts.files import make_plant
 from harness.signals import FloatArray, Trajectory
@@ -20,14 +21,10 @@ if TYPE_CHECKING:
 AT_REST = 0.02
 """The plant is linearised at the mean of the records if one sample from there moves no state by more than this share of
 its spread: a record that swings about an equilibrium has its mean there, another has none."""
-NEWTON = 2
-"""Steps from there to the equilibrium itself: a controller about another point would pay for holding it."""
-STEPS = 400
-"""Samples of the run whose control regret is taken: several designs, the data doubling between them."""
-NOISE = 0.1
-"""Standard deviation of its disturbance, in units of each state's spread over the records."""
-CAREFUL = 0.8
-"""Share of the optimal gain that an unstable plant begins with: it is held, and not well."""
+NEWTON = 2  # Steps from there to the equilibrium itself: a controller about another point would pay for holding it.
+STEPS = 400  # Samples of the run whose control regret is taken: several designs, the data doubling between them.
+NOISE = 0.1  # Standard deviation of its disturbance, in units of each state's spread over the records.
+CAREFUL = 0.8  # Share of the optimal gain that an unstable plant begins with: it is held, and not well.
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +126,7 @@ def _point(task: Task, runs: Sequence[Trajectory]) -> _Point | str:
     x = np.concatenate([part for part in states if part is not None])
     u = np.concatenate([one.u for one in runs])
     centre, hold, spread = x.mean(axis=0), u.mean(axis=0), x.std(axis=0)
-    size = np.concatenate([spread, u.std(axis=0)])
-    size = np.where(size > 0, size, 1.0)
+    size = divisor(np.concatenate([spread, u.std(axis=0)]))
     with make_plant(task.plant.id, dict(task.plant.options)) as plant:
         if "truth" not in plant.abilities:
             return "the plant does not tell its states"

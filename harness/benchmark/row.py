@@ -15,8 +15,7 @@ from harness.jobs.stored import reading
 STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "terminated", "failed")
 """``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
 
-LARGEST = 2**63 - 1
-"""Whole numbers that a column holds."""
+LARGEST = 2**63 - 1  # Whole numbers that a column holds.
 
 
 class Row(msgspec.Struct, kw_only=True, gc=False):

@@ -91,8 +91,7 @@ def _plain(options: dict[str, Any]) -> Any:
     return json.loads(json.dumps(options, default=str))
 
 
-TRACES = ("first", "all", "none")
-"""Seeds whose cells keep what their overlays are drawn from."""
+TRACES = ("first", "all", "none")  # Seeds whose cells keep what their overlays are drawn from.
 
 
 def bench(

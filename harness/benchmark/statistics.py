@@ -17,12 +17,9 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-LEVEL = 0.05
-"""Two-sided level of all comparisons."""
-MINIMUM_SEEDS = 5
-"""With fewer pairs nothing is marked, with fewer blocks nothing is ranked."""
-MARGIN = 2.0
-"""Ratio to the best that a tie has to exclude: what may be twice as bad is not tied, it is undecided."""
+LEVEL = 0.05  # Two-sided level of all comparisons.
+MINIMUM_SEEDS = 5  # With fewer pairs nothing is marked, with fewer blocks nothing is ranked.
+MARGIN = 2.0  # Ratio to the best that a tie has to exclude: what may be twice as bad is not tied, it is undecided.
 
 Seed = TypeVar("Seed", bound=Hashable)
 

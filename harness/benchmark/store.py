@@ -27,8 +27,7 @@ from harness.errors import InputError
 from harness.jobs.manifest import read_manifest
 from harness.jobs.stored import read_columns, reading
 
-BATCH = 2000
-"""Rows in one Parquet file of the shards: few files, and little lost in memory while one is written."""
+BATCH = 2000  # Rows in one Parquet file of the shards: few files, and little lost in memory while one is written.
 
 
 class Manifest(msgspec.Struct):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import itertools
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from harness.errors import InputError
 from harness.fingerprint import files_named, fingerprint, own_code
 from harness.parts.files import fingerprint as plant_fingerprint
 from harness.parts.files import is_plant_file, stream_key
+from harness.toml_file import read_toml
 from harness.trust import registered_only
 
 
@@ -79,14 +79,7 @@ def load_suite(suite: str | Path) -> Suite:
     'quick'
     """
     path = find_suite(suite)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError("not TOML", expected="a TOML file", got=str(error), remedy="repair it", file=path) from error
-    try:
-        read = msgspec.convert(content, Suite)
-    except msgspec.ValidationError as error:
-        raise _explained(error, path) from error
+    read = read_toml(path, Suite)
     if is_file(suite):  # a registered suite is installed, as code is
         for number, group in enumerate(read.groups):
             for kind in ("plants", "scenarios", "identifiers"):
@@ -234,24 +227,3 @@ def _check_group(group: Group, place: str, path: Path) -> None:
                 file=path,
                 place=f"{place}.{key}",
             )
-
-
-def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
-    """Return msgspec's refusal in our words: `what - at `$.place``."""
-    what, _, place = str(error).partition(" - at ")
-    place = place.strip("`").removeprefix("$").lstrip(".")
-    if "unknown field" in what:
-        key = what.rpartition("field ")[2].strip("`")
-        return InputError(
-            "unknown key",
-            expected="the keys of a suite: name, description, seeds, time_limit, cell_seconds, [[groups]] with name, "
-            "plants, scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out, "
-            "control, curve), axes",
-            got=repr(key),
-            remedy=f"remove or correct {key}",
-            file=path,
-            place=f"{place}.{key}".strip("."),
-        )
-    return InputError(
-        "value in a suite", expected="the type that fits", got=what, remedy="correct it", file=path, place=place or None
-    )

@@ -35,8 +35,7 @@ OPTIONAL = {
     "log_regret": "log regret",
 }
 """Scores with a column only where a line has them, and its title: of predicted distributions, and of rates."""
-BASELINES = ("true-model",)
-"""Identifiers that know the truth: they show what is possible and do not compete."""
+BASELINES = ("true-model",)  # Identifiers that know the truth: they show what is possible and do not compete.
 
 
 @dataclass(frozen=True)

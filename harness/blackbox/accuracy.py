@@ -14,15 +14,11 @@ from harness.blackbox.system import FmuSystem
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory
 
-SHARE = 0.3
-"""Part of the noise that halving the step may move a reading by (rms): its square adds less than a tenth."""
-FINER = 0.01
-"""Factor of the tolerance from one trial to the next."""
-FIRST, LAST = 1e-4, 1e-12
-"""Tolerance that is taken as the FMU's own where it tells none, and the finest that is tried."""
+SHARE = 0.3  # Part of the noise that halving the step may move a reading by (rms): its square adds less than a tenth.
+FINER = 0.01  # Factor of the tolerance from one trial to the next.
+FIRST, LAST = 1e-4, 1e-12  # Tolerance that is taken as the FMU's own where it tells none, and the finest that is tried.
 TRIALS = 4
-ROWS = 2000
-"""Samples over which settings are compared."""
+ROWS = 2000  # Samples over which settings are compared.
 
 
 class Settings(NamedTuple):

@@ -18,8 +18,7 @@ from harness.signals import Channel
 if TYPE_CHECKING:
     from harness.physics.definition.ports import Port
 
-DRY = "dry friction"
-"""The whole of the laws whose force jumps as the motion turns."""
+DRY = "dry friction"  # The whole of the laws whose force jumps as the motion turns.
 
 
 def fits_fmu(effect: Effect) -> bool:

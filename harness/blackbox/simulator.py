@@ -24,10 +24,8 @@ from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.compiled.sampled import BySample, SampledBlocks
 from harness.signals import FloatArray, PlantSpec
 
-STEP = 1e-3
-"""Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration."""
-KEPT = 64
-"""Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps."""
+STEP = 1e-3  # Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration.
+KEPT = 64  # Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps.
 
 
 class _Run(NamedTuple):

@@ -32,16 +32,11 @@ NOTHING = 1e-8
 sensitivity are sure, and the information is their square."""
 HARDLY = 0.5
 """Relative standard deviation of a direction from which on the data hardly tell it: its interval holds nearly 0."""
-MOST_STATES = 20
-"""States beyond which starts are not estimated: each costs a run for every derivative."""
-LOOK = 200
-"""Samples within which the start of a state must have moved an output."""
-NUDGE = 1e-2
-"""By how much a start is moved, relative to its value, or [SI unit]."""
-SEEN = 1e-7
-"""Share of the nudge, in the unit of the output, below which an output counts as not moved."""
-DOMINATES = 0.2
-"""Share of the residual's rms that the solver inside may move the outputs by before it is said."""
+MOST_STATES = 20  # States beyond which starts are not estimated: each costs a run for every derivative.
+LOOK = 200  # Samples within which the start of a state must have moved an output.
+NUDGE = 1e-2  # By how much a start is moved, relative to its value, or [SI unit].
+SEEN = 1e-7  # Share of the nudge, in the unit of the output, below which an output counts as not moved.
+DOMINATES = 0.2  # Share of the residual's rms that the solver inside may move the outputs by before it is said.
 
 BIAS = 0.1
 """Of the noise that a solver may move readings by where only errors are compared, what it may where parameters get

@@ -24,15 +24,12 @@ from harness.protocols import Feedthrough, Plant
 from harness.signals import Channel, FloatArray, PlantSpec
 from harness.supervision.guarded import alive
 
-STEP = 1e-3
-"""Relative step of one-sided differences: a smaller one would see the steps of the solver inside."""
-CENTRAL = 3e-3
-"""Relative step of central differences, whose error is its square."""
+STEP = 1e-3  # Relative step of one-sided differences: a smaller one would see the steps of the solver inside.
+CENTRAL = 3e-3  # Relative step of central differences, whose error is its square.
 EXACT = 1e-4
 """Error, in standard deviations of the sensor, that counts as none: without it records that a model repeats to the last
 digit would never be fitted well enough."""
-KEPT = 32
-"""Runs that are kept: one of each record at a point and at the one before it."""
+KEPT = 32  # Runs that are kept: one of each record at a point and at the one before it.
 
 
 class Preset(Protocol):

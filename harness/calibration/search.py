@@ -17,23 +17,15 @@ from harness.physics.fitting.fit_result import OutputErrorFit, Result, finish, o
 from harness.physics.fitting.levenberg import minimise, minimise_states
 from harness.signals import FloatArray, Trajectory
 
-PARTS = (8, 3)
-"""A record's beginnings that are fitted first are so many times shorter."""
-SHORTEST = 50
-"""Samples that a beginning has at least: fewer hardly hold the motion of an excited system."""
+PARTS = (8, 3)  # A record's beginnings that are fitted first are so many times shorter.
+SHORTEST = 50  # Samples that a beginning has at least: fewer hardly hold the motion of an excited system.
 ITERATIONS = 60
-PREPARED = 1e-3
-"""Relative decrease of the cost at which a fit that only prepares the next one ends."""
-WEIGHINGS = 4
-"""How often outputs are weighed anew by their residuals."""
-SAME = 1e-2
-"""Sums of squares that differ by less than this part are those of the same minimum."""
-EQUAL = 1e-6
-"""Errors below this part of the deviation of the records are none, whatever their ratio."""
-SLEEP = 1e-12
-"""Share of the largest information on a start of a state below which one counts as telling nothing."""
-DRAWS = 4
-"""Draws for each start: the one that fits the first beginning best is followed."""
+PREPARED = 1e-3  # Relative decrease of the cost at which a fit that only prepares the next one ends.
+WEIGHINGS = 4  # How often outputs are weighed anew by their residuals.
+SAME = 1e-2  # Sums of squares that differ by less than this part are those of the same minimum.
+EQUAL = 1e-6  # Errors below this part of the deviation of the records are none, whatever their ratio.
+SLEEP = 1e-12  # Share of the largest information on a start of a state below which one counts as telling nothing.
+DRAWS = 4  # Draws for each start: the one that fits the first beginning best is followed.
 
 
 def best_fit(

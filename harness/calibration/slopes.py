@@ -15,8 +15,7 @@ import numpy as np
 from harness.errors import HarnessError
 from harness.signals import FloatArray
 
-LOOK = 60
-"""Samples over which an FMU's own derivatives are held against differences of runs."""
+LOOK = 60  # Samples over which an FMU's own derivatives are held against differences of runs.
 AGREES = 0.03
 """Largest disagreement, over the largest derivative: differences of runs see the steps of the solver inside."""
 

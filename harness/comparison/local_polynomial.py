@@ -14,19 +14,16 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import column_norms
 from harness.signals import FloatArray, Trajectory
 
-ORDER = 2
-"""Of the polynomials, as the authors advise: even orders have no larger bias than the odd ones below."""
-SPARE = 7
-"""Lines beyond the unknowns in the narrowest window: fewer leave the noise, and the band, unknown."""
-WIDER = (1.0, 2.0, 4.0, 8.0)
-"""Windows that are tried, over the narrowest."""
+ORDER = 2  # Of the polynomials, as the authors advise: even orders have no larger bias than the odd ones below.
+SPARE = 7  # Lines beyond the unknowns in the narrowest window: fewer leave the noise, and the band, unknown.
+WIDER = (1.0, 2.0, 4.0, 8.0)  # Windows that are tried, over the narrowest.
 APART = 2.0
 """Standard deviations by which a wider window's response may leave that of a narrower one (Goldenshluger and Nemirovski
 1997: intersection of confidence intervals)."""
-POINTS = 160
-"""Frequencies on a logarithmic scale, and as many on a linear one: more are not seen in a picture."""
+POINTS = 160  # Frequencies on a logarithmic scale, and as many on a linear one: more are not seen in a picture.
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -97,8 +94,7 @@ def _fit(
         regressors.append(np.hstack([driven, transient]))
         targets.append(y[rows])
     matrix, target = np.vstack(regressors), np.vstack(targets)
-    size = np.linalg.norm(matrix, axis=0)
-    size = np.where(size > 0, size, 1.0)
+    size = column_norms(matrix)
     left, singular, right = np.linalg.svd(matrix / size, full_matrices=False)
     inverse = np.where(singular > 1e-10 * singular[0], 1.0 / np.maximum(singular, 1e-300), 0.0)
     solution = (right.conj().T * inverse) @ (left.conj().T @ target) / size[:, None]

@@ -21,8 +21,7 @@ from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, Use, residual
 from harness.units import own_record, own_values
 
-MOST_POLES, MOST_SAMPLES = 40, 3000
-"""Poles in the table of a page, and samples in its picture over time."""
+MOST_POLES, MOST_SAMPLES = 40, 3000  # Poles in the table of a page, and samples in its picture over time.
 LEGEND = (
     "Over time: what was measured, and the free run of every model with a band of 1.96 times the rms by which it "
     "misses the estimation data. Residuals are those of one-step predictions; the shaded regions hold 99 % of the "

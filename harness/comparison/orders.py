@@ -20,16 +20,13 @@ from harness.signals import Dataset, FloatArray, Trajectory, residual
 
 IDENTIFIERS = ("arx", "n4sid", "ho-kalman")
 """One of each way to a linear model: lagged signals, a subspace of the data, the impulse response."""
-ORDERS = range(1, 13)
-"""Orders that are tried where none are asked for."""
+ORDERS = range(1, 13)  # Orders that are tried where none are asked for.
 BLOCKS = 20
 """Stretches of the judged records whose losses are taken as independent, for the standard error of a difference."""
 WORTH = 0.05
 """Share of the NRMSE by which a larger order must be better to be worth its states; less is seldom seen in use."""
-LARGEST = 1e12
-"""Squared error relative to the outputs' variance beyond which a free run counts as diverged."""
-ROUNDING = 1e-6
-"""NRMSE below which two orders are equal: what is left of exact data is rounding."""
+LARGEST = 1e12  # Squared error relative to the outputs' variance beyond which a free run counts as diverged.
+ROUNDING = 1e-6  # NRMSE below which two orders are equal: what is left of exact data is rounding.
 
 
 @dataclass(frozen=True, eq=False)

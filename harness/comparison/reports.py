@@ -12,8 +12,7 @@ from harness.errors import InputError, as_written
 from harness.units import behind
 
 FORMAT = "sysid-harness/close-loop/"
-SAME = 1e-3
-"""Relative difference of two figures below which nobody looks: the fits of two machines differ by less."""
+SAME = 1e-3  # Relative difference of two figures below which nobody looks: the fits of two machines differ by less.
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,8 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-LAGS = 25
-"""Lags looked at: Ljung's recommendation."""
-BOUND = 2.576
-"""Standard deviations of the 99 % region."""
+LAGS = 25  # Lags looked at: Ljung's recommendation.
+BOUND = 2.576  # Standard deviations of the 99 % region.
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,7 @@ from harness.signals import FloatArray, PlantSpec
 
 DECAYED = 1e-2
 """What is left of the slowest mode where a response ends by itself: then nothing more is seen in a picture."""
-SAMPLES = (20, 2000)
-"""Fewest and most samples of a response whose length nobody chose; an integrator would never end."""
+SAMPLES = (20, 2000)  # Fewest and most samples of a response whose length nobody chose; an integrator would never end.
 
 
 @dataclass(frozen=True, eq=False)

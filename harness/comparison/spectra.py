@@ -19,8 +19,7 @@ ComplexArray = npt.NDArray[np.complex128]
 
 OVERLAP = 9.0 / 11.0
 """Independent averages for each segment at half overlap (Welch 1967, eq. 12: a variance 11/9 times larger)."""
-LEAST = 8
-"""Averages below which bands and coherence say nothing."""
+LEAST = 8  # Averages below which bands and coherence say nothing.
 
 
 @dataclass(frozen=True, eq=False)

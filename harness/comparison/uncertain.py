@@ -27,8 +27,7 @@ WIDEST, UNKNOWN = 1.0, 0.35
 """Half axis of an ellipse beyond which a pole may lie anywhere in the unit circle, and how dark such a pole is drawn.
 """
 NONE: Mapping[str, str] = MappingProxyType({})
-SHOWN = 400
-"""Samples of a step response that are drawn at most."""
+SHOWN = 400  # Samples of a step response that are drawn at most.
 
 
 def is_linear(model: Any) -> bool:

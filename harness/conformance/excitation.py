@@ -6,8 +6,7 @@ import numpy as np
 
 from harness.signals import Channel, FloatArray, PlantSpec
 
-STEPS = 60
-"""Samples of a run in a check."""
+STEPS = 60  # Samples of a run in a check.
 
 
 def inputs_for(spec: PlantSpec, samples: int = STEPS, seed: int = 1) -> FloatArray:

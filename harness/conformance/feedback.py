@@ -13,12 +13,10 @@ from harness.conformance.subject import Subject
 from harness.errors import HarnessError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-SAMPLES = 500
-"""Of each of two records: enough for a judge to see a law, little enough for a slow fit."""
+SAMPLES = 500  # Of each of two records: enough for a judge to see a law, little enough for a slow fit.
 NOISES = (0.0, 1e-4, 0.05)
 """Of the sensors, relative to the outputs: rounding, far below, and about as large as what a residual shows."""
-HELD = 0.7
-"""Input that never moves."""
+HELD = 0.7  # Input that never moves.
 REMEDY = (
     "refuse them (harness.judgement.refuse_law), or say so in the model's notes under 'warning', as the "
     "decorator @told of identifiers.common.judge.told does on fit"

@@ -21,8 +21,7 @@ from harness.signals import FloatArray, Trajectory
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-EXAMPLES = 6
-"""Systems that hypothesis draws for each check."""
+EXAMPLES = 6  # Systems that hypothesis draws for each check.
 
 
 def seeded(seed: int = 0) -> np.random.Generator:

@@ -19,8 +19,7 @@ WORSE = 3.0
 """Factor by which a shuffled order may not spoil the predictions, in the median over the systems of a kind. Random and
 order-dependent estimators stay below 1.4 on these systems; differences across the seams cost a factor of 4 to 15 on
 some kind (measured in tests/conformance)."""
-EXACT = 1e-6
-"""Error, relative to the outputs, below which a fit counts as exact whatever its order."""
+EXACT = 1e-6  # Error, relative to the outputs, below which a fit counts as exact whatever its order.
 
 
 def no_seam_crossed(subject: Subject) -> None:

@@ -14,8 +14,7 @@ from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory
 
 Factory = Callable[[], Any]
-SLOW = 1.0
-"""Seconds for a fit to two records, beyond which an identifier is checked on two systems only."""
+SLOW = 1.0  # Seconds for a fit to two records, beyond which an identifier is checked on two systems only.
 SURVEY = 12
 """Systems in a survey: a share of them is told from none of them with room to spare, in a second for a quick fit."""
 

@@ -17,12 +17,9 @@ from harness.conformance.workloads import Workload
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory, residual
 
-MARGIN = 0.9
-"""Share of the trivial error below which a model counts as better: 10 % is beyond the luck of 240 samples."""
-GOOD = 0.05
-"""Free-run error, relative to the signal, of a model good enough for its start to be judged."""
-START = 10
-"""Samples after the burn-in at which a wrong initial state shows in every system that is drawn."""
+MARGIN = 0.9  # Share of the trivial error below which a model counts as better: 10 % is beyond the luck of 240 samples.
+GOOD = 0.05  # Free-run error, relative to the signal, of a model good enough for its start to be judged.
+START = 10  # Samples after the burn-in at which a wrong initial state shows in every system that is drawn.
 
 
 def beats_trivial(subject: Subject) -> None:

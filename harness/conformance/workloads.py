@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from hypothesis import strategies as st
 
+from harness.algebra import runge_kutta
 from harness.errors import HarnessError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.testing import FiniteProcess, LinearSystem, simulate_finite, simulate_linear
@@ -24,8 +25,7 @@ KINDS = (
 )
 """Kinds of systems; an identifier need not accept all of them, but at least one."""
 
-PLANT = "plant:"
-"""Prefix of a kind that records a registered plant, such as ``plant:pendulum-ode``."""
+PLANT = "plant:"  # Prefix of a kind that records a registered plant, such as ``plant:pendulum-ode``.
 
 SAMPLES = 240
 
@@ -221,19 +221,14 @@ def _mechanical(rng: np.random.Generator, n: int, system: _Mechanics, *, rates: 
     x = np.zeros((n, 2 * m, len(angles)))  # all records at once
     x[0, m - 1] = angles
     forces = np.stack(held, axis=2)
+    for k, force in enumerate(forces[:-1]):
 
-    def derivative(state: FloatArray, force: FloatArray) -> FloatArray:
-        return np.concatenate([state[m:], system.acceleration(p, state[:m], state[m:], force)])
+        def derivative(state: FloatArray, force: FloatArray = force) -> FloatArray:
+            return np.concatenate([state[m:], system.acceleration(p, state[:m], state[m:], force)])
 
-    for k in range(n - 1):
-        state, h = x[k], dt / substeps
+        x[k + 1] = x[k]
         for _ in range(substeps):
-            a = derivative(state, forces[k])
-            b = derivative(state + 0.5 * h * a, forces[k])
-            c = derivative(state + 0.5 * h * b, forces[k])
-            d = derivative(state + h * c, forces[k])
-            state = state + h / 6 * (a + 2 * b + 2 * c + d)
-        x[k + 1] = state
+            x[k + 1] = runge_kutta(derivative, x[k + 1], dt / substeps)
     records = []
     for number, (u, normal) in enumerate(zip(held, sensed, strict=True)):
         record = np.ascontiguousarray(x[:, :, number])

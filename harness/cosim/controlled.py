@@ -12,8 +12,7 @@ from harness.errors import InputError, PlantError
 
 Hold = Literal["constant", "linear"]
 
-MOST = 1024
-"""Exchanges within a communication step at most."""
+MOST = 1024  # Exchanges within a communication step at most.
 
 
 class Lines:

@@ -11,8 +11,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
 
-EXACT = 1e-12
-"""Share of an output's range below which a change is rounding, and says nothing of an order."""
+EXACT = 1e-12  # Share of an output's range below which a change is rounding, and says nothing of an order.
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +14,7 @@ from harness.cosim.wiring import Connection
 from harness.errors import HarnessError, InputError, refuse_unknown
 from harness.fmi.terminals import Terminal, joined, read_terminals
 from harness.protocols import Plant
+from harness.toml_file import read_toml
 from harness.trust import registered_only
 
 
@@ -196,14 +195,7 @@ def read_coupling(path: str | Path) -> CouplingDescription:
     path = Path(path)
     if not path.is_file():
         raise InputError("no such coupling", expected="a TOML file", got="no file", remedy="check the path", file=path)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError("not TOML", expected="a TOML file", got=str(error), remedy="repair it", file=path) from error
-    try:
-        read = msgspec.convert(content, CouplingDescription)
-    except msgspec.ValidationError as error:
-        raise _explained(error, path) from error
+    read = read_toml(path, CouplingDescription)
     for name, part in read.parts.items():
         named = {"plant": part.plant, "fmu": part.fmu, "mockup": part.mockup}
         registered_only(named, file=path, place=f"parts.{name}")
@@ -312,34 +304,3 @@ def _beside(value: Any, folder: Path) -> Any:
     """Return the path of a file beside the TOML file (an MJCF, a URDF) where an option names one."""
     names_a_file = isinstance(value, str) and bool(Path(value).suffix) and (folder / value).is_file()
     return str(folder / value) if names_a_file else value
-
-
-def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
-    """Return msgspec's refusal in our words: ``what - at `$.place```."""
-    text, _, place = str(error).partition(" - at ")
-    where = place.strip("`").removeprefix("$").removeprefix(".") or None
-    if unknown := re.search(r"unknown field `(.*)`", text):
-        tables = {"parts": PartDescription, "connections": Wiring}
-        struct = tables.get(re.split(r"[.\[]", where)[0], CouplingDescription) if where else CouplingDescription
-        known = ", ".join(struct.__struct_encode_fields__)
-        return InputError(
-            "unknown key",
-            expected=f"one of {known}",
-            got=repr(unknown[1]),
-            remedy="correct or remove it",
-            file=path,
-            place=where,
-        )
-    if missing := re.search(r"missing required field `(.*)`", text):
-        return InputError(
-            "a key is missing", expected=repr(missing[1]), got="none", remedy="add it", file=path, place=where
-        )
-    expected, _, got = text.partition(", got ")
-    return InputError(
-        "wrong value",
-        expected=expected.removeprefix("Expected ").strip("`") or "another value",
-        got=got.strip("`") or text,
-        remedy="correct it",
-        file=path,
-        place=where,
-    )

@@ -13,12 +13,9 @@ from harness.errors import InputError, PlantError
 from harness.protocols import Batch, Feedthrough, Plant
 from harness.signals import FloatArray, Trajectory
 
-SAMPLES = 500
-"""Samples of a run whose file suggests no step."""
-LENGTH = 1.0
-"""Seconds of a run whose file suggests no end."""
-MOST = 5_000_000
-"""Samples beyond which a run must be asked for with a step of its own."""
+SAMPLES = 500  # Samples of a run whose file suggests no step.
+LENGTH = 1.0  # Seconds of a run whose file suggests no end.
+MOST = 5_000_000  # Samples beyond which a run must be asked for with a step of its own.
 
 
 @dataclass(frozen=True)

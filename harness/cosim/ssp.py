@@ -21,8 +21,7 @@ from harness.signals import Channel
 
 SYSTEM_OPTIONS = (*CHANGEABLE, "parameters", "start_time", "solver_tolerance", "within")
 """What may be said about a system from outside."""
-SAMPLES = 500
-"""Steps of a run where neither the system nor an FMU suggests a step."""
+SAMPLES = 500  # Steps of a run where neither the system nor an FMU suggests a step.
 INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 
 

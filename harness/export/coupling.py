@@ -8,8 +8,7 @@ from typing import Any
 from harness.errors import InputError
 from harness.export.system_structure import Component, Outer, Structure, Wire, ports_of, write_structure
 
-KINDS = {"real": "Real", "boolean": "Boolean"}
-"""Types of SSP by kind of channel; all others are integers."""
+KINDS = {"real": "Real", "boolean": "Boolean"}  # Types of SSP by kind of channel; all others are integers.
 
 
 def write_coupling(path: Path, target: Path) -> Path:

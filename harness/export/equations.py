@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 Form = Literal["text", "latex", "python", "c"]
 FORMS = ("text", "latex", "python", "c")
-LONG = 5000
-"""Operations beyond which an equation, written out, is not read, but run."""
+LONG = 5000  # Operations beyond which an equation, written out, is not read, but run.
 
 
 @dataclass(frozen=True, eq=False)

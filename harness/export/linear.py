@@ -192,7 +192,7 @@ def linear_source(model: Linear) -> str:
     return "\n".join(lines)
 
 
-def linear_description(model: Linear, x0: Mapping[str, float] | None = None, *, name: str = "linear") -> str:
+def linear_description(model: Linear, x0: Mapping[str, float] | None = None) -> str:
     """Return modelDescription.xml for FMI 2.0.
 
     Parameters
@@ -200,8 +200,6 @@ def linear_description(model: Linear, x0: Mapping[str, float] | None = None, *, 
     model : Linear
     x0 : mapping, optional
         Start values of the states ``x1``, ``x2``, ...; 0 where not given.
-    name : str
-        Of the model.
 
     Raises
     ------
@@ -221,7 +219,7 @@ def linear_description(model: Linear, x0: Mapping[str, float] | None = None, *, 
     bands = bands_of(model)
     told = f", determined by its data: {bands_words(bands)}" if bands else ""
     root = describe(
-        name,
+        "linear",
         f"linear model of order {len(starts)}{told}",
         token,
         variables,

@@ -20,14 +20,11 @@ from harness.export.describe import xml_text
 from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitions
 from harness.units import fits
 
-OPEN_ENDS = "OpenEnds.ssd"
-"""Name of the structure without connectors of its own."""
+OPEN_ENDS = "OpenEnds.ssd"  # Name of the structure without connectors of its own.
 OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
-STEPS = 1000
-"""Steps of the system's own experiment where nothing says how long it is."""
+STEPS = 1000  # Steps of the system's own experiment where nothing says how long it is.
 REALS = ("Real", "Float64", "Float32")
-SAME = 4 * 2.0**-52
-"""A factor this close to one came out of unit factors that cancel."""
+SAME = 4 * 2.0**-52  # A factor this close to one came out of unit factors that cancel.
 
 
 @dataclass(frozen=True)

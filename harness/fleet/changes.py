@@ -19,13 +19,11 @@ from harness.units import behind
 
 LEVEL = 0.01
 """Probability with which, in a fleet where nothing changes, something is named all the same, over all that is tried."""
-FEWEST = 4
-"""Machines, or records of one, from which their scatter is told: of three, two may agree by chance."""
+FEWEST = 4  # Machines, or records of one, from which their scatter is told: of three, two may agree by chance.
 KNOWN = 2.0
 """Degrees of freedom that the width of intervals is worth: of 4 to 20 records that scatter once, twice and five times
 as widely as theirs, and do not change, .0, .6 and 4 % at most are said to (1500 draws each)."""
-MAD = 1.4826
-"""Median absolute deviation to standard deviation, of a normal distribution."""
+MAD = 1.4826  # Median absolute deviation to standard deviation, of a normal distribution.
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,10 @@ from harness.fleet.trends import Series, new_effects, series_of, trends
 from harness.units import behind
 
 TEMPLATE = Path(__file__).with_name("fleet.html.j2")
-PANELS = 40
-"""Effects that are drawn; the table has all."""
-CUT = 0.5
-"""An interval is drawn as far beyond the sizes as this share of their range."""
-LONG = 200
-"""Records beyond which their table is folded: a reader wants the machines first."""
-DIGITS = 9
-"""Significant digits of a size, at most: as many as are needed to tell the ends of its interval apart."""
+PANELS = 40  # Effects that are drawn; the table has all.
+CUT = 0.5  # An interval is drawn as far beyond the sizes as this share of their range.
+LONG = 200  # Records beyond which their table is folded: a reader wants the machines first.
+DIGITS = 9  # Significant digits of a size, at most: as many as are needed to tell the ends of its interval apart.
 
 
 def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -> str:

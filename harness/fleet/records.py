@@ -13,8 +13,7 @@ from pathlib import Path
 from harness import registry
 from harness.errors import InputError
 
-COLUMNS = ("file", "machine", "date", "validation")
-"""Of a table of records; all but the first may be left out."""
+COLUMNS = ("file", "machine", "date", "validation")  # Of a table of records; all but the first may be left out.
 SUFFIXES = (".csv", ".parquet", ".feather", ".xlsx", ".toml")
 """What counts as a record in a folder: bare tables, and data sets that describe themselves."""
 WILD = "*?["

@@ -11,10 +11,8 @@ import numpy as np
 from harness.fleet.row import Found, Row
 from harness.signals import FloatArray
 
-LEAST = 3
-"""Records of a line: with two, its slope has no error."""
-NORMAL = 1.959964
-"""Half width of a 95 % interval in standard deviations."""
+LEAST = 3  # Records of a line: with two, its slope has no error.
+NORMAL = 1.959964  # Half width of a 95 % interval in standard deviations.
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,6 @@ def compile_library(
     sources: list[Path],
     target: Path,
     *options: str,
-    libraries: tuple[str, ...] = ("-lm",),
     program: tuple[str, ...] | None = None,
 ) -> None:
     """Compile C sources to a shared library; raises :class:`BuildError` with what the compiler said.
@@ -131,7 +130,7 @@ def compile_library(
     if program == small_compiler():
         command = [*program, "-shared", "-o", str(target), *map(str, sources)]
     else:
-        command = [*program, *FLAGS, *options, "-o", str(target), *map(str, sources), *libraries]
+        command = [*program, *FLAGS, *options, "-o", str(target), *map(str, sources), "-lm"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

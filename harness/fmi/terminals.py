@@ -13,11 +13,9 @@ from harness.fmi.archive import has_document_type
 from harness.trust import UNZIPPING
 
 ENTRY = "terminalsAndIcons/terminalsAndIcons.xml"
-LARGEST, DEEPEST = 16 << 20, 32
-"""Bytes of the entry, and levels of terminals within terminals, that are read."""
+LARGEST, DEEPEST = 16 << 20, 32  # Bytes of the entry, and levels of terminals within terminals, that are read.
 KINDS = ("signal", "inflow", "outflow")
-RULES = ("plug", "bus", "sequence")
-"""Matching rules of the standard; any other one is its author's own."""
+RULES = ("plug", "bus", "sequence")  # Matching rules of the standard; any other one is its author's own.
 
 
 @dataclass(frozen=True)

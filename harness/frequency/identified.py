@@ -9,8 +9,7 @@ import numpy as np
 
 from harness.frequency.data import FrequencyResponse
 
-WELL, POOR = 1.5, 3.0
-"""Mean square of the residuals over their variance up to which nothing, or little, is missing."""
+WELL, POOR = 1.5, 3.0  # Mean square of the residuals over their variance up to which nothing, or little, is missing.
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,12 +20,9 @@ from harness.jobs.room import raise_if_full, require_room
 from harness.supervision.processes import Surroundings, end_children, ended
 from harness.trust import trusting
 
-SHARED = "shared"
-"""Where a worker stands while it makes what all jobs of its batch share."""
-HARMED = 70
-"""Exit status of a worker that can do no more."""
-WIDTH = 128
-"""Bytes of the name of a place, filled with blanks."""
+SHARED = "shared"  # Where a worker stands while it makes what all jobs of its batch share.
+HARMED = 70  # Exit status of a worker that can do no more.
+WIDTH = 128  # Bytes of the name of a place, filled with blanks.
 
 
 class Batch(Protocol):

@@ -38,8 +38,7 @@ BREAKS = 3  # times that a pool may break in a row with nothing done: whatever b
 BUNDLE = 20  # batches that travel to a cluster together, at most: one pool of processes serves them all
 SHARES = 8  # bundles for each cluster worker, at least, so that all end at about the same time
 
-Moved = Callable[[str, Sequence[str]], None]
-"""Called with a title and the jobs whose rows have been added."""
+Moved = Callable[[str, Sequence[str]], None]  # Called with a title and the jobs whose rows have been added.
 
 
 class Engine(Protocol):

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.algebra import divisor, unit_columns
 from harness.signals import FloatArray, Trajectory
 
 # Of an input: what its own past leaves when it follows from it, as a multisine or a free motion does.
 FORETOLD = 1e-6
 # An input's own past: so many times what outputs have to say, and at most so many samples; where outputs seem to have
 # more to say, the latter: a lightly damped structure with precise sensors remembers inputs that long.
-_LONGER, _OWN, _LONG = 4, 40, 200
+_LAGS, _LONGER, _OWN, _LONG = 4, 4, 40, 200
 # Mean fourth power of normal numbers, over the square of their mean square.
 _NORMAL = 3.0
 
@@ -46,7 +47,7 @@ class Feedback:
         return self.probability < 1e-3 and self.share > 0.01
 
 
-def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
+def feedback_of(records: Sequence[Trajectory]) -> Feedback:
     """Test whether outputs foretell the input beyond its own past: feedback (Granger 1969; Ljung 1999, sec. 13.4).
 
     The input's own past is as long as all samples of the outputs are many: a sum of sines follows from a past of twice
@@ -56,8 +57,6 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     Parameters
     ----------
     records : sequence of Trajectory
-    lags : int
-        Samples of the outputs' past.
 
     Examples
     --------
@@ -72,8 +71,8 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     """
     if records[0].spec.nu == 0:
         return Feedback(0.0, 1.0)
-    short = _of(*granger(records, lags))
-    long = _of(*granger(records, lags, _LONG)) if short.found else short
+    short = _of(*granger(records, _LAGS))
+    long = _of(*granger(records, _LAGS, _LONG)) if short.found else short
     return short if long.found else long
 
 
@@ -131,7 +130,7 @@ def granger(
     shares = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)
     added, remaining = max(many - fewer, 1), np.maximum(counted * (1.0 - many / rows), 1.0)
     ratio = (shares / added) / np.maximum((1.0 - shares) / remaining, 1e-300)
-    left = np.sqrt(alone / np.where(power > 0, power, 1.0))
+    left = np.sqrt(alone / divisor(power))
     return shares, f.sf(ratio, added, remaining), left, counted
 
 
@@ -153,13 +152,7 @@ def moves(departures: FloatArray) -> FloatArray:
     ([3.0], True)
     """
     size = np.abs(departures).max(axis=0, initial=0.0)
-    square = (departures / np.where(size > 0, size, 1.0)) ** 2
+    square = (departures / divisor(size)) ** 2
     fourth = np.sum(square**2, axis=0)
-    counted = _NORMAL * np.sum(square, axis=0) ** 2 / np.where(fourth > 0, fourth, 1.0)
+    counted = _NORMAL * np.sum(square, axis=0) ** 2 / divisor(fourth)
     return np.asarray(np.minimum(counted, len(departures)), dtype=np.float64)
-
-
-def unit_columns(columns: FloatArray) -> FloatArray:
-    """Return columns of length 1 (those of zeros stay)."""
-    size = np.linalg.norm(columns, axis=0)
-    return np.asarray(columns / np.where(size > 0, size, 1.0), dtype=np.float64)

@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from harness.judgement.feedback import FORETOLD, granger, unit_columns
+from harness.algebra import unit_columns
+from harness.judgement.feedback import FORETOLD, granger
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
 # Samples that are looked at: at so many, what an excitation of 5 % of the input does to the outputs shows.

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from harness.algebra import divisor, unit_columns
 from harness.errors import FitError
-from harness.judgement.feedback import FORETOLD, unit_columns
+from harness.judgement.feedback import FORETOLD
 from harness.judgement.law import SHORT, THIN, dependence_text, first_rows, law_of
 from harness.signals import Trajectory
 
@@ -69,10 +70,9 @@ def refuse_undetermined(records: Sequence[Trajectory], what: str, least_excitati
     spec = records[0].spec
     if least_excitation > 0 and spec.nu > 1:
         u = np.concatenate([record.u for record in records])
-        spread = u.std(axis=0)
-        _, values, right = np.linalg.svd((u - u.mean(axis=0)) / np.where(spread > 0, spread, 1.0), full_matrices=False)
+        size = divisor(u.std(axis=0))
+        _, values, right = np.linalg.svd((u - u.mean(axis=0)) / size, full_matrices=False)
         if values[-1] <= THIN * values[0]:
-            size = np.where(spread > 0, spread, 1.0)
             law = dependence_text(right[-1] / size, size, [channel.name for channel in spec.inputs])
             raise FitError(
                 f"{what}: the data do not determine the model",

@@ -21,11 +21,8 @@ if TYPE_CHECKING:
     from harness.physics.compiled.system import System
     from harness.physics.fitting.residual_learning import LearnedForce
 
-_BEYOND = 0.25
-"""How far beyond the data a force is drawn, in their range: there it fades, and that must be seen."""
-
-_DOTS = 3000
-"""Most samples that are drawn as dots."""
+_BEYOND = 0.25  # How far beyond the data a force is drawn, in their range: there it fades, and that must be seen.
+_DOTS = 3000  # Most samples that are drawn as dots.
 
 _STYLE = STYLE + "strong{background:#ffe9b0;color:#000;padding:.1em .4em}"
 

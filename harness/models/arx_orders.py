@@ -16,10 +16,8 @@ Criterion = Literal["held-out", "aic", "bic"]
 CRITERIA: tuple[Criterion, ...] = ("held-out", "aic", "bic")
 MEMORY = 12
 """Past samples beside the delays in the regression that delays are read from: noise of any colour is white in it."""
-MOST = 30
-"""Samples of delay that are looked for at most."""
-EQUATIONS = 4
-"""Equations for each regressor, below which fewer delays are looked for."""
+MOST = 30  # Samples of delay that are looked for at most.
+EQUATIONS = 4  # Equations for each regressor, below which fewer delays are looked for.
 LEVEL = 0.95
 _BLOCK = 4096
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import unit_columns
 from harness.judgement import feedback_of
 from harness.models.arx_orders import EQUATIONS, LagTriangle
 from harness.models.arx_orders import MEMORY as LAGS
@@ -15,8 +16,7 @@ from harness.models.other_orders import agreeing
 from harness.models.spread import Matrices, gains, steps
 from harness.signals import FloatArray, Trajectory
 
-ASKED = 5_000
-"""Samples in which feedback is looked for."""
+ASKED = 5_000  # Samples in which feedback is looked for.
 ANSWERED = 0.05
 """Share of an input's unpredictable part that past outputs explain, from which on a record counts as a loop's."""
 Complex = npt.NDArray[np.complex128]
@@ -76,10 +76,8 @@ def without(both: Complex, crossed: Complex, nu: int) -> tuple[Complex, Complex]
     return both[:, :nu, :nu] - told @ inverse @ back, crossed[:, :, :nu] - crossed[:, :, nu:] @ inverse @ back
 
 
-KEY = "determined"
-"""Where a model's notes hold its bands: by pair of channels, ``[[low, high], ...]`` in Hz."""
-WIDTH = 2.0 ** (1.0 / 3.0)
-"""Bands are thirds of an octave, over which responses hardly change but at sharp resonances."""
+KEY = "determined"  # Where a model's notes hold its bands: by pair of channels, ``[[low, high], ...]`` in Hz.
+WIDTH = 2.0 ** (1.0 / 3.0)  # Bands are thirds of an octave, over which responses hardly change but at sharp resonances.
 CLEAR = 12.0
 """|G|^2 over the variance of what a band alone says of it, which then errs by half once in exp(12 / 4) = 20 bands."""
 CONTRADICTED = 0.25
@@ -98,10 +96,8 @@ LIT, APART, SMOOTH = 1e-2, 3, 0.3
 the largest, and share of its power two samples away that a smooth spectrum has at least: a line leaks 0.04 there."""
 SEGMENTS, LONGEST, ROWS, MEMORY = 6, 1024, 20_000, 400
 """Segments of a record at least, samples of one at most, samples looked at, samples of a response."""
-MOST = 36
-"""Pairs of input and output up to which a model says its bands."""
-SAID = 6
-"""Pairs whose bands a terminal shows."""
+MOST = 36  # Pairs of input and output up to which a model says its bands.
+SAID = 6  # Pairs whose bands a terminal shows.
 
 
 def determined_bands(matrices: Matrices, records: Sequence[Trajectory]) -> dict[str, list[list[float]]]:
@@ -371,8 +367,7 @@ def _left_over(matrices: Matrices, record: Trajectory, n: int) -> FloatArray:
         return np.asarray(record.y - record.y.mean(axis=0), dtype=np.float64)
     if len(a):
         rows, target = free.reshape(-1, len(a)), rest[:heard].reshape(-1)
-        length = np.linalg.norm(rows, axis=0)
-        rows = rows / np.where(length > 0, length, 1.0)
+        rows = unit_columns(rows)
         rest[:heard] -= (rows @ np.linalg.lstsq(rows, target, rcond=1e-8)[0]).reshape(heard, -1)
     return np.asarray(rest, dtype=np.float64)
 

@@ -16,8 +16,7 @@ from harness.signals import Channel, FloatArray, residual
 _SUM = 1e-6
 """How far the probabilities of an output may be from a sum of 1: rounding of long products, not an error of a model."""
 
-_BISECTIONS = 60
-"""Halvings of a bracket for a quantile: to the last digits of a float64."""
+_BISECTIONS = 60  # Halvings of a bracket for a quantile: to the last digits of a float64.
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,7 @@ from harness.units import behind
 SHARE = 0.05
 """A parameter whose share in a null direction (columns at unit length) is below this is left out of its words."""
 
-SHOWN = 3
-"""Null directions that are printed; all are kept."""
+SHOWN = 3  # Null directions that are printed; all are kept.
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-FEW = 10
-"""Innovations below which their size is not known."""
+FEW = 10  # Innovations below which their size is not known.
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,7 @@ from harness.signals import FloatArray, Trajectory
 
 _CONSTANT = 1e-6  # a row of [A B] this near to one that keeps itself is that of the constant function
 _SHOWN = 0.95  # the largest values lie in corners that no record reached, and would hide the rest
-HORIZON = 30
-"""Samples that MPC looks ahead if nothing is said."""
+HORIZON = 30  # Samples that MPC looks ahead if nothing is said.
 
 
 @runtime_checkable

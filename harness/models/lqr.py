@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.algebra import unit_columns
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -138,8 +139,7 @@ def stabilisable(a: FloatArray, b: FloatArray, tolerance: float = 1e-9) -> bool:
     >>> stabilisable(np.diag([1.2, 0.5]), np.array([[1.0], [0.0]])), stabilisable(np.diag([1.2, 0.5]), np.eye(2)[:, 1:])
     (True, False)
     """
-    size = np.linalg.norm(b, axis=0)
-    scaled = b / np.where(size > 0, size, 1.0)
+    scaled = unit_columns(b)
     for value in np.linalg.eigvals(a):
         if abs(value) >= 1.0 - 1e-12:
             pencil = np.hstack([a - value * np.eye(len(a)), scaled])

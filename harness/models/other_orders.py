@@ -7,21 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import column_norms
 from harness.signals import FloatArray
 
-ORDERS = (1, 2, 3, 4, 6, 8)
-"""Of the models that are asked."""
-DRAWS = 20
-"""Of coefficients that the lines bear as well, of each order."""
-BEARS = 0.25
-"""Share of the gain by which a model may depart at the lines and still say what lies between them."""
+ORDERS = (1, 2, 3, 4, 6, 8)  # Of the models that are asked.
+DRAWS = 20  # Of coefficients that the lines bear as well, of each order.
+BEARS = 0.25  # Share of the gain by which a model may depart at the lines and still say what lies between them.
 DEPARTS = 0.25
 """Root mean square of the draws' departures, relative to the gain, up to which an order agrees: a normal one departs by
 half in 5 % of draws."""
-LEAKS, MOST = 4, 150
-"""Neighbours to which a line leaks, and lines that orders are fitted to at most."""
-EXACT = 1e-3
-"""Standard deviation of a response, relative to it, below which it counts as known exactly."""
+LEAKS, MOST = 4, 150  # Neighbours to which a line leaks, and lines that orders are fitted to at most.
+EXACT = 1e-3  # Standard deviation of a response, relative to it, below which it counts as known exactly.
 
 Told = npt.NDArray[np.bool_]
 Complex = npt.NDArray[np.complex128]
@@ -80,8 +76,7 @@ def _responses(response: Complex, deviation: FloatArray, lines: Complex, turn: C
         weight = 1.0 / deviation
         for _ in range(2):  # once to learn the denominator
             weighed, target = _real(rows * weight[:, None]), _real(response * weight)
-            length = np.linalg.norm(weighed, axis=0)
-            length = np.where(length > 0, length, 1.0)
+            length = column_norms(weighed)
             left, values, right = np.linalg.svd(weighed / length, full_matrices=True)
             left, values = left[:, : len(values)], np.pad(values, (0, len(right) - len(values)))
             kept = values > 1e-10 * values[0]

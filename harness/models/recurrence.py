@@ -6,8 +6,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-SHORT = 256
-"""Steps below which one step after the other is as fast as blocks."""
+SHORT = 256  # Steps below which one step after the other is as fast as blocks.
 
 LARGEST = 1e6
 """Most that A to the length of a block may enlarge: beyond, ends of blocks would lose digits that steps keep."""

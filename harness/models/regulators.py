@@ -13,10 +13,8 @@ from harness.models.lqr import lqr_gain, reachable, spectral_radius, state_obser
 from harness.models.spread import gains
 from harness.signals import FloatArray
 
-LOUD = 0.3
-"""A loop gain above this makes the closed loop what the model says; below it the plant does as it likes."""
-POINTS = 300
-"""Frequencies that are looked at."""
+LOUD = 0.3  # A loop gain above this makes the closed loop what the model says; below it the plant does as it likes.
+POINTS = 300  # Frequencies that are looked at.
 
 
 @dataclass(frozen=True, eq=False)

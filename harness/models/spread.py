@@ -12,8 +12,7 @@ import numpy.typing as npt
 from harness.signals import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
-Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""A, B, C, D."""
+Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # A, B, C, D.
 
 
 @dataclass(frozen=True, eq=False)

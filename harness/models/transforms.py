@@ -12,10 +12,8 @@ from harness.models.spread import Matrices, gains
 from harness.signals import FloatArray
 
 Hold = Literal["zoh", "foh", "tustin", "matched"]
-SMALL = 1e-9
-"""Singular values, and poles, below this share of the largest (of 1) have no logarithm worth the name."""
-INFINITE = 1e6
-"""Zeros beyond so many times the largest pole are those at infinity, after rounding."""
+SMALL = 1e-9  # Singular values, and poles, below this share of the largest (of 1) have no logarithm worth the name.
+INFINITE = 1e6  # Zeros beyond so many times the largest pole are those at infinity, after rounding.
 
 
 def continuous(matrices: Matrices, sample_time: float, method: Hold = "zoh") -> Matrices:

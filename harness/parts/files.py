@@ -13,11 +13,9 @@ from harness.errors import InputError
 from harness.protocols import Plant
 from harness.trust import names_fmu, trusted, trusting
 
-PLANT_FILES = (".fmu", ".toml", ".ssp", ".ssd")
-"""Endings of files that are plants."""
+PLANT_FILES = (".fmu", ".toml", ".ssp", ".ssd")  # Endings of files that are plants.
 OSP = "OspSystemStructure"
-FOLDER = ("SystemStructure.ssd", f"{OSP}.xml")
-"""What makes a folder a system."""
+FOLDER = ("SystemStructure.ssd", f"{OSP}.xml")  # What makes a folder a system.
 
 
 def is_plant_file(id: str) -> bool:

@@ -17,8 +17,7 @@ DESCRIBED = ("plants", "identifiers", "scenarios", "effects", "models", "analyse
 """Kinds of parts that have a description of their own."""
 TOLD = ("", "Notes", "References")
 """Sections of a docstring that say what a part is; the empty name stands for what comes before the first heading."""
-OF_CLASS = re.compile(r"; options as of \w+\.")
-"""How a factory says that its class tells the rest."""
+OF_CLASS = re.compile(r"; options as of \w+\.")  # How a factory says that its class tells the rest.
 
 
 def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:

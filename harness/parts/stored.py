@@ -15,11 +15,9 @@ from harness.models.determined import bands_of
 from harness.protocols import Model
 from harness.trust import registered_only
 
-MODEL = "model.json"
-"""The model in a folder of ``sysid close-loop``."""
+MODEL = "model.json"  # The model in a folder of ``sysid close-loop``.
 REMEDY = "give the file that sysid identify -o wrote"
-LARGEST = 1e150
-"""Size above which the square of a number overflows, and with it whatever is computed from it."""
+LARGEST = 1e150  # Size above which the square of a number overflows, and with it whatever is computed from it.
 
 
 def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read") -> Model:

@@ -11,8 +11,7 @@ from harness.scaffold.templates import SOURCES
 
 __all__ = ["KINDS", "entry_name", "new"]
 
-KINDS = tuple(SOURCES)
-"""Kinds of plug-ins that can be begun."""
+KINDS = tuple(SOURCES)  # Kinds of plug-ins that can be begun.
 
 _PROJECT = """[build-system]
 requires = ["hatchling>=1.26"]

@@ -24,8 +24,7 @@ EXACT = 1e-6
 exact, and so small a nonlinearity adds less than any noise that a bound is asked for."""
 WHITE = 5.0
 """Autocorrelations of white noise stay below this many of their standard deviations, 1/sqrt(N) (Ljung, sec. 16.6)."""
-LAGS = 8
-"""Lags at which noise is held to be white."""
+LAGS = 8  # Lags at which noise is held to be white.
 SEEN = 1e-9
 """Directions of the parameters below this share of the best seen one are those of a change of state coordinates."""
 

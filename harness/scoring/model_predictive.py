@@ -19,19 +19,15 @@ from harness.scoring.prediction import free_runs
 from harness.scoring.regulation import GONE
 from harness.signals import FloatArray, Trajectory
 
-HORIZON, HELD = 30, 3
-"""Samples that are looked ahead, and samples for which an input of the plan is held."""
-STEPS = 240
-"""Samples of the run on the true plant: eight horizons."""
+HORIZON, HELD = 30, 3  # Samples that are looked ahead, and samples for which an input of the plan is held.
+STEPS = 240  # Samples of the run on the true plant: eight horizons.
 PUSHED = 0.1
 """Deviation of the disturbance at each input, in that of the records' inputs: so small that the plant stays where its
 linearisation holds."""
-REST = 60
-"""Samples at rest before, by which the model knows its state."""
+REST = 60  # Samples at rest before, by which the model knows its state.
 NUDGE = 0.05
 """Change of an input, in deviations of the records' inputs, from which slopes are taken: trees have none at a point."""
-SHARES = np.array([1.0, 0.3, 0.1, 0.0])
-"""Shares of a step that are tried; the last keeps the plan."""
+SHARES = np.array([1.0, 0.3, 0.1, 0.0])  # Shares of a step that are tried; the last keeps the plan.
 
 
 class ModelPredictive:

@@ -23,8 +23,7 @@ LEVELS = (0.5, 0.8, 0.9, 0.95)
 """Probabilities whose sets are checked: half, the usual three, and no further, because a record of a few hundred
 samples holds only a few outside 99 %."""
 
-_FIRST = 50
-"""Samples from which the initial state is estimated, as for the equation error."""
+_FIRST = 50  # Samples from which the initial state is estimated, as for the equation error.
 
 
 @dataclass(frozen=True, eq=False)

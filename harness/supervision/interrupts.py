@@ -8,8 +8,7 @@ import threading
 from types import FrameType
 from typing import Any
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C (128 and the number of the signal)."""
+INTERRUPTED = 130  # Exit status after Ctrl-C (128 and the number of the signal).
 
 
 class Interrupts:

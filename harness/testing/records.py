@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 EXCITATIONS = ("white", "binary", "steps", "multisine", "chirp")
 """Kinds of :func:`excitations`: all are persistent enough for a model of a few states."""
-NOISES = ("white", "coloured", "quantised", "outliers")
-"""Kinds of :func:`noises`."""
+NOISES = ("white", "coloured", "quantised", "outliers")  # Kinds of :func:`noises`.
 DEFECTS = ("gap", "stuck", "spikes", "saturated", "exchanged", "scaled", "delayed", "drifting")
 """Kinds of :func:`defective_recordings`."""
 

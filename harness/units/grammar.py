@@ -18,8 +18,7 @@ _TOKEN = re.compile(
     r" *(?:(?P<name>Δ?°?[^\W\d_]\w*|[°%‰])|(?P<one>1(?:\.0*)?(?![\w.]))|(?P<sign>\*(?!\*)|[/.()])"
     rf"|(?:\^|\*\*) *(?:(?P<power>{_NUMBER})|[({{] *(?P<part>{_NUMBER}) *(?:/ *(?P<whole>\d{{1,4}}) *)?[)}}]))"
 )
-RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
-"""Raised signs, and those that they stand for."""
+RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")  # Raised signs, and those that they stand for.
 _WORDS = (
     (re.compile("[\t\u00a0\u2009\u202f]"), " "),
     (re.compile(r"\bper\b"), "/"),

@@ -12,8 +12,7 @@ import numpy as np
 
 from harness.vetting.findings import Finding
 
-LISTED = 5
-"""Names that a line lists."""
+LISTED = 5  # Names that a line lists.
 NUMBERS = ("Real", "Float64", "Float32")
 NEEDS = {
     "once per process": ("any number of instances in a process", "one instance in a process"),

@@ -119,5 +119,4 @@ class Vetting:
         return page(f"{self.title}: {self.summary}", *parts)
 
 
-SHOWN = 24
-"""Signals beyond which no picture is drawn: nobody would read it."""
+SHOWN = 24  # Signals beyond which no picture is drawn: nobody would read it.

@@ -22,12 +22,9 @@ from harness.parts.files import describe_fmu
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
-REPEATS = 3
-"""Runs whose time is taken; the shortest counts."""
-WARM = 10
-"""Instances before anything is counted: libraries and caches fill up."""
-NUDGE = 1e-4
-"""Step of differences, relative to the input or [1]."""
+REPEATS = 3  # Runs whose time is taken; the shortest counts.
+WARM = 10  # Instances before anything is counted: libraries and caches fill up.
+NUDGE = 1e-4  # Step of differences, relative to the input or [1].
 
 
 def _made(options: Mapping[str, Any]) -> Any:
@@ -38,8 +35,7 @@ def _made(options: Mapping[str, Any]) -> Any:
     return registry.create("plants", "fmu", **options)
 
 
-_SAID: list[Path] = []
-"""Where this process writes what the FMU prints, once that is caught."""
+_SAID: list[Path] = []  # Where this process writes what the FMU prints, once that is caught.
 
 
 def _quiet() -> Path:

@@ -24,14 +24,11 @@ from harness.signals import FloatArray
 from harness.trust import names_fmu
 from harness.vetting.tubes import EVERY, Tube, read_tubes, tube_of
 
-DEFAULT = "0.2%"
-"""Width of a tube that nobody stated: what csv-compare takes."""
+DEFAULT = "0.2%"  # Width of a tube that nobody stated: what csv-compare takes.
 OPTIONS = {"StartTime": "start", "StopTime": "stop", "StepSize": "step", "RelTol": "tolerance"}
 """Words of fmi-cross-check's ``_ref.opt``."""
-BESIDE = ("truth:", "reference:")
-"""How columns of a record of this project begin that are no outputs."""
-STEPS = 500
-"""Samples of a run where neither reference nor options say a step."""
+BESIDE = ("truth:", "reference:")  # How columns of a record of this project begin that are no outputs.
+STEPS = 500  # Samples of a run where neither reference nor options say a step.
 INTEGERS = (
     "Integer",
     "Enumeration",
@@ -189,8 +186,7 @@ class Agreement:
         )
 
 
-MOST = 12
-"""Channels that are drawn, those that fail first."""
+MOST = 12  # Channels that are drawn, those that fail first.
 
 
 def agreement(

@@ -21,16 +21,11 @@ from harness.vetting.tubes import Tube
 
 SAMPLES, FEWEST = 200, 10
 """Samples of a run: the most, and the fewest of an FMU whose own experiment is shorter or that ends a simulation."""
-HALVINGS = 3
-"""Halvings of the step: two ratios of changes show whether an order is one."""
-CHANGES = 1e-2
-"""Share of an output's range that half the step may change (as plants.fmu.probe has it)."""
-LEAK = 32.0
-"""KiB that an instance may leave behind: the allocator's own unrest is below a third of it."""
-INSTANCES = 60
-"""Instances that are made and freed one after the other."""
-RETURNS = 1e-3
-"""Relative error of a directional derivative: differences are sure to about 1e-6."""
+HALVINGS = 3  # Halvings of the step: two ratios of changes show whether an order is one.
+CHANGES = 1e-2  # Share of an output's range that half the step may change (as plants.fmu.probe has it).
+LEAK = 32.0  # KiB that an instance may leave behind: the allocator's own unrest is below a third of it.
+INSTANCES = 60  # Instances that are made and freed one after the other.
+RETURNS = 1e-3  # Relative error of a directional derivative: differences are sure to about 1e-6.
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,9 @@ from harness.vetting.described import NUMBERS, described
 from harness.vetting.findings import Finding, Vetting
 from harness.vetting.runs import FEWEST, SAMPLES, Subject, excited, ran
 
-STEPS = 500
-"""Samples of a default experiment that suggests no step."""
-STEP = 0.01
-"""Sample time [s] where nothing is suggested at all."""
-SHOWN = 50
-"""States, or local variables, that are looked at where an FMU declares no outputs."""
+STEPS = 500  # Samples of a default experiment that suggests no step.
+STEP = 0.01  # Sample time [s] where nothing is suggested at all.
+SHOWN = 50  # States, or local variables, that are looked at where an FMU declares no outputs.
 
 
 def vet(

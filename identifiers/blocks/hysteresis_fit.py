@@ -15,23 +15,15 @@ from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray
 from identifiers.blocks.hysteresis_pass import Layout, played
 
-Pair = tuple[FloatArray, FloatArray]
-"""Inputs (N, nu) and outputs (N, ny) of a record, scaled."""
-
-_LAGS = 3
-"""Outputs of the first regression for each state: its modes are then cut to those that count."""
-_RIDGE = 1e-8
-"""Of the regressions, in mean squares of their columns."""
-_STABLE = 0.9995
-"""Radius of the poles to start from, at most."""
+Pair = tuple[FloatArray, FloatArray]  # Inputs (N, nu) and outputs (N, ny) of a record, scaled.
+_LAGS = 3  # Outputs of the first regression for each state: its modes are then cut to those that count.
+_RIDGE = 1e-8  # Of the regressions, in mean squares of their columns.
+_STABLE = 0.9995  # Radius of the poles to start from, at most.
 _SWINGING = 0.9
 """Size of a negative real pole, at most: nothing that was sampled has one near -1 (Ljung 1999, sec. 13.3)."""
-_KNOWN = 1e-3
-"""Cost of the squares of initial states, which have unit size, in squared errors of scaled outputs."""
-_STEEP = 1e30
-"""Sums of squared derivatives beyond which no step rests on them: rounding leaves nothing of the others."""
-_BLOCK = 8192
-"""Rows of the regression that are in memory at once."""
+_KNOWN = 1e-3  # Cost of the squares of initial states, which have unit size, in squared errors of scaled outputs.
+_STEEP = 1e30  # Sums of squared derivatives beyond which no step rests on them: rounding leaves nothing of the others.
+_BLOCK = 8192  # Rows of the regression that are in memory at once.
 
 
 @dataclass(frozen=True, eq=False)

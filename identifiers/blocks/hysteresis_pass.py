@@ -14,11 +14,8 @@ from harness.signals import FloatArray
 from identifiers.common import native
 from identifiers.common.native import pointers
 
-FAR = 1e3
-"""A state beyond it has diverged: states are scaled to about 1."""
-
-_COLUMNS = 64
-"""As in ``hysteresis_loop.c``."""
+FAR = 1e3  # A state beyond it has diverged: states are scaled to about 1.
+_COLUMNS = 64  # As in ``hysteresis_loop.c``.
 
 
 @functools.cache

@@ -21,17 +21,14 @@ from identifiers.common.described import Described
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.observers import likeliest_start
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.common.scaling import centred
 
-_SEEN = 400
-"""Samples from which an initial state is estimated at most."""
+_SEEN = 400  # Samples from which an initial state is estimated at most.
 _LEAST, _MOST = 0.1, 4.0
 """Radii of the smallest and the largest stop, in standard deviations of the signal that draws them at first."""
-_PROBE = 8
-"""Rounds of the descent after which what draws the hysteresis is chosen."""
-_LOOP = 400
-"""Points of a hysteresis loop that is drawn."""
+_PROBE = 8  # Rounds of the descent after which what draws the hysteresis is chosen.
+_LOOP = 400  # Points of a hysteresis loop that is drawn.
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,9 +236,7 @@ class PrandtlIshlinskii(Excited):
         """Return the model; what draws its hystereses, their weights and amplitudes stand in its notes."""
         what = "prandtl-ishlinskii"
         check_options(self, what, order=">= 1", hystereses=">= 1", stops=">= 1", rounds=">= 1")
-        records, spec = usable(trajectories, samples=20 * (self.order + self.stops), what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=20 * (self.order + self.stops), what=what)
         refuse_undetermined(records, what, self.least_excitation)
         u_scale, y_scale = (np.array(centred([getattr(one, name) for one in records])) for name in "uy")
         width = spec.nu + self.offset

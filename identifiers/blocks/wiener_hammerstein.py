@@ -28,8 +28,7 @@ from identifiers.linear.prediction_error import PredictionError
 
 _SEEN = 1000
 """Samples from which an initial state is estimated at most; the blocks have long forgotten what was before."""
-_EARLY = 20000
-"""Samples by which the ways to share out are fitted before the best of them learns from all."""
+_EARLY = 20000  # Samples by which the ways to share out are fitted before the best of them learns from all.
 _TABLES = ("b1", "a1", "b2", "a2", "curve")
 
 

@@ -14,16 +14,12 @@ from harness.models.damped import Damping, damped_descent
 from harness.signals import FloatArray
 from identifiers.blocks.curve import Knots
 
-RADIUS = 0.9995
-"""No pole may lie further out."""
+RADIUS = 0.9995  # No pole may lie further out.
 _PROBE, _DEGREE, _MOST = 8000, 5, 4096
 """Samples and degree of the polynomial by which ways to share out are compared, and how many of these at most."""
-_RARE = 1e-3
-"""Share of the samples beyond either end of the knots: fewer would not tell how the curve goes on."""
-_KEPT = 4
-"""Ways that are fitted further."""
-Pair = tuple[FloatArray, FloatArray]
-"""Input and output (N,) of a record, scaled."""
+_RARE = 1e-3  # Share of the samples beyond either end of the knots: fewer would not tell how the curve goes on.
+_KEPT = 4  # Ways that are fitted further.
+Pair = tuple[FloatArray, FloatArray]  # Input and output (N,) of a record, scaled.
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,8 @@ from harness.signals import FloatArray, Trajectory, residual
 
 Start = Callable[[Trajectory], FloatArray]
 
-_LEVEL = 0.9
-"""Share of the data that bands are made to hold; other levels follow from the normal distribution."""
-
-_NINETY = 1.6449
-"""Half width of the central 90 % of a normal distribution, in standard deviations."""
+_LEVEL = 0.9  # Share of the data that bands are made to hold; other levels follow from the normal distribution.
+_NINETY = 1.6449  # Half width of the central 90 % of a normal distribution, in standard deviations.
 
 _STEPS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 """Steps ahead at which errors are measured, doubling: between them the spread is interpolated."""
@@ -29,37 +26,24 @@ _STEPS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 _LEAST = math.ceil(_LEVEL / (1 - _LEVEL) - 1e-9)
 """Windows that do not overlap (9): with fewer no finite band holds 90 % for sure (Angelopoulos and Bates, sec. 1)."""
 
-_TWICE = 2.0
-"""Standard errors that are told as what something is known to."""
-
-_MANY = 5
-"""Records from which on the scatter between records is looked at."""
+_TWICE = 2.0  # Standard errors that are told as what something is known to.
+_MANY = 5  # Records from which on the scatter between records is looked at.
 
 _LOOK_BACK, _FIRST = 300, 60
 """Samples before the held-out stretch from which the state at its begin is filtered, so that a slow filter has settled
 as it has in a record that goes on (they were learned from, but only the state comes from there); and those of them from
 which its first state is estimated."""
 
-_RUNS = 600
-"""Most windows that are run, evenly thinned."""
-
-_LOST = 0.05
-"""Share of held-out windows that may leave every bound: half of what a 90 % band may miss."""
+_RUNS = 600  # Most windows that are run, evenly thinned.
+_LOST = 0.05  # Share of held-out windows that may leave every bound: half of what a 90 % band may miss.
 
 _LEAST_SPREAD = 1e-6
 """Standard deviation of a prediction, relative to the size of the output, that no model may claim to be below."""
 
-_LEAST_FACTOR = 1e-4
-"""Of a deviation: bands that were ten thousand times too wide, or too narrow, were none."""
-
-_BISECTIONS = 40
-"""Halvings of the range of a factor: to many digits more than its scatter."""
-
-_NEAR = 4
-"""Steps ahead at which a model has to be worth something."""
-
-_USELESS = 1.0
-"""Standard deviations of the output: a spread beyond is worse than what the mean of the record says."""
+_LEAST_FACTOR = 1e-4  # Of a deviation: bands that were ten thousand times too wide, or too narrow, were none.
+_BISECTIONS = 40  # Halvings of the range of a factor: to many digits more than its scatter.
+_NEAR = 4  # Steps ahead at which a model has to be worth something.
+_USELESS = 1.0  # Standard deviations of the output: a spread beyond is worse than what the mean of the record says.
 
 _STEEPEST = 2.0
 """Power of the time with which the spread may grow beyond the longest held-out window: a constant force unknown."""

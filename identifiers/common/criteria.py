@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.algebra import column_norms, divisor
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
 
@@ -32,7 +33,7 @@ def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: st
         raise FitError(
             f"{what}: records too short", expected=f"{lags + 2} samples", got="fewer", remedy="record longer"
         )
-    size, lengths = _lengths(x), _lengths(z)
+    size, lengths = column_norms(x), column_norms(z)
     # The regressors as far as the instruments explain them.
     q, s, _ = np.linalg.svd(z / lengths, full_matrices=False)
     q = q[:, s > 1e-10 * s[0]]
@@ -87,7 +88,7 @@ def total_least_squares(records: Sequence[Trajectory], offset: bool, what: str) 
     exact = np.concatenate([record.u[:-1] for record in records])
     if offset:
         exact = np.hstack([exact, np.ones((len(exact), 1))])
-    ny, size = before.shape[1], _lengths(exact)
+    ny, size = before.shape[1], column_norms(exact)
     noise = _noise_sizes(records)
     both = np.hstack([before, after]) / np.tile(noise, 2)
     q, r = np.linalg.qr(exact / size) if exact.shape[1] else (np.zeros((len(before), 0)), np.zeros((0, 0)))
@@ -111,7 +112,7 @@ def _noise_sizes(records: Sequence[Trajectory]) -> FloatArray:
     """Return what each output's noise may be: the residual of its least-squares equation, never 0."""
     x = np.concatenate([np.hstack([record.y[:-1], record.u[:-1]]) for record in records])
     y = np.concatenate([record.y[1:] for record in records])
-    size = _lengths(x)
+    size = column_norms(x)
     miss = y - x / size @ np.linalg.lstsq(x / size, y, rcond=None)[0]
     spread = np.maximum(np.std(y, axis=0), 1e-300)
     found: FloatArray = np.maximum(np.sqrt(np.mean(miss**2, axis=0)), 1e-9 * spread)
@@ -146,11 +147,10 @@ def absolute_deviations(x: FloatArray, y: FloatArray, what: str, *, largest: boo
     """
     from scipy import sparse
 
-    size = _lengths(x)
+    size = column_norms(x)
     scaled = sparse.csr_matrix(x / size)
     slack = sparse.csr_matrix(np.ones((len(x), 1))) if largest else sparse.identity(len(x), format="csr")
-    unit = np.abs(y).max(axis=0)
-    unit = np.where(unit > 0, unit, 1.0)
+    unit = divisor(np.abs(y).max(axis=0))
     found = [_least_slack(scaled, slack, column, what) for column in (y / unit).T]
     return np.column_stack(found) * unit / size[:, None]
 
@@ -175,7 +175,7 @@ def largest_components(x: FloatArray, y: FloatArray, what: str) -> FloatArray:
     from scipy import sparse
 
     (n, p), m = x.shape, y.shape[1]
-    size = _lengths(x)
+    size = column_norms(x)
     unit = float(np.abs(y).max()) or 1.0
     columns = sparse.kron(sparse.csr_matrix(x / size), sparse.identity(m), format="csr")  # rows: sample, component
     slack = sparse.kron(sparse.identity(n), np.ones((m, 1)), format="csr")
@@ -205,12 +205,6 @@ def _least_slack(columns: Any, slack: Any, target: FloatArray, what: str) -> Flo
             remedy="use least squares",
         )
     return np.asarray(found.x[:p], dtype=np.float64)
-
-
-def _lengths(columns: FloatArray) -> FloatArray:
-    """Return the length of each column, 1 for an empty one."""
-    size = np.linalg.norm(columns, axis=0)
-    return np.where(size > 0, size, 1.0)
 
 
 def _determined(x: FloatArray, y: FloatArray, size: FloatArray, what: str) -> FloatArray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from harness.algebra import divisor, orthonormal, unit_columns
 from harness.errors import FitError
 from harness.judgement import dependence_text, feedback_of
 from harness.signals import FloatArray, PlantSpec, Trajectory
@@ -163,7 +164,6 @@ def nearly_dependent(
     columns: Columns,
     least: float,
     what: str,
-    remedy: str = "add an excitation to what the controller commands, or leave an output out",
     records: Sequence[Trajectory] = (),
 ) -> Dependence | None:
     """Return a combination of measured states that is no more than noise; raise if nothing else tells the model there.
@@ -182,7 +182,6 @@ def nearly_dependent(
     ----------
     solution, columns, least, what
         As of :func:`refuse_feedback`; here the outputs are the states (one lag).
-    remedy : str
     records : sequence of Trajectory
         Where the samples before are looked up; without them every combination that is small counts as noise.
 
@@ -206,6 +205,7 @@ def nearly_dependent(
         if strength > _STRONG or chance < _DOUBT:
             return Dependence(dependence_text(null / solution.scale, solution.scale, columns.names), strength > _STRONG)
     rank = values.size - int(weak.sum())
+    remedy = "add an excitation to what the controller commands, or leave an output out"
     raise _undetermined(null / solution.scale, solution.scale, columns, rank, float(values[-1]), what, remedy)
 
 
@@ -215,9 +215,7 @@ def _strength(solution: Solution, noise: FloatArray, records: Sequence[Trajector
 
     spec = records[0].spec
     regressors, instruments, _ = instruments_of(records, solution.scale.size > spec.ny + spec.nu)
-    size = np.linalg.norm(instruments, axis=0)
-    left, values, _ = np.linalg.svd(instruments / np.where(size > 0, size, 1.0), full_matrices=False)
-    left = left[:, values > _DEPENDENT * values.max(initial=0.0)]
+    left = orthonormal(instruments, _DEPENDENT)
     if not left.size:
         return 0.0, 1.0
     rms = solution.scale / np.sqrt(solution.rows)
@@ -244,8 +242,7 @@ def _foretold(direction: FloatArray, solution: Solution, columns: Columns, recor
         return False
     known, wanted = np.concatenate(before), np.concatenate(now)
     wanted = wanted - wanted.mean()
-    size = np.linalg.norm(known, axis=0)
-    known = known / np.where(size > 0, size, 1.0)
+    known = unit_columns(known)
     left = wanted - known @ np.linalg.lstsq(known, wanted, rcond=1e-10)[0]
     free = len(wanted) - known.shape[1]
     power = float(wanted @ wanted)
@@ -280,7 +277,7 @@ def excited_lags(records: Sequence[Trajectory], most: int) -> int:
         return most
     rows = np.concatenate(parts)
     spread = rows[:, :nu].std(axis=0)
-    rows = (rows - rows.mean(axis=0)) / np.tile(np.where(spread > 0, spread, 1.0), most)
+    rows = (rows - rows.mean(axis=0)) / np.tile(divisor(spread), most)
     triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
     before = 1.0
     for lags in range(1, most + 1):

@@ -16,14 +16,9 @@ from identifiers.common.described import Described
 from identifiers.common.observers import fitted_start, run_in_steps
 from identifiers.common.records import lagged, recent
 
-_START = 30
-"""Samples that the unknown past at the start of a record is fitted to: some times the usual number of lags."""
-
-_SURE = 1e-6
-"""Standard deviation of an output that was just measured, relative to its scale: it is known."""
-
-_FAR = 100.0
-"""A free run so many scales away from the data has diverged, as in :mod:`identifiers.sparse.sparse_model`."""
+_START = 30  # Samples that the unknown past at the start of a record is fitted to: some times the usual number of lags.
+_SURE = 1e-6  # Standard deviation of an output that was just measured, relative to its scale: it is known.
+_FAR = 100.0  # A free run so many scales away from the data has diverged, as in :mod:`identifiers.sparse.sparse_model`.
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import least_squares
 from harness.errors import InputError
 from harness.models.recurrence import recurrence
 from harness.models.spread import Matrices, Spread, gains, steps
@@ -116,9 +117,7 @@ class LinearModel:
         found = np.zeros(nx)
         for last in (False, True):
             rows = (observed * weight[:, None]).reshape(-1, nx)
-            length = np.linalg.norm(rows, axis=0)
-            length = np.where(length > 0, length, 1.0)
-            found = np.asarray(np.linalg.lstsq(rows / length, (target * weight).ravel(), rcond=1e-10)[0]) / length
+            found = least_squares(rows, (target * weight).ravel(), 1e-10)
             if last or self.spec.ny == 1:
                 break
             left = np.sqrt(np.mean((target - observed @ found) ** 2, axis=0))

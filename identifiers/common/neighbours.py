@@ -7,14 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from harness.algebra import column_norms, divisor
 from harness.models.spread import Matrices, Spread
 from harness.signals import FloatArray
 from identifiers.common.regression import Solution
 
 GROUPS = 20
 """Stretches, each 5 % of the rows: long beside the memory of the noise, and 19 degrees of freedom (Kott 2001)."""
-CHECKED = 20_000
-"""Rows of a regression whose scatter is looked at: it is known to a part in a hundred from so many."""
+CHECKED = 20_000  # Rows of a regression whose scatter is looked at: it is known to a part in a hundred from so many.
 LARGEST = 200
 """Regressors, and states, beyond which no neighbours are kept: a system of equations for each, and a large file."""
 LITTLE = 0.1
@@ -41,7 +41,7 @@ def edges(rows: int, groups: int = GROUPS) -> list[tuple[int, int]]:
 
 
 def coefficients_without(
-    blocks: Callable[[], Iterable[tuple[FloatArray, FloatArray]]], solution: Solution, groups: int = GROUPS
+    blocks: Callable[[], Iterable[tuple[FloatArray, FloatArray]]], solution: Solution
 ) -> tuple[FloatArray, float] | None:
     """Return the coefficients (G, p, m) that a regression finds without one stretch each, and the factor of a spread.
 
@@ -55,7 +55,6 @@ def coefficients_without(
         Yields ``(Phi (n, p), Y (n, m))`` in the order of time, as for :func:`identifiers.common.regression.solve`.
     solution : Solution
         Over all rows; with a ridge in its factor where there was one.
-    groups : int
 
     Returns
     -------
@@ -75,11 +74,11 @@ def coefficients_without(
     """
     p, m = solution.coefficients.shape
     used = min(solution.rows, CHECKED)
-    bounds = edges(used, groups)
-    if not bounds or p > LARGEST or used < solution.rows // groups + p + 1:
+    bounds = edges(used, GROUPS)
+    if not bounds or p > LARGEST or used < solution.rows // GROUPS + p + 1:
         return None
     share = used / solution.rows
-    gram, right = np.zeros((groups, p, p)), np.zeros((groups, p, m))
+    gram, right = np.zeros((GROUPS, p, p)), np.zeros((GROUPS, p, m))
     place = 0
     for phi, y in blocks():
         for group, (low, high) in enumerate(bounds):
@@ -92,10 +91,10 @@ def coefficients_without(
         if place >= used:
             break
     away = _left_out(share * solution.factor.T @ solution.factor, gram, right - right.mean(axis=0))
-    return solution.coefficients + away / solution.scale[:, None], share * (groups - 1) / groups
+    return solution.coefficients + away / solution.scale[:, None], share * (GROUPS - 1) / GROUPS
 
 
-def steps_without(gradients: FloatArray, errors: FloatArray, groups: int = GROUPS) -> FloatArray | None:
+def steps_without(gradients: FloatArray, errors: FloatArray) -> FloatArray | None:
     """Return the shifts of parameters (G, k) at the minimum of a sum of squares, one stretch of errors left out each.
 
     Parameters
@@ -104,13 +103,11 @@ def steps_without(gradients: FloatArray, errors: FloatArray, groups: int = GROUP
         Of the errors; columns of zeros belong to parameters that are not fitted.
     errors : array (N,)
         Record by record.
-    groups : int
     """
-    bounds = edges(len(errors), groups)
+    bounds = edges(len(errors), GROUPS)
     if not bounds:
         return None
-    length = np.linalg.norm(gradients, axis=0)
-    length = np.where(length > 0, length, 1.0)
+    length = column_norms(gradients)
     psi = gradients / length
     gram = np.array([psi[low:high].T @ psi[low:high] for low, high in bounds])
     right = np.array([-psi[low:high].T @ errors[low:high] for low, high in bounds])[..., None]
@@ -126,8 +123,7 @@ def along_covariance(values: FloatArray, covariance: FloatArray) -> tuple[FloatA
     >>> (factor * near.T @ near).round(9).tolist()
     [[4.0, 0.0], [0.0, 1.0]]
     """
-    size = np.sqrt(np.diag(covariance))
-    size = np.where(size > 0, size, 1.0)
+    size = divisor(np.sqrt(np.diag(covariance)))
     squares, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     kept = squares > 1e-12 * max(float(squares[-1]), 1e-300)
     return values + LITTLE * (vectors[:, kept] * np.sqrt(squares[kept])).T * size, 1.0 / LITTLE**2

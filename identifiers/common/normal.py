@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import divisor
 from harness.signals import FloatArray
 
 Blocks = Iterable[tuple[FloatArray, FloatArray]]
@@ -51,8 +52,9 @@ class NormalEquations:
         return cls(gram, right, square, rows)
 
     @classmethod
-    def in_pieces(cls, blocks: Blocks, p: int, m: int, count: int = 20, size: int = 64) -> list[NormalEquations]:
-        """Return the sums of stretches of ``size`` rows dealt out to ``count`` pieces; their sum is :meth:`of`."""
+    def in_pieces(cls, blocks: Blocks, p: int, m: int) -> list[NormalEquations]:
+        """Return the sums of stretches of 64 rows dealt out to 20 pieces; their sum is :meth:`of`."""
+        count, size = 20, 64
         parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in range(count)]
         sums = [cls(np.zeros((p, p)), np.zeros((p, m)), np.zeros(m), 0) for _ in range(count)]
         place = 0
@@ -70,8 +72,7 @@ class NormalEquations:
 
 def scaled_equations(equations: NormalEquations) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return Gram matrix and right-hand side of columns scaled to unit length, and their lengths."""
-    size = np.sqrt(np.diag(equations.gram))
-    size = np.where(size > 0, size, 1.0)
+    size = divisor(np.sqrt(np.diag(equations.gram)))
     return equations.gram / np.outer(size, size), equations.right / size[:, None], size
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.algebra import divisor
 from harness.models.damped import Damping, damped_descent
 from harness.protocols import Model
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
@@ -79,8 +80,7 @@ def best_gain(
         Use so many samples in all.
     """
     channels = records[0].spec.outputs
-    spread = np.concatenate([record.y for record in records]).std(axis=0)
-    spread = np.where(spread > 0, spread, 1.0)
+    spread = divisor(np.concatenate([record.y for record in records]).std(axis=0))
     cost = np.zeros(len(gains))
     each = max(20, samples // len(records))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -119,8 +119,7 @@ def fitted_start(
     lengths : sequence of int
         Samples used, in turn: a short stretch first, since over a long one the error has many minima.
     """
-    spread = data.y.std(axis=0)
-    spread = np.where(spread > 0, spread, 1.0)
+    spread = divisor(data.y.std(axis=0))
     best = np.array(guess, dtype=float)
     nx = best.size
     steps = 1e-6 * scale

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from harness.algebra import divisor, orthonormal
 from harness.errors import FitError
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
@@ -17,16 +18,12 @@ from identifiers.common.records import lagged
 from identifiers.common.regression import Solution
 
 LEVEL = 0.95
-LAGS = 20
-"""Lags of the residuals' autocorrelation that are tested together (Ljung & Box 1978), as usual in the field."""
+LAGS = 20  # Lags of the residuals' autocorrelation that are tested together (Ljung & Box 1978), as usual in the field.
 LARGEST = 200
 """Coefficients beyond which no record is kept: nobody reads so many, and their covariance fills the stored model."""
-CHECKED = 20_000
-"""Equations that the test for correlated residuals looks at: at so many it sees a correlation of 0.03."""
-DOUBT = 1e-3
-"""Probability, over all outputs, of calling white residuals correlated."""
-EXACT = 1e-9
-"""Residuals below this share of the outputs are rounding."""
+CHECKED = 20_000  # Equations that the test for correlated residuals looks at: at so many it sees a correlation of 0.03.
+DOUBT = 1e-3  # Probability, over all outputs, of calling white residuals correlated.
+EXACT = 1e-9  # Residuals below this share of the outputs are rounding.
 DEPENDENT = 1e-10
 """Singular values of scaled columns below this share of the largest: functions that the data do not tell apart."""
 
@@ -197,8 +194,7 @@ def _residual_covariance(records: Sequence[Trajectory], solution: Solution, lags
         residual = part.y[lags:] - _rows(part, lags, offset) @ theta
         total += residual.T @ residual
         left -= len(residual)
-    size = np.sqrt(np.diag(total))
-    size = np.where(size > 0, size, 1.0)
+    size = divisor(np.sqrt(np.diag(total)))
     deviation = solution.residual_rms * np.sqrt(solution.rows / (solution.rows - len(theta)))
     found: FloatArray = total / np.outer(size, size) * np.outer(deviation, deviation)
     return found
@@ -240,18 +236,11 @@ def foretold_output(
         return None
     own = [phi] if columns is None else [phi[:, list(chosen)] for chosen in columns]
     power = np.sum(now**2, axis=0)
-    explained = [np.sum((_basis(np.hstack([rows, past])).T @ now) ** 2, axis=0) for rows in own]
-    share = (explained[0] if columns is None else np.diag(explained)) / np.where(power > 0, power, 1.0)
+    explained = [np.sum((orthonormal(np.hstack([rows, past]), 1e-10).T @ now) ** 2, axis=0) for rows in own]
+    share = (explained[0] if columns is None else np.diag(explained)) / divisor(power)
     probability = chi2.sf(len(now) * share, past.shape[1])
     worst = int(np.argmin(probability))
     return records[0].spec.outputs[worst].name if probability[worst] < DOUBT / share.size else None
-
-
-def _basis(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of what columns span but for rounding."""
-    size = np.linalg.norm(columns, axis=0)
-    q, values, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
-    return np.asarray(q[:, values > 1e-10 * values[0]], dtype=np.float64)
 
 
 def _without(records: Sequence[Trajectory], low: int, high: int) -> list[Trajectory]:

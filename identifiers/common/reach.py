@@ -12,17 +12,10 @@ import numpy.typing as npt
 from harness.signals import FloatArray
 from identifiers.common.described import Described
 
-_CENTRES = 200
-"""Rows that stand for the data, each as far as can be from those before it: the edge is among the first."""
-
-_ROWS = 4000
-"""Most rows that are looked at: evenly thinned."""
-
-_INSIDE = 0.99
-"""Share of the data that counts as inside, so that bands there stay what held-out data made them."""
-
-_FOLDS = 10
-"""Stretches in time, every second of which makes a half: rows that follow each other are alike."""
+_CENTRES = 200  # Rows that stand for the data, each as far as can be from those before it: the edge is among the first.
+_ROWS = 4000  # Most rows that are looked at: evenly thinned.
+_INSIDE = 0.99  # Share of the data that counts as inside, so that bands there stay what held-out data made them.
+_FOLDS = 10  # Stretches in time, every second of which makes a half: rows that follow each other are alike.
 
 _DOUBLE = 0.5
 """Of the radius of the data: the rehearsal learns within it and predicts up to the whole, so it doubles the reach."""
@@ -30,14 +23,12 @@ _DOUBLE = 0.5
 _LEAST = 0.2
 """Share of the rows that the rehearsal learns from at least: in many dimensions few lie within half the radius."""
 
-_EDGE = 0.95
-"""Share of the rows within the radius."""
+_EDGE = 0.95  # Share of the rows within the radius.
 
 _FEATURES, _RIDGE = 60, 1e-4
 """Random tanh features of the rehearsal, and their ridge for each row: a network whose first layer is not trained."""
 
-_AFFINE_RIDGE = 1e-9
-"""Of its affine part: what is affine is extrapolated exactly."""
+_AFFINE_RIDGE = 1e-9  # Of its affine part: what is affine is extrapolated exactly.
 
 
 @dataclass(frozen=True, eq=False)

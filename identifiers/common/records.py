@@ -13,8 +13,7 @@ from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.normal import NormalEquations
 
-SEAMS = "equations with a missing reading are left out"
-"""What most fits do about missing readings."""
+SEAMS = "equations with a missing reading are left out"  # What most fits do about missing readings.
 
 # Numbers of a block of regressors: 0.8 MB, which stays in a processor's second-level cache.
 _CACHE = 100_000
@@ -62,6 +61,27 @@ def usable(
             remedy="record longer, or lower the order",
         )
     return long_enough if holes == "kept" else without_holes(long_enough, samples=samples, what=what), spec
+
+
+def learnable(
+    trajectories: Sequence[Trajectory],
+    *,
+    samples: int,
+    what: str,
+    inputs: bool = True,
+    holes: Literal["seams", "kept"] = "seams",
+) -> tuple[list[Trajectory], PlantSpec]:
+    """Return :func:`usable` records of :func:`real_signals` that are :func:`moving`, and their common spec.
+
+    Raises
+    ------
+    FitError
+        If there are none.
+    """
+    records, spec = usable(trajectories, samples=samples, what=what, holes=holes)
+    real_signals(spec, what)
+    moving(records, what, inputs=inputs)
+    return records, spec
 
 
 def without_holes(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> list[Trajectory]:
@@ -268,7 +288,6 @@ def lagged_blocks(
     *,
     offset: bool = False,
     direct: bool = False,
-    size: int | None = None,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield regressors and next outputs of one-step equations in blocks, so that memory stays bounded.
 
@@ -282,15 +301,13 @@ def lagged_blocks(
         With a last column of ones.
     direct : bool
         With the inputs of the instant that is predicted, after the lags.
-    size : int, optional
-        Rows of a block; by default as many as a processor's cache holds.
 
     Yields
     ------
     (array (n, p), array (n, ny))
     """
     spec = trajectories[0].spec
-    size = size or max(256, _CACHE // max(1, lags * (spec.ny + spec.nu)))
+    size = max(256, _CACHE // max(1, lags * (spec.ny + spec.nu)))
     for record in trajectories:
         for start in range(0, len(record) - lags, size):
             stop = min(start + size, len(record) - lags)

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from harness.algebra import column_norms
 from harness.errors import FitError
 from harness.signals import FloatArray
 
@@ -57,8 +58,7 @@ def total(rows: FloatArray, target: FloatArray, noise: FloatArray, noise_target:
     from scipy.linalg import eigh
 
     both, shaken = np.column_stack([rows, target]), np.column_stack([noise, noise_target])
-    size = np.linalg.norm(both, axis=0)
-    size = np.where(size > 0, size, 1.0)
+    size = column_norms(both)
     gram, error = (both / size).T @ (both / size), (shaken / size).T @ (shaken / size)
     # A floor for columns without noise (known inputs): rounding.
     error = error + 1e-13 * np.eye(len(size)) * max(float(np.trace(error)), 1e-12)
@@ -91,8 +91,7 @@ def instrumental(rows: FloatArray, target: FloatArray, instruments: FloatArray, 
     FitError
         If the instruments do not determine theta.
     """
-    size, length = np.linalg.norm(rows, axis=0), np.linalg.norm(instruments, axis=0)
-    size, length = np.where(size > 0, size, 1.0), np.where(length > 0, length, 1.0)
+    size, length = column_norms(rows), column_norms(instruments)
     cross = (instruments / length).T @ (rows / size)
     if np.linalg.cond(cross) > 1e10:
         raise FitError(
@@ -122,8 +121,7 @@ def huber(rows: FloatArray, target: FloatArray, *, iterations: int = 50) -> tupl
     True
     """
     weights = np.ones(len(target))
-    size = np.linalg.norm(rows, axis=0)
-    size = np.where(size > 0, size, 1.0)
+    size = column_norms(rows)
     theta: FloatArray = np.zeros(rows.shape[1])
     for number in range(iterations):
         root = np.sqrt(weights)

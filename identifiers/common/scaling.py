@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import divisor, unit_columns
 from harness.signals import FloatArray, Trajectory
 
 # A column that moves by less than this fraction of its value counts as constant: what moves may be rounding.
@@ -16,8 +17,7 @@ _STILL = 1e-12
 _FORETOLD = 0.02
 # Noise is estimated from so many samples at most, from so many equations for each regressor at least.
 _ROWS, _EQUATIONS = 20_000, 3
-EXACT = 1e-9
-"""Errors below this share of an output's size are rounding."""
+EXACT = 1e-9  # Errors below this share of an output's size are rounding.
 # Outputs are not told apart by noise below this share of their size.
 _QUIET = 1e-3
 
@@ -40,7 +40,7 @@ def sizes(parts: Sequence[FloatArray]) -> FloatArray:
     spread = np.sqrt(sum((((part - mean) ** 2).sum(axis=0) for part in parts), np.zeros(mean.size)) / rows)
     still = spread <= _STILL * np.abs(mean)
     size: FloatArray = np.where(still, np.abs(mean), spread)
-    return np.where(size > 0, size, 1.0)
+    return divisor(size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def centred(parts: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """
     every = np.concatenate(parts)
     std = every.std(axis=0)
-    return np.asarray(every.mean(axis=0)), np.where(std > 0, std, 1.0)
+    return np.asarray(every.mean(axis=0)), divisor(std)
 
 
 def noise_levels(records: Sequence[Trajectory]) -> FloatArray:
@@ -104,8 +104,7 @@ def noise_levels(records: Sequence[Trajectory]) -> FloatArray:
             after.append(part.y[1:] / size)
     if sum(map(len, after)) >= _EQUATIONS * (ny + nu + 1):
         known, target = np.concatenate(before), np.concatenate(after)
-        length = np.linalg.norm(known, axis=0)
-        known = known / np.where(length > 0, length, 1.0)
+        known = unit_columns(known)
         residual = target - known @ np.linalg.lstsq(known, target, rcond=1e-10)[0]
         rms = np.sqrt(np.sum(residual**2, axis=0) / (len(target) - known.shape[1]))
     else:

@@ -117,9 +117,7 @@ def nearest_stable(
     return found
 
 
-def convex_stable(
-    theta: FloatArray, factor: FloatArray, own: int, weights: FloatArray, radius: float = RADIUS
-) -> FloatArray:
+def convex_stable(theta: FloatArray, factor: FloatArray, own: int, weights: FloatArray) -> FloatArray:
     """Return stable coefficients by a semidefinite program: no start, no step, and not always the nearest ones.
 
     With ``E x+ = F x + K u`` the stable models are those with ``[[E + E' - P, F' / r], [F / r, P]] > 0`` for some P: a
@@ -132,7 +130,6 @@ def convex_stable(
     ----------
     theta, factor, own, weights
         As of :func:`nearest_stable`.
-    radius : float
 
     Raises
     ------
@@ -146,7 +143,7 @@ def convex_stable(
     explicit = theta / scale[:, None] * weights
     e, p = cp.Variable((own, own)), cp.Variable((own, own), symmetric=True)
     implicit = cp.Variable(theta.shape)
-    state = implicit[:own].T / radius
+    state = implicit[:own].T / RADIUS
     held = cp.bmat([[e + e.T - p, state.T], [state, p]])
     constraints = [held >> 1e-7 * np.eye(2 * own), e + e.T >> 2.0 * np.eye(own)]
     program = cp.Problem(cp.Minimize(cp.norm(rows @ (explicit @ e.T - implicit), "fro")), constraints)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import runge_kutta
 from harness.errors import FitError, InputError, PlantError
 from harness.models.analysis import Findings, Takes
 from harness.models.lqr import lqr_gain
@@ -17,8 +18,7 @@ from identifiers.online.filters_online import FilterState, OnlineGreyBox, Steppe
 
 ADAPTIVE, FIXED, INFORMED = "adaptive", "fixed", "informed"
 
-_SHORTEST = 50
-"""Samples of a run at least."""
+_SHORTEST = 50  # Samples of a run at least.
 
 _SAID = {0: "neither", 1: "fixed only", 2: "adaptive only", 3: "both"}
 """What stays up at a place of the map: fixed counts 1, adaptive 2."""
@@ -229,11 +229,7 @@ class _Bench:
         f = ca.Function("f", [system.x, system.u, system.p, system.t], [system.upright(system.f)])
         h, now = self.spec.sample_time / steps, x
         for _ in range(steps):
-            k1 = f(now, u, p, 0.0)
-            k2 = f(now + h / 2 * k1, u, p, 0.0)
-            k3 = f(now + h / 2 * k2, u, p, 0.0)
-            k4 = f(now + h * k3, u, p, 0.0)
-            now = now + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            now = runge_kutta(lambda state: f(state, u, p, 0.0), now, h)
         return ca.Function("slopes", [x, u, p], [ca.jacobian(now, x), ca.jacobian(now, u)], {"cse": True})
 
     def _gain(self, parameters: Mapping[str, float], target: FloatArray) -> FloatArray | None:

@@ -12,32 +12,18 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.control.taylor_models import bounded
 
-_POINTS = 1000
-"""Points of the boundary that a step looks at, beside those that were worst so far."""
-
-_ROWS, _KEPT, _POOL = 300, 200, 1500
-"""Points that enter a linear program, that are remembered of a step, and in all."""
+_POINTS = 1000  # Points of the boundary that a step looks at, beside those that were worst so far.
+_ROWS, _KEPT, _POOL = 300, 200, 1500  # Points that enter a linear program, that are remembered of a step, and in all.
 
 _STEPS, _LARGEST, _LEAST = 300, 0.3, 1e-3
 """Linear programs at most; largest and least relative change of the ellipsoid in one."""
 
-_TRIES = 6
-"""Halvings of a step that is worse than foretold, and steps in a row that may fail."""
-
-_FAR = 100.0
-"""Penalty of an ellipsoid that reaches beyond what it may, relative to the logarithm of the disturbance."""
-
-_INSIDE = 0.95
-"""Squared distance of the start from the centre, in that of the boundary."""
-
-_FINEST = 1e-5
-"""Half width of a cell that is not halved any more: V' is 0 there for all that can be told."""
-
-_ASKED = 50
-"""Random points at which a symmetry is asked for."""
-
-_BATCH, _FIRST = 4096, 8
-"""Cells that are bounded together, and in how many parts each edge of a face is cut at first."""
+_TRIES = 6  # Halvings of a step that is worse than foretold, and steps in a row that may fail.
+_FAR = 100.0  # Penalty of an ellipsoid that reaches beyond what it may, relative to the logarithm of the disturbance.
+_INSIDE = 0.95  # Squared distance of the start from the centre, in that of the boundary.
+_FINEST = 1e-5  # Half width of a cell that is not halved any more: V' is 0 there for all that can be told.
+_ASKED = 50  # Random points at which a symmetry is asked for.
+_BATCH, _FIRST = 4096, 8  # Cells that are bounded together, and in how many parts each edge of a face is cut at first.
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,30 +27,22 @@ STILL, ALONG, ITERATIVE, SPLIT = "LTI ILC", "LTV ILC", "iLQR", "ADMM-ILC"
 
 _COLOURS = {LQR: "C0", AHEAD: "C1", ALONG: "C2", SPLIT: "C3", ITERATIVE: "C4", STILL: "C5"}
 
-_LONGEST, _SHORTEST = 400, 20
-"""Samples of a motion: matrices of all its inputs are solved with; a model needs some."""
+_LONGEST, _SHORTEST = 400, 20  # Samples of a motion: matrices of all its inputs are solved with; a model needs some.
 
 _FREE = 1e-9
 """Proximity where a model is trusted everywhere, relative to the mean curvature of the cost: rounding only."""
 
-_RETREAT = 100.0
-"""A correction that costs more is taken back, and the next one held back so many times as much."""
-
-_HINDSIGHT = 25
-"""Corrections with the true slopes of the plant; it ends where they gain no more than this share:"""
+_RETREAT = 100.0  # A correction that costs more is taken back, and the next one held back so many times as much.
+_HINDSIGHT = 25  # Corrections with the true slopes of the plant; it ends where they gain no more than this share:
 _GAINED = 1e-5
 
-_PUSH = 1e-4
-"""Step of the differences on the true plant, relative to the size of the inputs."""
-
-_FEWEST = 3
-"""Repetitions that came to their end, at least, for a model along them."""
+_PUSH = 1e-4  # Step of the differences on the true plant, relative to the size of the inputs.
+_FEWEST = 3  # Repetitions that came to their end, at least, for a model along them.
 
 _REMEMBERED = 4
 """Rounds of repetitions that a model along the motion learns from: later motions are close to each other."""
 
-_LEAST = 2.0
-"""Departure of inputs from a law of the outputs, in its noise, as of ``least-squares``."""
+_LEAST = 2.0  # Departure of inputs from a law of the outputs, in its noise, as of ``least-squares``.
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from harness.algebra import runge_kutta
 from harness.errors import InputError
 from harness.models.analysis import Findings, Takes
 from harness.signals import FloatArray
@@ -20,11 +21,8 @@ _SMALL, _FIRST = 1e-4, 0.05
 _SHRUNK = (0.98, 0.95, 0.9)
 """What was found is certified at these shares of the offset, until one holds: between sampled points V' is larger."""
 
-_STARTS = 2
-"""Searches for the ellipsoid whose centre may move, each on other points: some end in a corner."""
-
-_NEARLY = 0.98
-"""Part of a fall that an ellipsoid may reach."""
+_STARTS = 2  # Searches for the ellipsoid whose centre may move, each on other points: some end in a corner.
+_NEARLY = 0.98  # Part of a fall that an ellipsoid may reach.
 
 _MARGINS = (5.0, 1.0)
 """The search begins with a wider margin: a narrow one from the start ends in a corner of what is possible."""
@@ -32,8 +30,7 @@ _MARGINS = (5.0, 1.0)
 _WIDER, _GROWN, _BISECTIONS = 1.15, 100, 6
 """Steps by which an offset grows until something is lost, and halvings of the last step."""
 
-_TOLERANCE = 1e-8
-"""Of a steady state, in the unit of each state."""
+_TOLERANCE = 1e-8  # Of a steady state, in the unit of each state.
 
 
 @dataclass(frozen=True)
@@ -206,15 +203,8 @@ class _Bench:
         by_d = self.loop.slopes(x, 0.0)[2]
         outwards = ca.if_else(ca.dot(p @ x, by_d) < 0, -1.0, 1.0)
         held = ca.if_else(switches > 0, d * outwards, d)
-
-        def rate(at: Any) -> Any:
-            return self.loop.slopes(at, held)[0]
-
-        k1 = rate(x)
-        k2 = rate(x + _STEP / 2 * k1)
-        k3 = rate(x + _STEP / 2 * k2)
-        k4 = rate(x + _STEP * k3)
-        return ca.Function("step", [x, d, p, switches], [x + _STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)], {"cse": True})
+        after = runge_kutta(lambda at: self.loop.slopes(at, held)[0], x, _STEP)
+        return ca.Function("step", [x, d, p, switches], [after], {"cse": True})
 
     def largest(self, holds: Callable[[float], bool], first: float = _SMALL) -> float:
         """Return the offset up to which something holds, of those tried from small to large."""
@@ -261,14 +251,9 @@ class _Bench:
         return replace(tried[0], low=0.0, high=0.0), proof
 
 
-_BELOW = 0.5
-"""Part of the largest offset of a stable posture with which simulations begin."""
-
-_FOLLOWED = 20
-"""Steps of the continuation of a steady state, and of Newton's method in each."""
-
-_STEP = 5e-3
-"""Of a simulation [s]: a twentieth of the fastest time constant of the textbook's Acrobot under its LQR."""
+_BELOW = 0.5  # Part of the largest offset of a stable posture with which simulations begin.
+_FOLLOWED = 20  # Steps of the continuation of a steady state, and of Newton's method in each.
+_STEP = 5e-3  # Of a simulation [s]: a twentieth of the fastest time constant of the textbook's Acrobot under its LQR.
 
 
 def _findings(

@@ -9,17 +9,10 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.linear.iterative import TimeVarying
 
-_ITERATIONS = 4000
-"""Iterations of ADMM at most; some hundreds are usual."""
-
-_CLOSE = 1e-7
-"""ADMM stops where both residuals are below this, relative to the largest input."""
-
-_REVIEWED = 50
-"""Iterations between two looks at the penalty."""
-
-_BALANCED = 10.0
-"""The penalty is changed where one residual is so many times the other (Boyd et al. 2011, sec. 3.4.1)."""
+_ITERATIONS = 4000  # Iterations of ADMM at most; some hundreds are usual.
+_CLOSE = 1e-7  # ADMM stops where both residuals are below this, relative to the largest input.
+_REVIEWED = 50  # Iterations between two looks at the penalty.
+_BALANCED = 10.0  # The penalty is changed where one residual is so many times the other (Boyd et al. 2011, sec. 3.4.1).
 
 
 @dataclass(frozen=True, eq=False)

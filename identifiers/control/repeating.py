@@ -12,8 +12,7 @@ from harness.errors import PlantError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.control.planning import Limits, Moves
 
-_GONE = 1e3
-"""A repetition has left the motion where an output is so many times the largest reference away."""
+_GONE = 1e3  # A repetition has left the motion where an output is so many times the largest reference away.
 
 _QUIET = 1e-4
 """Least sensor noise that an observer is designed for, relative to the largest reference: with none it would

@@ -13,8 +13,7 @@ from harness.signals import FloatArray
 
 Labels = npt.NDArray[np.intp]
 
-_SWEEPS = 1000
-"""Policy iteration ends after few sweeps; so many mean that the tables are no decision process."""
+_SWEEPS = 1000  # Policy iteration ends after few sweeps; so many mean that the tables are no decision process.
 
 
 def policy_values(transition: FloatArray, reward: FloatArray, policy: FloatArray, discount: float) -> FloatArray:

@@ -18,11 +18,8 @@ from identifiers.finite.decision import optimal_values
 
 Labels = npt.NDArray[np.intp]
 
-_ENOUGH = 0.05
-"""A policy that loses no more than this share of what states differ by counts as good enough."""
-
-_MOST = 40
-"""Windows of the past at most: the metric compares every two of them."""
+_ENOUGH = 0.05  # A policy that loses no more than this share of what states differ by counts as good enough.
+_MOST = 40  # Windows of the past at most: the metric compares every two of them.
 
 
 @dataclass(frozen=True, eq=False)

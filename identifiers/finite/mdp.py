@@ -17,8 +17,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
 from identifiers.common.records import usable
 
-SHOWN = 6
-"""Pairs that were never tried that are named; the model has all."""
+SHOWN = 6  # Pairs that were never tried that are named; the model has all.
 
 
 def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:

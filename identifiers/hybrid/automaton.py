@@ -19,8 +19,7 @@ from identifiers.common.records import real_signals, usable
 from identifiers.hybrid.jumps import Jump, find_jumps
 from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel, affine
 
-_MOST, _STARTS, _ROUNDS = 4, 20, 50
-"""Walls that are tried, random starts of each number, and rounds of one start."""
+_MOST, _STARTS, _ROUNDS = 4, 20, 50  # Walls that are tried, random starts of each number, and rounds of one start.
 
 _EXACT = 1e-7
 """Scatter below which planes are exact, in the scale of the positions: the instants of jumps are no better known."""
@@ -107,19 +106,15 @@ def _distances(places: FloatArray, planes: list[tuple[FloatArray, FloatArray]]) 
     return np.stack([np.abs((places - centre) @ normal) for centre, normal in planes], axis=1)
 
 
-_BISECTIONS = 30
-"""Halvings of the sample in which the guard is met."""
-
-_SHARP = 3.0
-"""The guard is told where jumps scatter along it by so many times as much as across it."""
+_BISECTIONS = 30  # Halvings of the sample in which the guard is met.
+_SHARP = 3.0  # The guard is told where jumps scatter along it by so many times as much as across it.
 
 _TOLD = 0.02
 """Directions in which the states before the jumps scatter less than this, beside the largest, tell nothing."""
 
 _RATE = "_rate"
 
-_MOST_JUMPS = 10
-"""In one sample: a state between walls that close in does not end."""
+_MOST_JUMPS = 10  # In one sample: a state between walls that close in does not end.
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,9 @@ import numpy.typing as npt
 
 from harness.signals import FloatArray, Trajectory
 
-_DEGREE = 2
-"""Of the polynomials that continue a record to the instant of a jump from either side."""
-
-_GAP = 12.0
-"""A gap between both sides of so many robust standard deviations of all gaps is a jump."""
-
-_INSTANTS = 201
-"""Instants within a sample at which both sides are compared before the best one is refined."""
+_DEGREE = 2  # Of the polynomials that continue a record to the instant of a jump from either side.
+_GAP = 12.0  # A gap between both sides of so many robust standard deviations of all gaps is a jump.
+_INSTANTS = 201  # Instants within a sample at which both sides are compared before the best one is refined.
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,28 +18,20 @@ from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
 from identifiers.common.neighbours import edges
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.learned.trees import Tree, grow_tree
 
 Labels = npt.NDArray[np.intp]
 
-_LOCAL = 2
-"""Neighbours of a local affine fit, in multiples of its coefficients."""
-
-_LOCAL_POINTS = 1500
-"""Samples whose local fits are clustered for a start; more do not change the clusters."""
+_LOCAL = 2  # Neighbours of a local affine fit, in multiples of its coefficients.
+_LOCAL_POINTS = 1500  # Samples whose local fits are clustered for a start; more do not change the clusters.
 
 _OUTSIDE = 4.0
 """Samples further than so many robust standard deviations from every mode lie in none: they switch within a sample."""
 
-_BRIEF = 10
-"""Iterations of the classifier between two reassignments, each begun where the last one ended."""
-
-_MOST = 6
-"""Where the number of modes is asked of the data, more are not tried."""
-
-_TRIAL_ROUNDS, _ROUNDS = 12, 60
-"""Reassignments at most, of every start and of the best one; they settle in about ten."""
+_BRIEF = 10  # Iterations of the classifier between two reassignments, each begun where the last one ended.
+_MOST = 6  # Where the number of modes is asked of the data, more are not tried.
+_TRIAL_ROUNDS, _ROUNDS = 12, 60  # Reassignments at most, of every start and of the best one; they settle in about ten.
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,9 +158,7 @@ class PiecewiseAffine(Excited):
         """Return the model; share of samples in each mode and of those in none stand in its notes."""
         what = "piecewise-affine"
         check_options(self, what, modes=">= 1", order=">= 1")
-        records, spec = usable(trajectories, samples=self.order + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
+        records, spec = learnable(trajectories, samples=self.order + 2, what=what, inputs=False)
         refuse_undetermined(records, what, self.least_excitation)
         rows, targets = regression_data(records, self.order)
         if self.modes is None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import column_norms, divisor
 from harness.errors import FitError, InputError, refuse_unknown
 from harness.judgement import refuse_law
 from harness.models.determined import KEY, determined_bands
@@ -26,7 +27,7 @@ from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import LARGEST, coefficients_without, spread_of
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import lifted_estimate
-from identifiers.common.records import missing_notes, moving, real_signals, recent, usable
+from identifiers.common.records import learnable, missing_notes, recent
 from identifiers.common.regression import Solution, solve
 from identifiers.common.stability import clip_eigenvalues, nearest_stable
 from identifiers.koopman.learned import Stretch, learned_functions
@@ -42,8 +43,7 @@ BIAS_OF_FUNCTIONS = (
 IDLE = 1e-3
 """Probability of what functions add to the prediction of an output, were they idle, above which it is left to chance:
 errors that are correlated in time, which say more than they know, keep functions rather than lose them."""
-STRETCHES = 10
-"""Into which records are cut, at least, where functions are learned: every fifth is held out."""
+STRETCHES = 10  # Into which records are cut, at least, where functions are learned: every fifth is held out.
 _USERS: dict[str, Callable[[FloatArray], FloatArray]] = {}
 
 
@@ -148,7 +148,7 @@ class Dictionary(Described):
             if self.width > 0:
                 parts.append(np.exp(-0.5 * (distance / self.width) ** 2))
             else:
-                parts.append(distance**2 * np.log(np.where(distance > 0, distance, 1.0)))
+                parts.append(distance**2 * np.log(divisor(distance)))
         for j in range(1, self.fourier + 1):
             parts += [np.sin(np.pi * j * z), np.cos(np.pi * j * z)]
         if self.units:
@@ -339,9 +339,7 @@ class Edmdc:
         """Return the lifted linear model."""
         what = "edmdc"
         self._check_options()
-        records, spec = usable(trajectories, samples=self.delays + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=self.delays + 2, what=what)
         refuse_law(records, what, self.least_excitation)
         arguments = [_arguments(record, self.delays) for record in records]
         together = np.concatenate(arguments)
@@ -418,8 +416,7 @@ class Edmdc:
 
     def _dictionary(self, together: FloatArray, rng: np.random.Generator) -> Dictionary:
         """Return the functions over the scale of the arguments (N, k), centres drawn among them."""
-        scale = np.abs(together).max(axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
+        scale = divisor(np.abs(together).max(axis=0))
         centres: tuple[tuple[float, ...], ...] = ()
         if self.radial:
             picked = rng.choice(len(together), size=min(self.radial, len(together)), replace=False)
@@ -443,8 +440,7 @@ class Edmdc:
     ) -> tuple[Dictionary, dict[str, Any]]:
         """Return the dictionary with the functions that were learned, and what their search says of itself."""
         size = np.asarray(dictionary.scale)
-        force = np.abs(np.concatenate([record.u for record in records])).max(axis=0, initial=0.0)
-        force = np.where(force > 0, force, 1.0)
+        force = divisor(np.abs(np.concatenate([record.u for record in records])).max(axis=0, initial=0.0))
         stretches = []
         for record, rows in zip(records, arguments, strict=True):
             parts = max(1, min(-(-STRETCHES // len(records)), len(rows) // (2 * self.horizon)))
@@ -531,8 +527,7 @@ def _settled(solution: Solution, constant: int) -> FloatArray | None:
     if spectral_radius(theta[: size - 1]) < 1.0:
         return None
     factor = (solution.factor * solution.scale)[:, order]
-    length = np.linalg.norm(factor[:, : size - 1], axis=0)
-    weights = 1.0 / np.where(length > 0, length, 1.0)
+    weights = 1.0 / column_norms(factor[:, : size - 1])
     nearest = nearest_stable(theta, factor, size - 1, clip_eigenvalues, weights)
     whole = np.zeros_like(solution.coefficients)
     whole[np.ix_(order, moving_functions)] = nearest

@@ -10,20 +10,14 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-ITERATIONS = 300
-"""Of the quasi-Newton search; held-out stretches end it before as a rule."""
-PATIENCE = 40
-"""Iterations without a gain on held-out stretches after which the search ends."""
-HELD_OUT = 5
-"""One stretch of so many is held out."""
-GAIN = 0.95
-"""Functions are kept where the held-out error with them is below this share of that without."""
-STEEPNESS = 1.5
-"""Of first functions over arguments of -1 .. 1."""
+ITERATIONS = 300  # Of the quasi-Newton search; held-out stretches end it before as a rule.
+PATIENCE = 40  # Iterations without a gain on held-out stretches after which the search ends.
+HELD_OUT = 5  # One stretch of so many is held out.
+GAIN = 0.95  # Functions are kept where the held-out error with them is below this share of that without.
+STEEPNESS = 1.5  # Of first functions over arguments of -1 .. 1.
 GROWTH = (0.1, 0.3, 1.0)
 """Shares of the horizon that are searched in turn: over all of it free runs of first functions diverge."""
-DIVERGED = 1e12
-"""Mean square error, of arguments of size 1, that stands for any free run beyond."""
+DIVERGED = 1e12  # Mean square error, of arguments of size 1, that stands for any free run beyond.
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,17 +40,13 @@ _TABLES = (
 )
 """Trained, in this order."""
 
-_NETWORK = 0.01
-"""Size of the networks' last layers at first: a training begins at the linear latent model."""
+_NETWORK = 0.01  # Size of the networks' last layers at first: a training begins at the linear latent model.
 
 _CONSISTENCY = 0.1
 """Weight of the distance between predicted and encoded latent states, in that of the outputs' errors."""
 
-_FAR = 1e3
-"""A latent state beyond it has diverged; they have the size 1."""
-
-_HELD_OUT = 5
-"""One record in so many is held out, or the end of the only ones."""
+_FAR = 1e3  # A latent state beyond it has diverged; they have the size 1.
+_HELD_OUT = 5  # One record in so many is held out, or the end of the only ones.
 
 
 @dataclass(frozen=True, eq=False)

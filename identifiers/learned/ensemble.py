@@ -15,8 +15,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import drawn_together
 from identifiers.common.described import Described
 
-_NINETY = 1.6449
-"""Half width of the central 90 % of a normal distribution, in standard deviations."""
+_NINETY = 1.6449  # Half width of the central 90 % of a normal distribution, in standard deviations.
 
 _OWN = 0.3
 """Least share of the spread that is each member's own, and not their disagreement: outputs are noisy for all alike."""

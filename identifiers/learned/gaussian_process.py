@@ -20,20 +20,11 @@ from identifiers.common.lag_state import LagModel, Scaling, regression_data
 _JITTER = 1e-10
 """Relative to the prior variance; keeps Cholesky factors of noise-free data real, and sets the least noise with it."""
 
-_NO_SLOPE = -16.0
-"""Logarithm of the linear term's size where there is none: 1e-7 standard deviations of the targets."""
-
-_CANDIDATES = 4000
-"""Samples among which inducing points are chosen."""
-
-_FOLDS = 5
-"""Parts of the data each of which judges the bands of a process that knows the others."""
-
-_WINDOWS = 2
-"""Held-out windows of a part at least, as those of all five are judged together."""
-
-_BLOCK = 2048
-"""Rows of a block of the kernel matrix."""
+_NO_SLOPE = -16.0  # Logarithm of the linear term's size where there is none: 1e-7 standard deviations of the targets.
+_CANDIDATES = 4000  # Samples among which inducing points are chosen.
+_FOLDS = 5  # Parts of the data each of which judges the bands of a process that knows the others.
+_WINDOWS = 2  # Held-out windows of a part at least, as those of all five are judged together.
+_BLOCK = 2048  # Rows of a block of the kernel matrix.
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,18 +15,16 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import Bands, banded, refuse_share
 from identifiers.common.observers import alpha_beta_gains, best_gain, fitted_start
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.learned.state_network import BandedNetwork
 from identifiers.learned.training import Trained, need_torch, train_tables
 
-_RATE_SUFFIXES = ("_rate", "_dot")
-"""How the rate of a coordinate is called, as everywhere in this project."""
+_RATE_SUFFIXES = ("_rate", "_dot")  # How the rate of a coordinate is called, as everywhere in this project.
 
 _LEAST_MASS = 1e-3
 """Least eigenvalue of the mass matrix, relative to its size at first: it stays invertible whatever is learned."""
 
-_FAR = 1e3
-"""A state so many sizes away from the data has diverged."""
+_FAR = 1e3  # A state so many sizes away from the data has diverged.
 
 
 @dataclass(frozen=True)
@@ -227,9 +225,7 @@ class LagrangianNetwork(Trained):
         what = "lagrangian-network"
         self.check_numbers(what, "hidden", "window")
         refuse_share(self.held_out, what)
-        records, spec = usable(trajectories, samples=ceil((self.window + 2) / self.held_out), what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=ceil((self.window + 2) / self.held_out), what=what)
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         names, columns = _coordinates(spec, what)
         states = [_states(record, columns, len(names)) for record in records]

@@ -22,11 +22,8 @@ from identifiers.linear.least_squares import Arx
 _TABLES = ("A", "B", "drift", "C", "D", "offset", "W1", "b1", "W2", "encoder")
 """Trained; the tables of a model in the order of its description."""
 
-_LONG = 4
-"""Length of held-out windows, in those of training: a model must not drift beyond what it was trained on."""
-
-_FAR = 1e3
-"""A scaled state beyond it has diverged."""
+_LONG = 4  # Length of held-out windows, in those of training: a model must not drift beyond what it was trained on.
+_FAR = 1e3  # A scaled state beyond it has diverged.
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,7 @@ is no surer than some percent, and the descent ends where the held-out error is 
 _EXACT = 1e-6
 """A held-out error below this share of the outputs' size is what rounding and the end of the descent leave."""
 
-_ROWS_EACH = 3
-"""Learned numbers for each coefficient, at least, of a size that nobody asked for."""
+_ROWS_EACH = 3  # Learned numbers for each coefficient, at least, of a size that nobody asked for.
 
 _ALIKE = 1.2
 """Held-out error over the learned one up to which the model learns from all samples anew: where it is more, the

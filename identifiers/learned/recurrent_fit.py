@@ -18,26 +18,16 @@ from identifiers.linear.n4sid import Subspace
 
 Mask = npt.NDArray[np.bool_]
 Linear = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-Point = tuple[FloatArray, FloatArray]
-"""Weights (p,) and the initial state of every record (R, nx)."""
-
-_HELD_OUT = 0.2
-"""Share of every record, its end, that is held out."""
-
-_PATIENCE = 25
-"""Iterations without a better held-out error after which a start is pruned."""
-
-_ENOUGH = 1e-6
-"""Relative fall of the cost in an iteration below which a minimum counts as reached."""
+Point = tuple[FloatArray, FloatArray]  # Weights (p,) and the initial state of every record (R, nx).
+_HELD_OUT = 0.2  # Share of every record, its end, that is held out.
+_PATIENCE = 25  # Iterations without a better held-out error after which a start is pruned.
+_ENOUGH = 1e-6  # Relative fall of the cost in an iteration below which a minimum counts as reached.
 
 _STATE_PRECISION = 1e-4
 """Cost of the squares of initial states: they are in the size of the outputs, and the data are to say where."""
 
-_LINEAR_SHARE = 0.1
-"""Share of the ridge for the linear part, which holds gains and time constants."""
-
-_TRIALS = 12
-"""Times that the damping is raised, fourfold each, before an iteration is abandoned."""
+_LINEAR_SHARE = 0.1  # Share of the ridge for the linear part, which holds gains and time constants.
+_TRIALS = 12  # Times that the damping is raised, fourfold each, before an iteration is abandoned.
 
 
 class Recurrence(Protocol):

@@ -28,8 +28,7 @@ _HORIZONS = (1, 2, 4, 8, 16, 32, 64, 128)
 _START = 50
 """Samples that the unknown initial state is fitted to, as the public benchmarks allow (cascaded tanks, 2016)."""
 
-_FAR = 1e3
-"""A state so many sizes away from those of the data has diverged."""
+_FAR = 1e3  # A state so many sizes away from those of the data has diverged.
 
 _LOST = 0.05
 """Share of held-out states one step ahead that may lie beyond the edges of a member, which is left out otherwise."""

@@ -13,8 +13,7 @@ from harness.signals import FloatArray
 from identifiers.common import native
 from identifiers.common.native import pointers
 
-FAR = 1e3
-"""A scaled state beyond it has diverged, as in :mod:`identifiers.learned.neural_state`."""
+FAR = 1e3  # A scaled state beyond it has diverged, as in :mod:`identifiers.learned.neural_state`.
 
 
 @functools.cache

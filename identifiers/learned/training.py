@@ -17,8 +17,7 @@ from harness.errors import InputError
 from harness.options import check_options
 from harness.signals import FloatArray
 
-_LOOK = 50
-"""Steps between two looks at the held-out loss."""
+_LOOK = 50  # Steps between two looks at the held-out loss.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,9 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.lag_state import LagModel, Scaling, regression_data
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 
-FEW = 64
-"""Rows up to which all trees are walked at once: below it the calls cost, beyond it the memory."""
+FEW = 64  # Rows up to which all trees are walked at once: below it the calls cost, beyond it the memory.
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,9 +198,7 @@ class RandomForest(Excited):
         """Return the model; its errors come from the samples that a tree did not see."""
         what = "random-forest"
         check_options(self, what, order=">= 1", trees=">= 1", leaf=">= 1")
-        records, spec = usable(trajectories, samples=self.order + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
+        records, spec = learnable(trajectories, samples=self.order + 2, what=what, inputs=False)
         refuse_undetermined(records, what, self.least_excitation)
         rows, later = regression_data(records, self.order)
         if len(rows) < 2 * self.leaf:

@@ -18,10 +18,9 @@ from identifiers.common.described import Described
 from identifiers.common.excitation import excited_lags
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 
-_BLOCK = 4096
-"""Rows of a block of regressors: a few hundred columns of them stay in the cache."""
+_BLOCK = 4096  # Rows of a block of regressors: a few hundred columns of them stay in the cache.
 
 _RIDGES = (1e-8, 1e-6, 1e-4, 1e-2, 1.0)
 """Weights of the regularisation that are tried, relative to the samples; the last fifth of each record chooses."""
@@ -130,11 +129,9 @@ class Volterra(Excited):
         """Return the model."""
         what = "volterra"
         check_options(self, what, memory=">= 1", order=">= 1, <= 2")
-        records, spec = usable(trajectories, samples=self.memory + 5, what=what)
-        real_signals(spec, what)
+        records, spec = learnable(trajectories, samples=self.memory + 5, what=what)
         if spec.nu == 0:
             raise FitError(f"{what}: no inputs", expected="an input", got="none", remedy="use another identifier")
-        moving(records, what)
         refuse_undetermined(records, what, self.least_excitation)
         u = np.concatenate([record.u for record in records])
         mean, scale = u.mean(axis=0), np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)

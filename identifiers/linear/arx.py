@@ -19,7 +19,7 @@ from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import BIAS, LARGEST, coefficients_without, spread_of
 from identifiers.common.one_step_estimate import foretold_output, least_squares_estimate
-from identifiers.common.records import lagged, lagged_blocks, missing_notes, moving, real_signals, snapshot_sums, usable
+from identifiers.common.records import lagged, lagged_blocks, learnable, missing_notes, snapshot_sums, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import EXACT, lively, sizes, together
 from identifiers.common.stability import nearest_stable, stable_lags
@@ -76,9 +76,7 @@ class Arx:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a model whose state is the past outputs and inputs."""
         what = "arx"
-        records, spec = usable(trajectories, samples=4, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=4, what=what)
         refuse_law(records, what, self.least_excitation)
         if (self.na, self.nb, self.nk) != (None, None, None):
             return self._by_channel(records, missing_notes(trajectories, records), what)

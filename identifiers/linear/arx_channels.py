@@ -222,13 +222,13 @@ def _estimate(
     elif (foretold := foretold_output(records, theta, orders.lags, offset, every)) is not None:
         why = f"no interval: the residuals of {foretold} are correlated in time; use prediction-error with armax or bj"
     return Estimate(
-        tuple(names),
-        tuple(units),
-        found,
-        covariance,
-        None if why else np.column_stack([found - spread, found + spread]),
-        LEVEL,
-        why or "least squares, white residuals",
-        RankDecision(total, total, rule="inputs move by more than their noise"),
-        max(one.condition for one in solutions),
+        names=tuple(names),
+        units=tuple(units),
+        values=found,
+        covariance=covariance,
+        intervals=None if why else np.column_stack([found - spread, found + spread]),
+        level=LEVEL,
+        method=why or "least squares, white residuals",
+        rank=RankDecision(total, total, rule="inputs move by more than their noise"),
+        condition=max(one.condition for one in solutions),
     )

@@ -19,8 +19,7 @@ _DECAYS = 14
 """Decays that are tried: 1 - decay from half a sample of the window's length to 0.6, evenly in its logarithm."""
 _WEIGHTS = np.geomspace(1e-4, 1e5, 46)
 """Variances of the prior that are tried, relative to the mean square of the plain estimate."""
-_DRAWS = 20
-"""Draws from what the data leave open: their largest is exceeded by chance once in twenty fits."""
+_DRAWS = 20  # Draws from what the data leave open: their largest is exceeded by chance once in twenty fits.
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,19 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import divisor, orthonormal
 from harness.signals import Channel, FloatArray, Trajectory
 from identifiers.common.linear_model import LinearModel
 
 LAGS = 2
 """Samples before and after in which a direction must show: whatever has dynamics is correlated over one or two."""
-CHANCE = 1e-3
-"""Probability of keeping a direction of white noise."""
-CHECKED = 20_000
-"""Samples that are looked at: at so many a correlation of 0.03 is seen."""
-ROUNDING = 1e-10
-"""Singular values of the outputs below this share of the largest are rounding."""
-EQUATIONS = 3
-"""Equations for each regressor, below which correlations are chance and nothing is left out."""
+CHANCE = 1e-3  # Probability of keeping a direction of white noise.
+CHECKED = 20_000  # Samples that are looked at: at so many a correlation of 0.03 is seen.
+ROUNDING = 1e-10  # Singular values of the outputs below this share of the largest are rounding.
+EQUATIONS = 3  # Equations for each regressor, below which correlations are chance and nothing is left out.
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +95,10 @@ def lively_directions(records: Sequence[Trajectory]) -> Directions | None:
     n, q = around.shape
     if n < EQUATIONS * q:
         return None
-    size = np.sqrt(np.mean(now**2, axis=0))
-    size = np.where(size > 0, size, 1.0)
+    size = divisor(np.sqrt(np.mean(now**2, axis=0)))
     left, values, right = np.linalg.svd(now / size, full_matrices=False)
     rank = int(np.sum(values > ROUNDING * values[0]))
-    basis = _orthonormal(around)
+    basis = orthonormal(around, ROUNDING)
     inner, shares, _ = np.linalg.svd(left[:, :rank].T @ basis, full_matrices=False)
     # 1 - rho^2 of exact data is rounding, whose logarithm would be lost
     remaining = np.log(np.clip(1.0 - shares**2, 1e-15, 1.0))
@@ -142,9 +138,9 @@ def lively_channels(records: Sequence[Trajectory]) -> npt.NDArray[np.bool_]:
     n, q = around.shape
     if n < EQUATIONS * q:
         return np.ones(now.shape[1], dtype=bool)
-    now, basis = now - now.mean(axis=0), _orthonormal(around - around.mean(axis=0))
+    now, basis = now - now.mean(axis=0), orthonormal(around - around.mean(axis=0), ROUNDING)
     power = np.sum(now**2, axis=0)
-    told = np.sum((basis.T @ now) ** 2, axis=0) / np.where(power > 0, power, 1.0)
+    told = np.sum((basis.T @ now) ** 2, axis=0) / divisor(power)
     statistic = -(n - 2 - basis.shape[1] / 2) * np.log(np.clip(1.0 - told, 1e-15, 1.0))
     lively = np.asarray(chi2.sf(statistic, basis.shape[1]) <= CHANCE, dtype=bool)
     return lively if lively.any() else np.ones_like(lively)
@@ -167,10 +163,3 @@ def _rows(records: Sequence[Trajectory]) -> tuple[FloatArray, FloatArray]:
         spec = records[0].spec
         return np.zeros((1, spec.ny)), np.zeros((1, 1))
     return np.concatenate(now), np.concatenate(around)
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of what columns span but for rounding."""
-    size = np.linalg.norm(columns, axis=0)
-    left, values, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
-    return np.asarray(left[:, values > ROUNDING * values[0]], dtype=np.float64)

@@ -21,7 +21,7 @@ from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.one_step_estimate import least_squares_estimate
-from identifiers.common.records import missing_notes, moving, real_signals, usable
+from identifiers.common.records import learnable, missing_notes
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import Scaling, lively, noise_levels, sizes
 from identifiers.common.stability import clip_eigenvalues, nearest_stable, stable_lags
@@ -104,9 +104,7 @@ class Dmdc:
         """Return a linear model in the coordinates of the principal directions."""
         what = "dmdc"
         self._check(what)
-        records, spec = usable(trajectories, samples=self.delays + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=self.delays + 2, what=what)
         refuse_law(records, what, self.least_excitation)
         if self.rank is None:
             full = self._full(records, spec, what)

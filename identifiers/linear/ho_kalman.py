@@ -17,6 +17,7 @@ from harness.models.spread import Matrices
 from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
@@ -168,7 +169,7 @@ class _Response:
 
 
 @dataclass(frozen=True)
-class HoKalman:
+class HoKalman(Excited):
     """Ho-Kalman identification: Markov parameters by least squares, then a balanced realization.
 
     Parameters
@@ -197,9 +198,6 @@ class HoKalman:
         squares, whose noise at frequencies that the input hardly excites can end up as a state that grows.
     stable : bool
         Move eigenvalues on or outside the unit circle to radius 0.999, and fit B anew.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
 
     Examples
     --------
@@ -223,7 +221,6 @@ class HoKalman:
     direct: bool = False
     regularised: bool = True
     stable: bool = False
-    least_excitation: float = 2.0
 
     @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:

@@ -269,9 +269,6 @@ class IterativeLearning:
         return Findings("iterative learning", rows, words, {"input": learned.inputs, "reference": wanted})
 
 
-_LONGEST = 200
-"""Samples of a motion: the model along it is tried input by input."""
-_PLANNED = 8
-"""Repetitions on the believed plant, which cost nothing."""
-_PUSH = 1e-4
-"""Change of an input by which the model along a motion is tried, in its unit."""
+_LONGEST = 200  # Samples of a motion: the model along it is tried input by input.
+_PLANNED = 8  # Repetitions on the believed plant, which cost nothing.
+_PUSH = 1e-4  # Change of an input by which the model along a motion is tried, in its unit.

@@ -19,7 +19,7 @@ from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import GROUPS, along_covariance, spread_of
 from identifiers.common.one_step_estimate import jackknife_estimate, least_squares_estimate
-from identifiers.common.records import missing_notes, moving, real_signals, usable
+from identifiers.common.records import learnable, missing_notes
 from identifiers.common.regression import Solution
 from identifiers.common.scaling import sizes
 from identifiers.common.stability import clip_eigenvalues, convex_stable, nearest_stable
@@ -95,9 +95,7 @@ class StateLeastSquares:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a model whose state is the output."""
         what = "least-squares"
-        records, spec = usable(trajectories, samples=2, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=2, what=what)
         refuse_law(records, what, self.least_excitation)
         if self.stable not in (False, True, "convex"):
             raise FitError(

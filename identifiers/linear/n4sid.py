@@ -19,7 +19,7 @@ from identifiers.common.excitation import excited_lags, refuse_feedback_of_recor
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.neighbours import spread_of
-from identifiers.common.records import missing_notes, moving, real_signals, usable
+from identifiers.common.records import learnable, missing_notes
 from identifiers.common.scaling import Scaling, scaled
 from identifiers.common.stability import clip_eigenvalues
 from identifiers.linear.directions import Directions, lively_directions
@@ -42,10 +42,8 @@ _MOST = 12
 _GAIN = 0.99
 # The last order that few lines can tell is not needed if a smaller one comes so near.
 _NEAR = 1.1
-PASTS = (12, 20, 30, 50)
-"""Lengths of the past that are tried where none is given."""
-SHORTER = (8, 5, 3)
-"""Lengths that are tried where missing readings leave no stretch of that length."""
+PASTS = (12, 20, 30, 50)  # Lengths of the past that are tried where none is given.
+SHORTER = (8, 5, 3)  # Lengths that are tried where missing readings leave no stretch of that length.
 # A longer past is taken only if it lowers the error by this much: it costs variance and time.
 _LONGER = 0.95
 # Stretches left out of a record, at most, and windows in one of them, at least, where there are several.
@@ -181,9 +179,7 @@ class Subspace:
 
     def _prepared(self, trajectories: Sequence[Trajectory], window: int, what: str) -> _Prepared:
         """Return the records in scaled directions; refuse those from which nothing can be learned."""
-        records, spec = usable(trajectories, samples=2 * window + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, _ = learnable(trajectories, samples=2 * window + 2, what=what)
         refuse_law(records, what, self.least_excitation)
         measured = records
         if directions := lively_directions(records):

@@ -17,6 +17,7 @@ from harness.models.lqr import spectral_radius
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records, unexcited
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.loops import ANSWERED, COLOURED
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
@@ -52,7 +53,7 @@ _LAW = 4
 
 
 @dataclass(frozen=True)
-class PredictionError:
+class PredictionError(Excited):
     """Model by minimising its one-step prediction errors, the initial state of every record free.
 
     Without options a state-space model of all outputs together: ``x+ = A x + B u``, ``y = C x + v``, and the noise v of
@@ -94,9 +95,6 @@ class PredictionError:
         Fit a constant level of each output too.
     stable : bool
         Where an output's model is unstable, search it again among those with all poles within radius 0.999.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
-        the inputs do.
 
     Examples
     --------
@@ -116,7 +114,6 @@ class PredictionError:
     delay: int | None = None
     offset: bool = True
     stable: bool = False
-    least_excitation: float = 2.0
     na: int | list[int] | None = None
     nb: Counts | None = None
     nc: int | list[int] | None = None

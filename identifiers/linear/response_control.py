@@ -16,11 +16,8 @@ from identifiers.common.records import real_signals, usable
 from identifiers.linear.ho_kalman import HoKalman
 from identifiers.linear.markov import markov_parameters
 
-_TAIL = 0.05
-"""The response has died out where its last tenth holds less than this share of its size."""
-
-_FREQUENCIES = 128
-"""Points of the half circle on which gains are taken."""
+_TAIL = 0.05  # The response has died out where its last tenth holds less than this share of its size.
+_FREQUENCIES = 128  # Points of the half circle on which gains are taken.
 
 
 @dataclass(frozen=True, eq=False)

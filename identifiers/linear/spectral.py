@@ -11,7 +11,7 @@ import numpy.typing as npt
 from harness.errors import FitError
 from harness.frequency.segments import segment_spectra
 from harness.signals import FloatArray, Trajectory
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 
 ComplexArray = npt.NDArray[np.complex128]
 # Neighbouring Hann segments that overlap by half are correlated by 1/6: averages count for so many fewer.
@@ -86,9 +86,7 @@ def welch(trajectories: Sequence[Trajectory], *, segment: int = 256) -> Frequenc
     np.float64(2.0)
     """
     what = "welch"
-    records, spec = usable(trajectories, samples=segment, what=what)
-    real_signals(spec, what)
-    moving(records, what)
+    records, spec = learnable(trajectories, samples=segment, what=what)
     if segment < 8 or spec.nu == 0:
         raise FitError(
             f"{what}: options",
@@ -122,9 +120,7 @@ def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> Frequency
         If records differ in length, or there are fewer averages than inputs.
     """
     what = "etfe"
-    records, spec = usable(trajectories, samples=8, what=what)
-    real_signals(spec, what)
-    moving(records, what)
+    records, spec = learnable(trajectories, samples=8, what=what)
     n = len(records[0])
     width = 2 * smoothing + 1
     if smoothing < 0 or spec.nu == 0 or width * len(records) < spec.nu or any(len(record) != n for record in records):

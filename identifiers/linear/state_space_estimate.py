@@ -13,8 +13,7 @@ from harness.units import quotient
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.one_step_estimate import LARGEST, LEVEL
 
-INTEGRATES = 1e-6
-"""Distance of a pole from 1 below which a static gain would be that of an integrator."""
+INTEGRATES = 1e-6  # Distance of a pole from 1 below which a static gain would be that of an integrator.
 
 
 def state_space_estimate(model: LinearModel, singular_values: Sequence[float], rule: str) -> Estimate | None:

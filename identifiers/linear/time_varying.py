@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import divisor
 from harness.errors import FitError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
@@ -17,18 +18,15 @@ from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.named import wrong_options
 from identifiers.common.normal import solved
 from identifiers.common.one_step_estimate import EXACT
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.linear.arx import design, one_step
 from identifiers.linear.iterative import TimeVarying
 
 WIDTHS = (0, 1, 2, 4, 8, 16, 32, 64)
 """Half widths in samples over which coefficients are pooled, in doubling steps; a constant model is tried too."""
-REPEATED = 3
-"""Repetitions from which on the motion that they share is told apart from how they depart from it."""
-_GAIN = 0.98
-"""A narrower window must lower the error on equations left out by this much, or its gain is chance."""
-_FOLDS = 3
-"""Every third equation is left out in turn."""
+REPEATED = 3  # Repetitions from which on the motion that they share is told apart from how they depart from it.
+_GAIN = 0.98  # A narrower window must lower the error on equations left out by this much, or its gain is chance.
+_FOLDS = 3  # Every third equation is left out in turn.
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +150,7 @@ class AlongTrajectory:
         what = "along-trajectory"
         if self.order < 1 or (self.width is not None and self.width < 0):
             raise wrong_options(self, what, "order at least 1, width at least 0", "order width")
-        records, spec = usable(trajectories, samples=self.order + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=self.order + 2, what=what)
         start = float(records[0].t[0])
         if any(abs(float(record.t[0]) - start) > 0.5 * spec.sample_time for record in records):
             raise FitError(
@@ -250,7 +246,7 @@ class _Equations:
             right[fold, index] += phi[:, :, None] * after[:, None, :]
             square[fold, index] += after**2
         spread = np.sqrt(square.sum(axis=(0, 1)) / sum(len(phi) for phi, _ in rows))
-        return cls(gram, right, square, np.where(spread > 0, spread, 1.0), means)
+        return cls(gram, right, square, divisor(spread), means)
 
     def complete(self, theta: FloatArray) -> FloatArray:
         """Return the coefficients with that of the constant (N, p + 1, ny)."""
@@ -267,8 +263,7 @@ class _Equations:
             if width is None and k:
                 found[k] = found[0]
                 continue
-            size = np.sqrt(np.diag(matrix))
-            size = np.where(size > 0, size, 1.0)
+            size = divisor(np.sqrt(np.diag(matrix)))
             found[k] = solved(matrix / np.outer(size, size), other / size[:, None]) / size[:, None]
         return found
 

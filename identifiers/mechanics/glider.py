@@ -13,8 +13,7 @@ from harness.models.analysis import Findings, Takes
 from harness.physics.fitting.smoothing import smooth
 from harness.signals import Dataset, FloatArray, Trajectory
 
-TAIL = 0.27 + 0.022
-"""From the centre of mass to the elevator [m]."""
+TAIL = 0.27 + 0.022  # From the centre of mass to the elevator [m].
 
 GRAVITY = 9.81
 
@@ -22,11 +21,8 @@ _POSITIONS = ("x", "z", "theta", "phi")
 
 _ACCELERATIONS = ("along the wing [m/s^2]", "across the wing [m/s^2]", "of the pitch [rad/s^2]")
 
-_MARGIN = 5
-"""Samples at both ends of a record that are left out: a local cubic has no neighbours on one side there."""
-
-_SLOW = 1e-6
-"""Sizes of a function, relative to the largest, below which it does not move in these data."""
+_MARGIN = 5  # Samples at both ends of a record that are left out: a local cubic has no neighbours on one side there.
+_SLOW = 1e-6  # Sizes of a function, relative to the largest, below which it does not move in these data.
 
 
 def glider_functions(q: FloatArray, u: FloatArray, *, nose_down: bool) -> dict[int, FloatArray]:

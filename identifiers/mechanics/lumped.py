@@ -11,7 +11,7 @@ import numpy as np
 from harness.errors import FitError
 from harness.options import options_of
 from harness.signals import FloatArray, Trajectory
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.common.row_solvers import Estimator, huber, instrumental, total
 from identifiers.mechanics.grey_box_model import GreyBoxModel, tuned_gain
 from identifiers.mechanics.lumped_estimate import lumped_estimate, physical_estimate
@@ -139,9 +139,7 @@ class Lumped:
     ) -> tuple[GreyBoxModel, list[Trajectory]]:
         """Return the model of :meth:`fit` before its filter is tuned, and the records that were used."""
         what = f"lumped-{self.form}"
-        records, spec = usable(trajectories, samples=12, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
+        records, spec = learnable(trajectories, samples=12, what=what, inputs=False)
         recipe = recipe_for(spec, what, model=self.model)
         system = recipe.system(spec)
         found, regression = self.regress(system, records, rng=rng)

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from identifiers.mechanics.simulated_records import Spread
 
 LEVEL = 0.95
-STEP = 1e-6
-"""Relative step of the derivatives of lumped by physical parameters."""
+STEP = 1e-6  # Relative step of the derivatives of lumped by physical parameters.
 
 
 def lumped_estimate(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from harness.algebra import column_norms
 from harness.signals import FloatArray
 from identifiers.common.row_solvers import whitening
 from identifiers.mechanics.motion import Motion
@@ -31,8 +32,7 @@ def weighted(
 
     With ``plain`` the equations of all coordinates weigh alike, whatever their units, and nothing is whitened.
     """
-    size = np.linalg.norm(phi, axis=0)
-    size = np.where(size > 0, size, 1.0)
+    size = column_norms(phi)
     white, theta = np.eye(n), np.zeros(phi.shape[1])
     floor = 1e-9 * (float(np.sqrt(np.mean(target**2))) or 1.0)
     last = 2 if n > 1 and not plain else 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from harness.errors import FitError, HarnessError, InputError
 from harness.signals import PlantSpec, Trajectory
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 
 if TYPE_CHECKING:
     from harness.physics import System
@@ -117,9 +117,7 @@ class PhysicalFit:
         FitError
             If there is nothing to learn from, or no model speaks like the records.
         """
-        records, spec = usable(trajectories, samples=10, what=what, holes="kept")
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
+        records, spec = learnable(trajectories, samples=10, what=what, inputs=False, holes="kept")
         recipe = recipe_for(spec, what, model=self.model, options=self.options, effects=tuple(self.effects))
         system = recipe.system(spec)
         return records, spec, recipe, system

@@ -13,20 +13,14 @@ from harness.models.estimate import estimate_of
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.mechanics.grey_box import OutputError
 
-_FRICTION = "coulomb_friction@q.Fc"
-"""Level of the dry friction in the model of the object."""
+_FRICTION = "coulomb_friction@q.Fc"  # Level of the dry friction in the model of the object.
 
 _HORIZON = 0.5
 """Windows of the fit [s]: some pushes and pauses; over a whole record a position forgets nothing of an early error."""
 
-_START = 3.0
-"""Friction where the fit begins [N]; the mass begins at 1 kg."""
-
-_SCALED = 2.0
-"""By what a force is multiplied to show that mass and friction follow it and the fit stays what it is."""
-
-_SAME = 0.01
-"""Relative difference of two fits that counts as none: far below what two wrong laws differ by."""
+_START = 3.0  # Friction where the fit begins [N]; the mass begins at 1 kg.
+_SCALED = 2.0  # By what a force is multiplied to show that mass and friction follow it and the fit stays what it is.
+_SAME = 0.01  # Relative difference of two fits that counts as none: far below what two wrong laws differ by.
 
 
 def column_of(record: Trajectory, name: str) -> FloatArray:

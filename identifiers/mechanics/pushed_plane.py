@@ -17,17 +17,10 @@ from identifiers.mechanics.pushed import column_of
 _STILL = 5e-3
 """Speed [m/s] below which friction falls to nothing, so that a run can be computed: far below that of a push."""
 
-_HORIZON = 0.3
-"""Windows of the fit [s]: a push or two; longer ones end in stops at which a run forgets what it was."""
-
-_SHORTER = (0.1,)
-"""Windows with which the fit begins [s]: near the minimum, and too short for stops."""
-
-_TOUCHING = 5e-4
-"""Distance of tip and side [m] that counts as contact: a few times the noise of places."""
-
-_PRESSED = 0.1
-"""Share of the usual contact force below which directions of a force say nothing."""
+_HORIZON = 0.3  # Windows of the fit [s]: a push or two; longer ones end in stops at which a run forgets what it was.
+_SHORTER = (0.1,)  # Windows with which the fit begins [s]: near the minimum, and too short for stops.
+_TOUCHING = 5e-4  # Distance of tip and side [m] that counts as contact: a few times the noise of places.
+_PRESSED = 0.1  # Share of the usual contact force below which directions of a force say nothing.
 
 _SLIPPING = 0.02
 """Speed [m/s] of the tip along the side from which on it slips: above what noise and rotation within a sample make."""
@@ -35,33 +28,19 @@ _SLIPPING = 0.02
 _SMOOTH = 0.05
 """Time [s] over which that speed is averaged: differences of places of 0.1 mm over it are known to 3 mm/s."""
 
-_ONSET = 0.05
-"""Share of the usual contact force from which on there is contact."""
+_ONSET = 0.05  # Share of the usual contact force from which on there is contact.
 
 _LEAP = 1.0
 """Change of the contact force from sample to sample, in usual ones, that is an impact: when in the sample it came is
 not known, and with it how far the object got by its end."""
 
-_EDGE = 0.99
-"""Quantile of the force that stands for a push, however short the pushes of a record are."""
-
-_STIRRED = 0.02
-"""Way of the object in a stretch, in halves of its side, below which nothing is told but noise."""
-
-_ITERATIONS = 150
-"""Of the fit at most: stretches that end in stops bend its valley."""
-
-_SHORTEST = 12
-"""Samples of a stretch between impacts at least."""
-
-_SCALED = 2.0
-"""By what forces are multiplied to show what follows them."""
-
-_SLIDING = 0.05
-"""Speed [m/s] above which friction has its full level."""
-
-_FEW = 20
-"""Samples of a slipping contact at least, for a coefficient of friction."""
+_EDGE = 0.99  # Quantile of the force that stands for a push, however short the pushes of a record are.
+_STIRRED = 0.02  # Way of the object in a stretch, in halves of its side, below which nothing is told but noise.
+_ITERATIONS = 150  # Of the fit at most: stretches that end in stops bend its valley.
+_SHORTEST = 12  # Samples of a stretch between impacts at least.
+_SCALED = 2.0  # By what forces are multiplied to show what follows them.
+_SLIDING = 0.05  # Speed [m/s] above which friction has its full level.
+_FEW = 20  # Samples of a slipping contact at least, for a coefficient of friction.
 
 _MOVED = 0.05
 """Turning [rad] of the object, from its least to its largest angle, below which nothing is said of its inertia."""

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from harness.algebra import column_norms
 from harness.errors import FitError, as_described
 from harness.models.estimate import Estimate
 from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.normal import NormalEquations
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.mechanics.grey_box_model import GreyBoxModel, tuned_gain
 from identifiers.mechanics.lumped import Form, Lumped
 from identifiers.mechanics.lumped_estimate import lumped_unit
@@ -28,12 +29,10 @@ if TYPE_CHECKING:
     from harness.physics import LumpedModel, System
 
 Choice = Literal["ridge", "lasso", "best-subset"]
-FOLDS = 5
-"""Stretches of the records that are left out in turn; not single rows, because neighbours share their noise."""
+FOLDS = 5  # Stretches of the records that are left out in turn; not single rows, because neighbours share their noise.
 WIDTHS = (1.0, 2.0, 4.0)
 """Widths tried, in distances between neighbouring centres: from functions that hardly touch to smooth ones."""
-RIDGES = np.logspace(-8, 2, 21)
-"""Ridge weights tried, relative to the mean square of the functions' columns."""
+RIDGES = np.logspace(-8, 2, 21)  # Ridge weights tried, relative to the mean square of the functions' columns.
 
 
 @dataclass(frozen=True)
@@ -155,9 +154,7 @@ class ResidualPhysics:
             If the model is no mechanism, its signals are not those of the records, or the records are too short.
         """
         what = "residual-physics"
-        records, spec = usable(trajectories, samples=12, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
+        records, spec = learnable(trajectories, samples=12, what=what, inputs=False)
         recipe = recipe_for(spec, what, model=self.model)
         system = recipe.system(spec)
         equations = Lumped(self.form, model=self.model, known=self.known, smoothing=self.smoothing)
@@ -302,8 +299,7 @@ def _ridge(rows: FloatArray, known: FloatArray, k: int, ridge: float) -> FloatAr
     """Return least squares in which all but the first k columns are held small."""
     if not rows.shape[1]:
         return np.zeros(0)
-    size = np.linalg.norm(rows, axis=0)
-    size = np.where(size > 0, size, 1.0)
+    size = column_norms(rows)
     scaled = rows / size
     penalty = np.sqrt(ridge) * np.eye(rows.shape[1])[k:]
     stacked, target = np.vstack([scaled, penalty]), np.concatenate([known, np.zeros(len(penalty))])

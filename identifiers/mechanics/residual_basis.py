@@ -11,8 +11,7 @@ from harness.errors import InputError
 from harness.signals import FloatArray
 
 Kind = Literal["gaussian", "wavelet"]
-LEVELS = 3
-"""Scales of the wavelets: each halves the width of the one before and takes twice as many centres."""
+LEVELS = 3  # Scales of the wavelets: each halves the width of the one before and takes twice as many centres.
 
 
 @dataclass(frozen=True, eq=False)

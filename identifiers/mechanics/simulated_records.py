@@ -18,8 +18,7 @@ FAITHFUL = 6.0
 the record times 1 + 6 / sqrt(N): both are known to about 2 / sqrt(N) of themselves (the noise from an eighth of the
 spectrum), so this is three standard deviations. Above it the model lacks something, and its spread says nothing about
 the truth."""
-SURE = 0.999
-"""Probability of the region of parameters within which the model must come back to the records."""
+SURE = 0.999  # Probability of the region of parameters within which the model must come back to the records.
 SEARCHED, ROUNDS = 6, 12
 """Sets of simulated records by which the parameters are searched that give the estimate back, and steps at most."""
 NEAR = 0.25
@@ -32,10 +31,8 @@ KNOWN = 2.5
 """The noise of a record of N samples is known to 2.5 / sqrt(N) of itself: the median of N / 8 exponential variables, of
 which the Hann window leaves two in three independent, has a relative standard deviation of 1.44 sqrt(12 / N), its root
 half of it. What noise biases is uncertain by that."""
-STEPS = 2
-"""Steps by which the nearest parameters of that region are found."""
-WINDOW, LEAST = 1.0, 40
-"""Windows of the free run [s], and their least number of samples."""
+STEPS = 2  # Steps by which the nearest parameters of that region are found.
+WINDOW, LEAST = 1.0, 40  # Windows of the free run [s], and their least number of samples.
 
 
 @dataclass(frozen=True, eq=False)

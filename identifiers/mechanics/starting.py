@@ -24,17 +24,10 @@ _FREE = 0.05
 """Share of each state's own deviation that no relation to the other states narrows down: relations that a few records
 showed are not laws."""
 
-_STILL = 1e-100
-"""Deviation of a state that does not move; its square is no number any more."""
-
-_LAGS = 500
-"""Samples up to which errors of a run hang together here; over longer stretches they count as white."""
-
-_ROWS = 100
-"""Samples of such a stretch, at most, that are compared: evenly spread, they tell as much as all of them."""
-
-_EXACT = 1e-9
-"""Least error, in deviations of the output: what rounding leaves."""
+_STILL = 1e-100  # Deviation of a state that does not move; its square is no number any more.
+_LAGS = 500  # Samples up to which errors of a run hang together here; over longer stretches they count as white.
+_ROWS = 100  # Samples of such a stretch, at most, that are compared: evenly spread, they tell as much as all of them.
+_EXACT = 1e-9  # Least error, in deviations of the output: what rounding leaves.
 
 _SINGULAR = 1e-12
 """Share of the squares of the errors that is white at least, so that smooth ones have an inverse in floating point."""
@@ -43,8 +36,7 @@ _DRAWS = 6
 """States from which the likeliest is looked for besides: where outputs do not tell a state, the nearest minimum need
 not be the deepest (behind a sensor that hides the sign there are two)."""
 
-_POOR = 3.0
-"""A start that leaves so many times the squares that are usual may be a wrong minimum."""
+_POOR = 3.0  # A start that leaves so many times the squares that are usual may be a wrong minimum.
 
 _ROUNDS = Damping(rounds=40, enough=1e-8)
 

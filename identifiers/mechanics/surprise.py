@@ -11,14 +11,11 @@ import numpy as np
 
 from harness.signals import Channel, FloatArray, residual
 
-ROUGH = 20.0
-"""A third difference of white noise has twenty times its variance: 1 + 9 + 9 + 1."""
-KEPT = 0.95
-"""Share of the mean squared prediction error that is kept from one sample to the next."""
+ROUGH = 20.0  # A third difference of white noise has twenty times its variance: 1 + 9 + 9 + 1.
+KEPT = 0.95  # Share of the mean squared prediction error that is kept from one sample to the next.
 CHANCE = 5.0
 """Standard deviations by which the mean squared error exceeds what it says before that is no chance any more."""
-SETTLED, LONGEST = 50.0, 500.0
-"""Samples over which the misfit is averaged at first, and later."""
+SETTLED, LONGEST = 50.0, 500.0  # Samples over which the misfit is averaged at first, and later.
 PATIENCE = 200.0
 """Samples of widening after which half of what is still wrong is called noise: no parameters explain it."""
 

@@ -17,7 +17,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.records import missing_notes, moving, real_signals, usable
+from identifiers.common.records import learnable, missing_notes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,9 +56,7 @@ class OnePass(Excited, ABC):
             If there are fewer samples than are waited for, nothing moves, or a controller alone moves the inputs.
         """
         what, online = self.called, cast(OnlineIdentifier, self)
-        records, spec = usable(trajectories, samples=2, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=2, what=what)
         refuse_law(records, what, self.least_excitation)
         heard, samples = sum(len(record) - 1 for record in records), self.waits(spec)
         if heard < samples:

@@ -15,17 +15,14 @@ from identifiers.common.named import wrong_options
 from identifiers.common.records import moving, real_signals
 from identifiers.online.along import OnePass, sizes_of
 
-_LEAST = 0.02
-"""Least real part of the characteristic polynomial on the unit circle, relative to z^n."""
-
-_CIRCLE = 128
-"""Points of the unit circle on which it is held."""
+_LEAST = 0.02  # Least real part of the characteristic polynomial on the unit circle, relative to z^n.
+_CIRCLE = 128  # Points of the unit circle on which it is held.
 
 
-def acquiescent(a: FloatArray, least: float = _LEAST) -> FloatArray:
+def acquiescent(a: FloatArray) -> FloatArray:
     """Return a stable denominator ``1 + a_1 z^-1 + ...`` in the convex set on which gradient descent goes downhill.
 
-    On the circle its real part is at least ``least`` and larger than its imaginary part's size: the cone of Hardt, Ma
+    On the circle its real part is at least ``_LEAST`` and larger than its imaginary part's size: the cone of Hardt, Ma
     & Recht 2018 (*JMLR* 19(29), def. 3.1), in which the idealised risk is weakly quasi-convex and which implies that
     all roots are inside (lemma 3.3). The set is convex and holds a = 0, towards which a is shrunk as far as it needs.
 
@@ -36,8 +33,8 @@ def acquiescent(a: FloatArray, least: float = _LEAST) -> FloatArray:
     """
     angles = np.linspace(0.0, np.pi, _CIRCLE)
     waves = np.exp(-1j * np.outer(angles, np.arange(1, len(a) + 1))) @ a
-    # 1 + s Re(w) >= least and 1 + s Re(w) >= |s Im(w)| for the largest share s of a.
-    needs = np.concatenate([(-waves.real) / (1.0 - least), np.abs(waves.imag) - waves.real])
+    # 1 + s Re(w) >= _LEAST and 1 + s Re(w) >= |s Im(w)| for the largest share s of a.
+    needs = np.concatenate([(-waves.real) / (1.0 - _LEAST), np.abs(waves.imag) - waves.real])
     return np.asarray(a * min(1.0, 1.0 / max(float(needs.max()), 1e-300)))
 
 

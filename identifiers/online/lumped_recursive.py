@@ -13,7 +13,7 @@ from harness.models.estimate import Estimate
 from harness.options import check_options
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable, real_signals
 from identifiers.mechanics.grey_box_model import GreyBoxModel, tuned_gain
 from identifiers.mechanics.lumped import Form, Intersample, Lumped
 from identifiers.mechanics.lumped_estimate import lumped_estimate, physical_estimate
@@ -24,15 +24,12 @@ from identifiers.online.rls_pass import rotated
 if TYPE_CHECKING:
     from harness.physics import LumpedModel, System
 
-WIDTH = 13
-"""Samples that a cubic spans, by default: two thirds of what a batch fit chooses at noise of a milliradian."""
-SPAN = 51
-"""Samples of a test function, as of the batch form."""
+WIDTH = 13  # Samples that a cubic spans, by default: two thirds of what a batch fit chooses at noise of a milliradian.
+SPAN = 51  # Samples of a test function, as of the batch form.
 NEWS, LEAST = 0.05, 20
 """The model that predicts is made anew after this share of new equations, and after so many at least: its parameters
 move less in between."""
-DETERMINED = 1e-8
-"""Relative size, columns at unit length, below which the triangle does not determine a direction."""
+DETERMINED = 1e-8  # Relative size, columns at unit length, below which the triangle does not determine a direction.
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,9 +177,7 @@ class RecursiveLumped:
             As :meth:`identifiers.mechanics.lumped.Lumped.fit`.
         """
         what = "lumped-recursive"
-        records, spec = usable(trajectories, samples=max(12, self.width + 4), what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
+        records, spec = learnable(trajectories, samples=max(12, self.width + 4), what=what, inputs=False)
         context = self._context(spec)
         regression, system = context.regression, context.system
         k, n = regression.k, self._group(context)

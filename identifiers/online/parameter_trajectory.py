@@ -13,10 +13,8 @@ from harness.models.analysis import Findings, Takes
 from harness.signals import Dataset, FloatArray, Trajectory
 from identifiers.online.recursive_polynomial import RecursiveOptions, RecursivePolynomial
 
-DRAWN = 12
-"""Coefficients that are drawn, one below the other; the table has all."""
-BAND = 1.96
-"""Standard deviations to either side: 95 % of a normal distribution."""
+DRAWN = 12  # Coefficients that are drawn, one below the other; the table has all.
+BAND = 1.96  # Standard deviations to either side: 95 % of a normal distribution.
 
 
 @dataclass(frozen=True, eq=False)

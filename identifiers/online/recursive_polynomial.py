@@ -23,13 +23,11 @@ from identifiers.linear.polynomials.orders import Counts, orders_by_output
 from identifiers.linear.prediction_error import PredictionError
 from identifiers.online.along import OnePass
 
-PRIOR = 100.0
-"""Variance of every coefficient before any data, of signals at the size that they have in the burn-in."""
+PRIOR = 100.0  # Variance of every coefficient before any data, of signals at the size that they have in the burn-in.
 LEARNS, SETTLES = 0.05, 0.98
 """Forgetting begins at 1 - LEARNS and rises to its value by this factor: first gradients are poor (Ljung 1999,
 eq. 11.55 and sec. 11.5)."""
-HALVINGS = 12
-"""Of a step that would leave the region where C or F is stable."""
+HALVINGS = 12  # Of a step that would leave the region where C or F is stable.
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from harness.algebra import divisor
 from harness.errors import FitError, InputError, PlantError
 from harness.models.analysis import Findings, Takes
 from harness.models.lqr import kalman_gain, lqr_gain
@@ -18,33 +19,22 @@ _GONE = 10.0
 """A run has left the point when an output is so many times as far from it as the farthest one at the start, or as so
 many deviations of the noise."""
 
-_SMALL = 1e-5
-"""Step of the differences by which a mechanism is linearised, in the unit of each state and input."""
-
-_QUIET = 1e-9
-"""Least sensor noise that a filter is designed for: without any it would differentiate."""
-
-_FEWEST = 20
-"""Samples of a run at least: a record to learn from."""
+_SMALL = 1e-5  # Step of the differences by which a mechanism is linearised, in the unit of each state and input.
+_QUIET = 1e-9  # Least sensor noise that a filter is designed for: without any it would differentiate.
+_FEWEST = 20  # Samples of a run at least: a record to learn from.
 
 _TRIALS = (8, 16, 32, 64)
 """Noises under which two designs are compared from every start: more as long as nothing can be told."""
 
-_LEVEL = 0.01
-"""Chance that a design which costs as much as the present one takes over, at each look at the trials."""
-
-_CHECKS = 64
-"""Noises, none of them used in a decision, under which the cost that is told is measured."""
+_LEVEL = 0.01  # Chance that a design which costs as much as the present one takes over, at each look at the trials.
+_CHECKS = 64  # Noises, none of them used in a decision, under which the cost that is told is measured.
 
 _NOTHING = 0.0
 """Coverage in a half of the runs up to which a fit is not tried. Where two runs share nothing but noise, the cross-Gram
 matrix has as many negative eigenvalues as positive ones, and hardly ever none in both halves."""
 
-_TRIED, _TOLD = 3, 4
-"""Streams of noise: of the trials that decide, and of those that are told."""
-
-_REPEATS = 2
-"""Runs under the same excitation in a round: what they share is no noise."""
+_TRIED, _TOLD = 3, 4  # Streams of noise: of the trials that decide, and of those that are told.
+_REPEATS = 2  # Runs under the same excitation in a round: what they share is no noise.
 
 _COSTLY = 1e3
 """Cost of a run that left, in those of a plant that never moves from its start: worse than any that stayed."""
@@ -70,8 +60,7 @@ def repeatable_coverage(first: FloatArray, second: FloatArray) -> float:
     >>> bool(np.linalg.svd(noisy[0], compute_uv=False)[-1] / 4000**0.5 > 0.2), repeatable_coverage(*noisy) < 0.15
     (True, True)
     """
-    size = np.sqrt(0.5 * (np.mean(first**2, axis=0) + np.mean(second**2, axis=0)))
-    size = np.where(size > 0, size, 1.0)
+    size = divisor(np.sqrt(0.5 * (np.mean(first**2, axis=0) + np.mean(second**2, axis=0))))
     cross = (first / size).T @ (second / size) / len(first)
     return float(np.sqrt(max(float(np.linalg.eigvalsh(0.5 * (cross + cross.T))[0]), 0.0)))
 
@@ -398,4 +387,4 @@ def _coverages(pair: Sequence[Trajectory]) -> tuple[float, float]:
 def _naive(rows: FloatArray) -> float:
     """Return the least singular value of regressors, each scaled to an rms of 1."""
     size = np.sqrt(np.mean(rows**2, axis=0))
-    return float(np.linalg.svd(rows / np.where(size > 0, size, 1.0), compute_uv=False)[-1] / np.sqrt(len(rows)))
+    return float(np.linalg.svd(rows / divisor(size), compute_uv=False)[-1] / np.sqrt(len(rows)))

@@ -10,14 +10,13 @@ import numpy as np
 from harness.signals import FloatArray, Trajectory
 
 Derivative = Literal["weak", "smooth", "difference"]
-Functions = Callable[[FloatArray], FloatArray]
-"""``functions(arguments (n, rows)) -> (p, rows)``."""
+Functions = Callable[[FloatArray], FloatArray]  # ``functions(arguments (n, rows)) -> (p, rows)``.
 
 _BLOCK = 8192
 
 
-def polynomial_test_function(half: int, dt: float, order: int = 0, power: int = 6) -> FloatArray:
-    """Return a derivative of the test function ``(1 - s^2)^power`` on 2 half + 1 samples; the function sums to 1.
+def polynomial_test_function(half: int, dt: float, order: int = 0) -> FloatArray:
+    """Return a derivative of the test function ``(1 - s^2)^6`` on 2 half + 1 samples; the function sums to 1.
 
     Parameters
     ----------
@@ -27,8 +26,6 @@ def polynomial_test_function(half: int, dt: float, order: int = 0, power: int = 
         Sample time [s].
     order : int
         0, 1 or 2: which derivative.
-    power : int
-        Smoothness: the function and its first ``power - 1`` derivatives vanish at its ends.
 
     Examples
     --------
@@ -38,7 +35,7 @@ def polynomial_test_function(half: int, dt: float, order: int = 0, power: int = 
     """
     width = half + 1
     s = np.arange(-half, half + 1) / width
-    polynomial = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** power
+    polynomial = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** 6
     area = polynomial(s).sum()
     values: FloatArray = polynomial.deriv(order)(s) if order else polynomial(s)
     scaled: FloatArray = values / area / (width * dt) ** order

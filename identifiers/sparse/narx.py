@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.algebra import column_norms, least_squares
 from harness.errors import FitError
 from harness.judgement import refuse_undetermined
 from harness.models.estimate import Estimate, RankDecision
@@ -34,16 +35,13 @@ _DEGREE = 3
 """Largest degree that is chosen without being asked for: a cubic bends both ways, and free runs of more run away."""
 _CANDIDATES = 1000
 """Terms of a dictionary at most: its Gram matrix and one Cholesky factorisation take a tenth of a second."""
-_MOST = 30
-"""Terms of an output that the criterion is asked about at most."""
+_MOST = 30  # Terms of an output that the criterion is asked about at most.
 _LEVEL = 10.0
 """A signal whose mean is so many times its spread is counted from that mean: its powers are one column otherwise."""
-_BLOCK = 8192
-"""Rows of a block of regressors."""
+_BLOCK = 8192  # Rows of a block of regressors.
 _NOISE_ROUNDS, _SETTLED = 30, 1e-6
 """Rounds of extended least squares, and the change of the coefficients, relative, at which it has settled."""
-_AGAIN = 2
-"""How often terms are chosen anew, the moving average of the errors taken off the outputs."""
+_AGAIN = 2  # How often terms are chosen anew, the moving average of the errors taken off the outputs.
 _SHORTER, _HALF = (LONGEST, 50, 10), 0.5
 """Samples of the free runs that judge: shorter ones where long ones leave half of the motion, as of a plant that is
 unstable or chaotic, or carried off by disturbances."""
@@ -285,32 +283,25 @@ def last_fit(
         return np.column_stack(columns) if columns else np.zeros((len(y), 0))
 
     full = phi
-    theta = _solved(phi, y)
+    theta = least_squares(phi, y, 1e-12)
     errors = y - phi @ theta
     for _ in range(_NOISE_ROUNDS if memory else 0):
         last, full = theta, np.hstack([phi, before(errors, memory)])
-        theta = _solved(full, y)
+        theta = least_squares(full, y, 1e-12)
         errors = y - full @ theta
         if last.size == theta.size and np.linalg.norm(theta - last) <= _SETTLED * np.linalg.norm(theta):
             break
     count = len(support)
     free = max(len(y) - full.shape[1], 1)
-    size = np.linalg.norm(full, axis=0)
-    size = np.where(size > 0, size, 1.0)
+    size = column_norms(full)
     inverse = np.linalg.pinv(full / size, rcond=1e-12) / size[:, None]
     covariance = float(errors @ errors) / free * (inverse @ inverse.T)[:count, :count]
     rms = float(np.sqrt(errors @ errors / free))
     again = np.hstack([full, before(errors, lags)])
-    share = 1.0 - float(np.sum((errors - again @ _solved(again, errors)) ** 2)) / max(float(errors @ errors), 1e-300)
+    left = errors - again @ least_squares(again, errors, 1e-12)
+    share = 1.0 - float(left @ left) / max(float(errors @ errors), 1e-300)
     white = rms > EXACT and float(chi2.sf(len(y) * max(share, 0.0), lags)) >= DOUBT
     return Fit(theta[:count], covariance, rms, white, theta[count:].tolist(), full[:, count:] @ theta[count:])
-
-
-def _solved(phi: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the least-squares solution with columns at unit length."""
-    size = np.linalg.norm(phi, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    return np.asarray(np.linalg.lstsq(phi / size, y, rcond=1e-12)[0] / size)
 
 
 def _estimate(

@@ -11,10 +11,8 @@ from harness.signals import FloatArray, PlantSpec
 from identifiers.common.lag_state import LagModel
 from identifiers.common.library import InLibrary, Library, equation_text
 
-_FAR = 100.0
-"""As of :mod:`identifiers.common.lag_state`: a free run so many sizes away from the data has diverged."""
-_FEW = 24
-"""Up to so many runs at once numbers one by one are faster than short arrays."""
+_FAR = 100.0  # As of :mod:`identifiers.common.lag_state`: a free run so many sizes away from the data has diverged.
+_FEW = 24  # Up to so many runs at once numbers one by one are faster than short arrays.
 
 
 def argument_names(spec: PlantSpec, lags: int) -> tuple[str, ...]:

@@ -16,12 +16,9 @@ LONGEST, SAMPLES = 200, 4000
 """Samples of a free run that judges, and of all of them: long beside the lags, few enough to run for all candidates."""
 _OFFERED, _EXCHANGED = 8, 3
 """Terms of the largest error reduction ratio that are tried beside those chosen, and in place of each of them."""
-_ROUNDS = 40
-"""Changes of one term at most; it ends when none helps."""
-_FAR = 100.0
-"""A free run so many sizes away from the data has diverged."""
-_EXACT = 1e-13
-"""Mean squares below this share of an output's are rounding of normal equations, and decide nothing."""
+_ROUNDS = 40  # Changes of one term at most; it ends when none helps.
+_FAR = 100.0  # A free run so many sizes away from the data has diverged.
+_EXACT = 1e-13  # Mean squares below this share of an output's are rounding of normal equations, and decide nothing.
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import runge_kutta
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.described import Described
@@ -112,11 +113,7 @@ class SparseModel(InLibrary, Described):
                 h = self.spec.sample_time / self.substeps
                 new = x
                 for _ in range(self.substeps):
-                    a = self._derivative(new, inputs)
-                    b = self._derivative(new + 0.5 * h * a, inputs)
-                    c = self._derivative(new + 0.5 * h * b, inputs)
-                    d = self._derivative(new + h * c, inputs)
-                    new = new + h / 6 * (a + 2 * b + 2 * c + d)
+                    new = runge_kutta(lambda state: self._derivative(state, inputs), new, h)
             # An angle may turn on and on.
             far = (np.abs(new) > _FAR * self.scale) & ~self._turning
             lost = far.any(axis=-1, keepdims=True) | ~np.isfinite(new).all(axis=-1, keepdims=True)

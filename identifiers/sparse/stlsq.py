@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import divisor
 from harness.errors import FitError
 from harness.judgement import refuse_law
 from harness.models.estimate import Estimate, RankDecision
@@ -23,7 +24,7 @@ from identifiers.common.library import Library
 from identifiers.common.normal import NormalEquations, scaled_equations, solved
 from identifiers.common.observers import alpha_beta_gains, best_gain
 from identifiers.common.one_step_estimate import DEPENDENT, LARGEST, LEVEL
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.sparse.derivatives import Derivative, derivative_rows, measured_motion, unwrapped
 from identifiers.sparse.narx import last_fit
 from identifiers.sparse.selection import best_subset, ensemble, lasso
@@ -221,9 +222,7 @@ class Stlsq(Excited):
         """Return the sparse model; its equations and what was dropped stand in its notes."""
         what = "stlsq"
         self._check(what)
-        records, spec = usable(trajectories, samples=3 if self.time == "discrete" else 8, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=3 if self.time == "discrete" else 8, what=what)
         refuse_law(records, what, self.least_excitation)
         refuse_feedback_of_records(records, self.order or 1, self.least_excitation, what)
         if self.time == "discrete" or self.order is not None or _rates_measured(spec):
@@ -444,7 +443,7 @@ def _range(records: Sequence[Trajectory], order: int) -> FloatArray:
         y, rates = measured_motion(record, order)
         sizes.append(np.abs(np.hstack([y, rates])).max(axis=0))
     size: FloatArray = np.max(sizes, axis=0)
-    return np.where(size > 0, size, 1.0)
+    return divisor(size)
 
 
 def _rates_measured(spec: PlantSpec) -> bool:
@@ -455,14 +454,13 @@ def _rates_measured(spec: PlantSpec) -> bool:
     )
 
 
-def _ahead_error(model: SparseModel, records: Sequence[Trajectory], steps: int = 10) -> float:
+def _ahead_error(model: SparseModel, records: Sequence[Trajectory]) -> float:
     """Return the error of predictions ten steps ahead, relative to the outputs' spread."""
     from harness.scoring import predict
     from harness.signals import residual
 
-    total, count = 0.0, 0
-    spread = np.concatenate([record.y for record in records]).std(axis=0)
-    spread = np.where(spread > 0, spread, 1.0)
+    total, count, steps = 0.0, 0, 10
+    spread = divisor(np.concatenate([record.y for record in records]).std(axis=0))
     for record in records[:4]:
         part = record[: min(len(record), 400)]
         skip = min(len(part) - 1, steps + 20)

@@ -37,14 +37,10 @@ from identifiers.sparse.stlsq import stlsq
 from sysid_lab.leaderboard import read_answers, rows_of, write_answers
 from sysid_lab.outcome import Answer
 
-TIME_LIMIT = 600.0
-"""Seconds for one record."""
-_SHARES = np.geomspace(0.3, 0.01, 12)
-"""Thresholds that are tried, as shares of the leftover force: BIC chooses one."""
-_ALIKE = 0.999
-"""Cosine from which on two columns are one."""
-_ROUNDS = 3
-"""Times that the nominal parameters are fitted to the leftover force before any law is."""
+TIME_LIMIT = 600.0  # Seconds for one record.
+_SHARES = np.geomspace(0.3, 0.01, 12)  # Thresholds that are tried, as shares of the leftover force: BIC chooses one.
+_ALIKE = 0.999  # Cosine from which on two columns are one.
+_ROUNDS = 3  # Times that the nominal parameters are fitted to the leftover force before any law is.
 
 
 def answered(method: str, dataset: Dataset, system: System) -> Answer:

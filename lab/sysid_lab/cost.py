@@ -16,8 +16,7 @@ from sysid_lab.plan import Task
 from sysid_lab.records import Records
 
 _COMMAND = "from harness.command import main; main()"
-LIMIT = 600.0
-"""Seconds after which the command is abandoned."""
+LIMIT = 600.0  # Seconds after which the command is abandoned.
 
 
 def timed_command(task: Task, records: Records) -> dict[str, Any]:

@@ -16,10 +16,8 @@ from sysid_lab.truths.applied import STEP, Law
 from sysid_lab.truths.context import Hidden
 from sysid_lab.truths.simulation import DT, SUBSTEPS
 
-BALANCE_BAND = (0.1, 10.0)
-"""Of the force that is added to the controller's [Hz]."""
-_SUBSTEPS = {"bullet": 320, "pymunk": 320}
-"""Of a sample: both engines integrate to first order."""
+BALANCE_BAND = (0.1, 10.0)  # Of the force that is added to the controller's [Hz].
+_SUBSTEPS = {"bullet": 320, "pymunk": 320}  # Of a sample: both engines integrate to first order.
 _LATE = {"bullet": -0.5, "pymunk": 0.5}
 """Steps of the engine after which its positions are read. Chipmunk moves bodies before it pushes them, Bullet after:
 positions lie half a step behind or ahead. Read at their time they are 4e-6 (pymunk) and 2e-5 rad (Bullet) off, a fifth

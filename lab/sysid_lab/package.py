@@ -30,8 +30,7 @@ from sysid_lab.store import read_rows
 TABLE, TRUTH = "records.csv", "truth.csv"
 SETTINGS, SHARDS, LOG = "generate.json", "shards", "generate.log"
 FORMAT = "sysid-lab/sysid_lab-records/1"
-TIME_LIMIT = 300.0
-"""Seconds for one record: a hundred times what the slowest engine takes for 20 s of data."""
+TIME_LIMIT = 300.0  # Seconds for one record: a hundred times what the slowest engine takes for 20 s of data.
 TRUTH_COLUMNS = (
     "record",
     "study",

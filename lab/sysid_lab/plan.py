@@ -19,8 +19,7 @@ BASES = {"tuning": 0, "judged": 580_000}
 """Records from 10 000, 20 000, ..., 570 000 on judged earlier versions or were seen: they judge no more."""
 SHARES = {"confusion": 12, "none": 10, "two": 5, "outside": 3, "cost": 1}
 """Of the strata in any first part of a plan, while they last."""
-NOISE = {"low": 1e-4, "high": 1e-3}
-"""Standard deviation of the sensors [rad, m]."""
+NOISE = {"low": 1e-4, "high": 1e-3}  # Standard deviation of the sensors [rad, m].
 
 _ODD = tuple(kind for kind in KINDS if kind != "gauss-markov")
 _STILL = {
@@ -28,10 +27,8 @@ _STILL = {
     "cart-pole": ("pymunk", "laws", "balanced", "pymunk", "fmu"),
 }
 """Who simulates the records with nothing missing, in turn."""
-_DISTURBED = 0.02
-"""Unknown force over the rms torque."""
-_INPUT_NOISE = 0.01
-"""Noise of a recorded input over its rms."""
+_DISTURBED = 0.02  # Unknown force over the rms torque.
+_INPUT_NOISE = 0.01  # Noise of a recorded input over its rms.
 
 
 @dataclass(frozen=True)

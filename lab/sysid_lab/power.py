@@ -15,8 +15,7 @@ from harness.diagnosis.search.ties import may_tie, refines, total
 from harness.diagnosis.search.warm import own_values
 from harness.effects.effect import Placed
 
-RIVALS = 3
-"""Rivals of the truth that are fitted beside it: cost."""
+RIVALS = 3  # Rivals of the truth that are fitted beside it: cost.
 _USES = ("estimation", "validation")
 
 

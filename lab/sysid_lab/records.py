@@ -20,18 +20,15 @@ from sysid_lab.truths.hardware import as_hardware
 from sysid_lab.truths.hidden import falling_damping, force_size, hide, hide_outside, sagging_gain
 from sysid_lab.truths.simulation import DT, SUBSTEPS, Motion, simulate
 
-SAMPLES = 5000
-"""Of one record: 20 s at 250 Hz."""
-BAND = (0.1, 3.0)
-"""Of the multisine [Hz]."""
+SAMPLES = 5000  # Of one record: 20 s at 250 Hz.
+BAND = (0.1, 3.0)  # Of the multisine [Hz].
 _ANGLE = Channel("theta", "rad", period=2 * math.pi)
 SPECS = {
     "pendulum": PlantSpec((Channel("u", "N m"),), (_ANGLE,), DT),
     "cart-pole": PlantSpec((Channel("u", "N"),), (Channel("x", "m"), _ANGLE), DT),
 }
 USES: tuple[Use, ...] = ("estimation", "validation")
-_HEAVY_ROD = 0.03
-"""Inertia of the pole beyond that of a point mass, over it."""
+_HEAVY_ROD = 0.03  # Inertia of the pole beyond that of a point mass, over it.
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,7 @@ from sysid_lab.row import do_row
 from sysid_lab.store import RowStore
 
 SUMMARY, PICTURE = "study.md", "confusion.png"
-LIMIT = 900.0
-"""Seconds after which a row is abandoned."""
+LIMIT = 900.0  # Seconds after which a row is abandoned.
 Progress = Callable[[int, int, str], None]
 
 

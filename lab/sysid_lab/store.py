@@ -19,8 +19,7 @@ from harness.jobs import shard_file
 from sysid_lab.row import COLUMNS
 
 ROWS, CODE = "rows.csv", "code.txt"
-AGAIN = ("crashed", "timeout")
-"""What a resumed study tries once more."""
+AGAIN = ("crashed", "timeout")  # What a resumed study tries once more.
 
 
 class RowStore:

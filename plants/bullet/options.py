@@ -15,8 +15,7 @@ from plants.bullet.outputs import Camera, Keypoints
 from plants.bullet.world import Control, Settings
 from plants.checking import per_item, positive
 
-MOTOR_FORCE = 300.0
-"""Greatest force [N m] of Bullet's motors at a joint whose file states no effort."""
+MOTOR_FORCE = 300.0  # Greatest force [N m] of Bullet's motors at a joint whose file states no effort.
 
 
 @dataclass(frozen=True, kw_only=True)

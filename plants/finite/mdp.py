@@ -14,8 +14,7 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive
 
-TOLERANCE = 1e-9
-"""How far a distribution's sum may be from 1."""
+TOLERANCE = 1e-9  # How far a distribution's sum may be from 1.
 
 
 class FinitePlant(BasePlant, ABC):

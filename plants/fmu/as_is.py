@@ -22,8 +22,7 @@ from plants.fmu.plant import FmuPlant
 from plants.fmu.variables import INTEGERS, REALS, states_of
 from plants.isolation.isolated import IsolatedPlant
 
-DOMINATES = 1e-3
-"""Share of an output's spread beyond which the error of the suggested tolerance is said."""
+DOMINATES = 1e-3  # Share of an output's spread beyond which the error of the suggested tolerance is said.
 
 
 def run_as_is(

@@ -84,8 +84,7 @@ def _scalar(file: FmuFile, variable: Any, value: Any, scale: float, offset: floa
 
 
 log = logging.getLogger("plants.fmu.plant")
-BOUNDED = REALS | (INTEGERS - {"Enumeration"})
-"""Types of variables that may declare min and max."""
+BOUNDED = REALS | (INTEGERS - {"Enumeration"})  # Types of variables that may declare min and max.
 
 
 def refused(file: FmuFile, what: str, expected: str, got: str, remedy: str, place: str | None = None) -> InputError:

@@ -16,14 +16,10 @@ from harness.errors import HarnessError, PlantError
 from harness.signals import FloatArray
 from plants.fmu.engine import Engine
 
-ROWS = 50
-"""Samples of the first run that are repeated."""
-LONGEST = 2.0
-"""Seconds of computing after which no more samples of the first run are kept."""
-CONTINUED = 5
-"""Samples of a continuation that a kept state must repeat."""
-NOISE = 1e-9
-"""Relative difference between two fresh instances that is rounding, and no reason for a fresh process."""
+ROWS = 50  # Samples of the first run that are repeated.
+LONGEST = 2.0  # Seconds of computing after which no more samples of the first run are kept.
+CONTINUED = 5  # Samples of a continuation that a kept state must repeat.
+NOISE = 1e-9  # Relative difference between two fresh instances that is rounding, and no reason for a fresh process.
 
 
 class FirstRun:

@@ -20,8 +20,7 @@ from plants.checking import checked_inputs, initial_values, refuse_input, with_f
 from plants.mujoco.settings import Settings, built, times
 from plants.mujoco.signals import Inputs, Outputs, inputs_of, outputs_of, states_of
 
-BLOCK = 4000
-"""Engine steps that a roll-out takes at once: their states are held in memory."""
+BLOCK = 4000  # Engine steps that a roll-out takes at once: their states are held in memory.
 
 
 class MujocoPlant(BasePlant):

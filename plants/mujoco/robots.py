@@ -7,8 +7,7 @@ from typing import Any
 from plants.checking import checked_options, positive
 from plants.mujoco.plant import MujocoPlant
 
-POINT = 1e-12
-"""Inertia [kg m^2] of a point mass: MuJoCo refuses none."""
+POINT = 1e-12  # Inertia [kg m^2] of a point mass: MuJoCo refuses none.
 
 
 def one_joint_arm(*, mass: float = 1.0, length: float = 0.5, link_inertia: float = 0.0, **options: Any) -> MujocoPlant:

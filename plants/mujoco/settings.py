@@ -20,8 +20,7 @@ Integrator = Literal["euler", "rk4", "implicit", "implicitfast"]
 Solver = Literal["pgs", "cg", "newton"]
 Cone = Literal["pyramidal", "elliptic"]
 
-WHOLE = 1e-6
-"""Relative difference from a whole number of engine steps that is rounding of the two times."""
+WHOLE = 1e-6  # Relative difference from a whole number of engine steps that is rounding of the two times.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -291,8 +291,7 @@ def _sensor_channels(model: Any, number: int, name: str) -> list[Channel]:
     return [Channel(f"{name}{ending}", unit) for ending in endings]
 
 
-ONLY_FORCE = 1 << 1
-"""What a sensor of contacts reports, as bits (mjtConDataField): its force alone."""
+ONLY_FORCE = 1 << 1  # What a sensor of contacts reports, as bits (mjtConDataField): its force alone.
 UNITS = {
     "TOUCH": "N",
     "ACCELEROMETER": "m/s^2",

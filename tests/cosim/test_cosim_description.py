@@ -88,7 +88,7 @@ def test_a_file_gives_the_same_motion_as_python(folder: Path, order: str) -> Non
     ("old", "new", "words"),
     [
         ("sample_time = 0.02\ninputs", "smaple_time = 0.02\ninputs", r"unknown key.*sample_time.*'smaple_time'"),
-        ("gain_unit", "gain_units", r"connections\[2\]: unknown key.*gain_unit.*'gain_units'; remedy"),
+        ("gain_unit", "gain_units", r"connections\[2\].gain_units: unknown key.*gain_unit.*'gain_units'; remedy"),
         ('plant = "pendulum-fmu"', 'plnat = "pendulum-fmu"', r"parts.*unknown key.*plant, fmu, mockup.*'plnat'"),
         ('plant = "pendulum-fmu"', 'plant = "pendulum-fmv"', r"parts\.arm.*unknown plant.*did you mean"),
         ('fmu = "law.fmu"', 'fmu = "low.fmu"', r"parts\.law.*no such FMU"),

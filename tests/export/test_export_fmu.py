@@ -19,6 +19,8 @@ from harness.errors import InputError, PlantError
 from harness.export import write_fmu
 from harness.fmi import build
 from harness.physics.models import BUILT_IN
+from harness.protocols import Experiment
+from harness.rollout import perform
 
 RNG = np.random.default_rng(0)
 SYSTEMS = {name: BUILT_IN[name]().system() for name in ("pendulum", "cart-pole", "drive", "oscillator", "two-tanks")}
@@ -52,14 +54,7 @@ def starts(simulator, x):
 def ours(path, u, dt, x0=None, parameters=None):
     with registry.create("plants", "fmu", path=path, sample_time=dt, parameters=parameters) as plant:
         x0 = None if x0 is None else {f"state.{k}": v for k, v in x0.items()}
-        y = [plant.reset(rng=RNG, x0=x0)]
-        if plant.spec.feedthrough:
-            y = []
-            for one in u:
-                y.append(plant.output(one))
-                plant.step(one)
-            return np.array(y)
-        return np.array(y + [plant.step(one) for one in u[:-1]])
+        return perform(plant, Experiment(u, x0=x0), rng=RNG).y
 
 
 def settled(placed, dt):

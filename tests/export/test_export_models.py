@@ -13,6 +13,8 @@ from harness.command import main
 from harness.errors import InputError
 from harness.export import export, to_control, write_linear_fmu
 from harness.physics.models import pendulum
+from harness.protocols import Experiment
+from harness.rollout import perform
 from harness.signals import Channel, PlantSpec
 from identifiers.linear.least_squares import LinearModel
 from identifiers.mechanics.grey_box import GreyBoxModel
@@ -31,14 +33,7 @@ def linear(direct=0.0, offset=0.0):
 
 def run(path, u, dt, x0=None):
     with registry.create("plants", "fmu", path=path, sample_time=dt) as plant:
-        y0 = plant.reset(rng=RNG, x0=x0)
-        if plant.spec.feedthrough:
-            y = []
-            for one in u:
-                y.append(plant.output(one))
-                plant.step(one)
-            return np.array(y)
-        return np.array([y0, *(plant.step(one) for one in u[:-1])])
+        return perform(plant, Experiment(u, x0=x0), rng=RNG).y
 
 
 @pytest.mark.parametrize("version", [2, 3])

@@ -30,8 +30,7 @@ HEAD = (
     "over best",
     "regret",
 )
-FIT = "fit"
-"""Title of the column behind those of scores that not every model has."""
+FIT = "fit"  # Title of the column behind those of scores that not every model has.
 
 
 def render(result: BenchResult, form: str) -> str:

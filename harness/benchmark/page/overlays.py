@@ -14,8 +14,7 @@ from harness.benchmark.summary import figure
 from harness.data.whole_files import whole_file
 from harness.plots import plain_texts
 
-OUTPUTS = 4
-"""Outputs that are drawn; the table ``traces`` has all."""
+OUTPUTS = 4  # Outputs that are drawn; the table ``traces`` has all.
 AWAY = 4.0
 """A free run that leaves the measured range by so many times its width is cut off there, or the record would be a
 line."""

@@ -17,12 +17,10 @@ from harness.plots import plain_texts
 
 INK, MUTED, GRID, ACCENT, WARN = "#1f2933", "#7b8794", "#e4e7eb", "#0b6e99", "#b4540a"
 LINES = ("#0b6e99", "#b4540a", "#3f7d20", "#7a3e9d", "#a61e4d", "#52606d")
-DOTS = 100
-"""Seeds that are drawn as dots on one line; more are one blot, and a page nobody can open."""
+DOTS = 100  # Seeds that are drawn as dots on one line; more are one blot, and a page nobody can open.
 FAR = 25.0
 """Beyond so many times the spread of the data an error says no more than that the model is of no use: the edge."""
-PANELS = 60
-"""Panels of a page, for the same reason; the table has all."""
+PANELS = 60  # Panels of a page, for the same reason; the table has all.
 STYLE: Any = {
     "svg.hashsalt": "sysid-harness",
     "svg.fonttype": "path",

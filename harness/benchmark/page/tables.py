@@ -24,12 +24,9 @@ if TYPE_CHECKING:
 
 LEAVING = ("model for control", "control regret")
 """Columns that leave a table that is too wide, together; the quartiles of the others leave after them."""
-UNBOUNDED = sys.maxsize
-"""Columns in which every table fits."""
-SHORT = 9
-"""Letters of a title that stays on one line where columns are narrow."""
-REASON = 200
-"""Characters of a reason that are printed."""
+UNBOUNDED = sys.maxsize  # Columns in which every table fits.
+SHORT = 9  # Letters of a title that stays on one line where columns are narrow.
+REASON = 200  # Characters of a reason that are printed.
 
 
 def rich_table(result: BenchResult) -> RenderableType:

@@ -18,8 +18,7 @@ from harness.protocols import Model
 from harness.rng import stream
 from harness.signals import Trajectory
 
-WHOLE_RECORDS = 4
-"""From so many records on, whole ones validate."""
+WHOLE_RECORDS = 4  # From so many records on, whole ones validate.
 
 
 @dataclass(frozen=True)

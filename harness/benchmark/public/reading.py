@@ -18,8 +18,7 @@ from harness.signals import FloatArray, Trajectory
 DATA_FOLDER = "SYSID_HARNESS_DATA"
 ORIGIN = "origin.txt"
 Pair = tuple[FloatArray, FloatArray]
-Pairs = tuple[list[Pair], list[list[Pair]]]
-"""Records (u, y) to learn from; and those of each figure."""
+Pairs = tuple[list[Pair], list[list[Pair]]]  # Records (u, y) to learn from; and those of each figure.
 
 
 @dataclass(frozen=True, eq=False)

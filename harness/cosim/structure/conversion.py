@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from harness.errors import InputError
 from harness.units import base_units
 
-BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-"""Base units of SSP and FMI (SSP 2.0 sec. BaseUnit)."""
-BARE = ("", "1", "-")
-"""Units of a bare number, which is taken for what the other end of a connection measures."""
-ROUNDING = 8 * 2.0**-52
-"""A factor this close to one came out of unit factors that cancel."""
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # Base units of SSP and FMI (SSP 2.0 sec. BaseUnit).
+BARE = ("", "1", "-")  # Units of a bare number, which is taken for what the other end of a connection measures.
+ROUNDING = 8 * 2.0**-52  # A factor this close to one came out of unit factors that cancel.
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from harness.cosim.structure.open import opened
 __all__ = ["Describe", "describe_structure"]
 
 
-def describe_structure(path: str | Path, describe: Describe, *, within: str | Path | None = None) -> dict[str, Any]:
+def describe_structure(path: str | Path, describe: Describe) -> dict[str, Any]:
     """Return the components, connections, values and experiment of a system of FMUs.
 
     Parameters
@@ -21,8 +21,6 @@ def describe_structure(path: str | Path, describe: Describe, *, within: str | Pa
         An SSP package or folder, or an OSP system structure.
     describe : callable
         Tells what is in an FMU.
-    within : path, optional
-        See :func:`harness.cosim.structure.open_structure`.
 
     Returns
     -------
@@ -35,7 +33,7 @@ def describe_structure(path: str | Path, describe: Describe, *, within: str | Pa
     InputError
         If it cannot be read, or needs what is not understood.
     """
-    with opened(path, within=within) as found:
+    with opened(path) as found:
         description = found.description
         flat = flatten(description, describe)
     labels = {one.name: one.label for one in flat.components}

@@ -40,8 +40,7 @@ class Value:
     suppress: bool = False
 
 
-Binding = tuple[Value, ...]
-"""The values that a parameter binding brings, after its prefix and its mapping."""
+Binding = tuple[Value, ...]  # The values that a parameter binding brings, after its prefix and its mapping.
 
 
 @dataclass(frozen=True)

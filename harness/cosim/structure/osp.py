@@ -15,8 +15,7 @@ from harness.errors import InputError
 from harness.trust import names_fmu
 
 OSP = "OspSystemStructure"
-MOST = 10_000
-"""Inputs of a sum, before it counts as a slip."""
+MOST = 10_000  # Inputs of a sum, before it counts as a slip.
 
 
 def read_osp(package: FolderPackage, name: str) -> Description:

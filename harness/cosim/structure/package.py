@@ -19,12 +19,9 @@ LARGEST_TEXT = 64 << 20  # bytes of an XML file
 DESCRIPTIONS = (".ssd", ".ssv", ".ssm", ".ssb")
 
 
-PROXIES = ("proxyfmu", "fmu-proxy", "proxy-fmu")
-"""Schemes by which OSP names FMUs that another process runs."""
-HERE = ("localhost", "127.0.0.1", "::1")
-"""How such a URI calls this machine."""
-PROXIED = "FMUs that the file runs by a proxy on this machine are run without it"
-"""What is said of them."""
+PROXIES = ("proxyfmu", "fmu-proxy", "proxy-fmu")  # Schemes by which OSP names FMUs that another process runs.
+HERE = ("localhost", "127.0.0.1", "::1")  # How such a URI calls this machine.
+PROXIED = "FMUs that the file runs by a proxy on this machine are run without it"  # What is said of them.
 
 
 def on_this_machine(source: str) -> str:

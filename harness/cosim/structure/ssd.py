@@ -27,8 +27,7 @@ DEFINITION = "application/x-ssp-definition"
 SOURCES = {"output", "local", "calculatedParameter", "constant"}
 SINKS = {"input", "parameter", "structuralParameter"}
 KINDS = SOURCES | SINKS | {"inout", "unspecified"}
-DEEPEST = 5
-"""Systems of other files inside each other, before it counts as a trap."""
+DEEPEST = 5  # Systems of other files inside each other, before it counts as a trap.
 IMPLEMENTATIONS = {"CoSimulation": "cs", "ModelExchange": "me"}
 TRANSFORMATIONS = ("BooleanMapping", "IntegerMapping", "EnumerationMapping")
 

@@ -30,8 +30,7 @@ from harness.cosim.structure.model import (
 )
 from harness.errors import InputError
 
-Place = tuple[Way, str]
-"""A connector: the names of the systems and the component on the way to it, and its own."""
+Place = tuple[Way, str]  # A connector: the names of the systems and the component on the way to it, and its own.
 
 SOURCES = {"output", "local", "calculatedParameter", "constant"}
 SINKS = {"input", "parameter", "structuralParameter"}

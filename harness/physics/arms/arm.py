@@ -21,12 +21,9 @@ from harness.physics.arms.rigid_tree import Arm
 from harness.signals import Channel, FloatArray
 
 GRAVITY = (0.0, 0.0, -9.81)
-ARMS = {"iiwa": ("kuka_iiwa", "model.urdf")}
-"""Arms by name: their URDF comes with the package ``pybullet_data``."""
-FILES = (".urdf", ".xml", ".mjcf")
-"""Endings of files that hold an arm."""
-REST = 1e-2
-"""Width of the sign of the dry friction that a file states [rad/s or m/s]."""
+ARMS = {"iiwa": ("kuka_iiwa", "model.urdf")}  # Arms by name: their URDF comes with the package ``pybullet_data``.
+FILES = (".urdf", ".xml", ".mjcf")  # Endings of files that hold an arm.
+REST = 1e-2  # Width of the sign of the dry friction that a file states [rad/s or m/s].
 
 
 @dataclass(frozen=True, eq=False)

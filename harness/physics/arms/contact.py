@@ -9,10 +9,8 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray
 
-LOADED = 0.02
-"""Share of the largest normal force below which a contact counts as open."""
-FEW = 10
-"""Samples of sliding below which nothing is said about it."""
+LOADED = 0.02  # Share of the largest normal force below which a contact counts as open.
+FEW = 10  # Samples of sliding below which nothing is said about it.
 
 
 @dataclass(frozen=True)
@@ -54,9 +52,7 @@ class Restitution:
     after: FloatArray
 
 
-def friction_cone(
-    force: FloatArray, slip: FloatArray, *, normal: tuple[float, float, float] = (0.0, 0.0, 1.0), fast: float = 0.01
-) -> FrictionCone:
+def friction_cone(force: FloatArray, slip: FloatArray, *, fast: float = 0.01) -> FrictionCone:
     """Return the friction of a contact from its forces and the velocity of its point.
 
     While it slides the tangential force is the coefficient times the normal one, against the velocity; only that part
@@ -68,8 +64,6 @@ def friction_cone(
         On the body [N].
     slip : array (N, 3)
         Velocity of the point of contact against what it touches [m/s].
-    normal : (x, y, z)
-        Unit vector out of what it touches.
     fast : float
         Speed from which on it slides [m/s].
 
@@ -86,7 +80,7 @@ def friction_cone(
     >>> round(cone.sliding, 3), round(cone.at_least, 3)
     (0.4, 0.3)
     """
-    n = np.asarray(normal, dtype=float)
+    n = np.array([0.0, 0.0, 1.0])
     push = force @ n
     closed = push > LOADED * max(float(push.max(initial=0.0)), 1e-12)
     if not closed.any():

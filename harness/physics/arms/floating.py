@@ -26,8 +26,7 @@ from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-LOST = 1e-9
-"""Singular value of a contact Jacobian, relative, below which a direction of its force does no work."""
+LOST = 1e-9  # Singular value of a contact Jacobian, relative, below which a direction of its force does no work.
 
 
 @dataclass(frozen=True, eq=False)

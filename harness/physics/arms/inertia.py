@@ -17,8 +17,7 @@ TEN = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 """Names of the ten: mass, first moments, inertia about the frame of the joint."""
 UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
 
-ROUNDED = 1e-9
-"""Relative size below which what is missing to an inertia that a body can have is rounding."""
+ROUNDED = 1e-9  # Relative size below which what is missing to an inertia that a body can have is rounding.
 
 _UPPER = np.triu_indices(3)
 # Places of a11 a12 a13 a14 a22 a23 a24 a33 a34 a44 of an upper triangular matrix.

@@ -27,10 +27,8 @@ _CAREFUL: tuple[dict[str, Any], ...] = (
 )
 """Options of the solver, tried in turn: now and then it fails by rounding where a program has no bound (1 of 62 for the
 masses of a 7-axis arm), and solves it with more refinement of its linear systems."""
-LEAST = 1e-6
-"""Smallest eigenvalue of K in the semidefinite program: a body a millionth of its prior in some direction."""
-NO_PRIOR = 1e-6
-"""Weight where no prior is wanted: as if the prior were trusted to a factor of a thousand."""
+LEAST = 1e-6  # Smallest eigenvalue of K in the semidefinite program: a body a millionth of its prior in some direction.
+NO_PRIOR = 1e-6  # Weight where no prior is wanted: as if the prior were trusted to a factor of a thousand.
 ITERATIONS = 300
 SETTLED = 1e-3
 """What a step of Newton's may still promise of the cost, a log-likelihood, where rounding ended the search."""

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 from harness.signals import FloatArray
 
-MOVING = {"revolute", "continuous", "prismatic"}
-"""Kinds of joints that move."""
+MOVING = {"revolute", "continuous", "prismatic"}  # Kinds of joints that move.
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ from harness.physics.arms.mechanism import arm_of
 
 _MOTIONS = 300
 """Random instants of exact torques: more than any arm has base parameters, so that nothing is left to the motion."""
-_VAST = 1e3
-"""Masses beyond so many times the URDF's count as without bound: the solver stops somewhere there."""
+_VAST = 1e3  # Masses beyond so many times the URDF's count as without bound: the solver stops somewhere there.
 
 
 @dataclass(frozen=True)

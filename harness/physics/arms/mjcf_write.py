@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 AT_JOINTS = ("damping", "frictionloss", "armature")
 SHAPED = ("inertiafromgeom", "settotalmass", "balanceinertia")
 """Attributes of ``<compiler>`` that would change bodies whose inertia is written out."""
-SAME = 1e-12
-"""Relative change of a body's parameters that is none."""
+SAME = 1e-12  # Relative change of a body's parameters that is none.
 
 
 def mjcf_with(

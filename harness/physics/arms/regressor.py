@@ -17,10 +17,8 @@ from harness.signals import FloatArray
 
 Form = Literal["torque", "momentum", "energy", "pull"]
 
-LANES = 4
-"""Doubles in a register of AVX2; on other processors the compiler divides them."""
-ROUND = 1e-15
-"""Entries of rotations of a URDF that are 0 or 1 but for the cosine of pi/2 in floating point."""
+LANES = 4  # Doubles in a register of AVX2; on other processors the compiler divides them.
+ROUND = 1e-15  # Entries of rotations of a URDF that are 0 or 1 but for the cosine of pi/2 in floating point.
 
 
 class ArmRegressor:
@@ -102,7 +100,7 @@ class ArmRegressor:
         return found
 
     def normal_equations(
-        self, q: FloatArray, v: FloatArray, a: FloatArray, torque: FloatArray, weights: FloatArray, block: int = 2000
+        self, q: FloatArray, v: FloatArray, a: FloatArray, torque: FloatArray, weights: FloatArray
     ) -> tuple[FloatArray, FloatArray, float]:
         """Return ``W' L'L W``, ``W' L'L tau`` and ``tau' L'L tau`` block by block, so that memory stays bounded.
 
@@ -111,12 +109,10 @@ class ArmRegressor:
         q, v, a, torque : array (N, n)
         weights : array (n, n)
             L: the torques of an instant are multiplied by it (1 / standard deviations, or a whitening).
-        block : int
-            Samples at a time.
         """
         gram, side, power = np.zeros((self.columns, self.columns)), np.zeros(self.columns), 0.0
-        for first in range(0, len(q), block):
-            part = slice(first, first + block)
+        for first in range(0, len(q), 2000):
+            part = slice(first, first + 2000)
             rows = (weights @ self(q[part], v[part], a[part]).reshape(-1, self.rows, self.columns)).reshape(
                 -1, self.columns
             )
@@ -167,13 +163,13 @@ class ArmRegressor:
         )  # fmt: skip
         return Compilation(source).library()
 
-    def _by_arrays(self, inputs: FloatArray, found: FloatArray, count: int, block: int = 4096) -> None:
+    def _by_arrays(self, inputs: FloatArray, found: FloatArray, count: int) -> None:
         from harness.physics.arms.vectorised import OnRecords
 
         function = OnRecords(self._entries)
         flat = found.reshape(count, -1)
-        for first in range(0, count, block):
-            part = slice(first, min(first + block, count))
+        for first in range(0, count, 4096):
+            part = slice(first, min(first + 4096, count))
             flat[part, self._places] = function(np.ascontiguousarray(inputs[:, part].T))[0]
 
 

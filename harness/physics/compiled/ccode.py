@@ -174,8 +174,7 @@ def system_source(system: Any, prefix: str = "model") -> str:
     return "\n\n".join(parts) + "\n"
 
 
-FINE = 8
-"""Parts of a step that comes near the zero of a speed whose sign a force takes."""
+FINE = 8  # Parts of a step that comes near the zero of a speed whose sign a force takes.
 
 
 def without_signs(system: Any, p: FloatArray) -> FloatArray:

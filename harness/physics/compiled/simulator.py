@@ -26,8 +26,7 @@ Intersample = Literal["zoh", "foh", "smooth"]
 # "auto" starts the compiler in the background once the virtual machine has simulated so many samples.
 _PATIENCE = 2000
 _MAXIMUM_SUBSTEPS = 50
-_OVER = 5.0
-"""Time constants in a sample after which nothing is left of a decay."""
+_OVER = 5.0  # Time constants in a sample after which nothing is left of a decay.
 # A sample has at least so many pieces where inputs move within it: smooth ones straight, late held ones constant.
 _PIECES = 4
 

@@ -17,10 +17,8 @@ from harness.signals import FloatArray
 
 MOTIONS = 400
 """Random instants on which dependent columns are found; the gap of an iiwa is above 1e10 on a tenth of them."""
-TOLERANCE = 1e-8
-"""A column that is new by less than this, relative to its length, is a sum of the others."""
-EXACT = 1e-10
-"""Shares below this, or this near to a whole number, are rounding."""
+TOLERANCE = 1e-8  # A column that is new by less than this, relative to its length, is a sum of the others.
+EXACT = 1e-10  # Shares below this, or this near to a whole number, are rounding.
 
 Function = Callable[..., list[FloatArray]]
 

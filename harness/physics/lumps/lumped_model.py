@@ -141,7 +141,7 @@ class LumpedModel:
         return np.array(found + [0.0] * (self.k - len(found)))
 
     def to_parameters(
-        self, values: Mapping[str, float], *, start: Mapping[str, float] | None = None, fixed: Sequence[str] = ()
+        self, values: Mapping[str, float], *, start: Mapping[str, float] | None = None
     ) -> dict[str, float]:
         """Return physical parameters whose lumped values come closest to given ones (relative least squares).
 
@@ -151,8 +151,6 @@ class LumpedModel:
             Lumped parameters by name; those that are not given are free.
         start : mapping, optional
             Where to start; the mechanism's values otherwise. What the lumped values leave open stays near it.
-        fixed : sequence of str
-            Parameters that stay, besides those declared fixed.
 
         Examples
         --------
@@ -170,7 +168,7 @@ class LumpedModel:
         result.update(start or {})
         symbols = {str(symbol): symbol for symbol in self.mechanism.p}
         used = {str(symbol) for combination in self.combinations for symbol in combination.free_symbols}
-        free = [n for n in symbols if n in used and n not in fixed and not parameters[n].fixed and n not in self.known]
+        free = [n for n in symbols if n in used and not parameters[n].fixed and n not in self.known]
         rows = [
             (combination, values[name])
             for combination, name in zip(self.combinations, self.names, strict=False)

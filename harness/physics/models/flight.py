@@ -10,8 +10,7 @@ from harness.physics.definition.parameters import Parameter
 from harness.physics.symbolic.mechanism import Mechanism
 from harness.physics.symbolic.ode import Ode
 
-STILL = 1e-12
-"""Keeps the root of a squared speed smooth at rest [m^2/s^2]."""
+STILL = 1e-12  # Keeps the root of a squared speed smooth at rest [m^2/s^2].
 
 
 def planar_quadrotor() -> Mechanism:

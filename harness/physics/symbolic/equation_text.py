@@ -13,8 +13,7 @@ from harness.physics.symbolic.ode import Ode
 
 SIMPLE = 200
 """Operations up to which identities of several angles are tried: minutes for an arm with all its parameters."""
-SHORT = 12
-"""Largest denominator of a fraction that is read more easily than a decimal."""
+SHORT = 12  # Largest denominator of a fraction that is read more easily than a decimal.
 
 
 def equations(model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -> list[str]:

@@ -18,8 +18,7 @@ from harness.physics.symbolic.ode import Ode
 from harness.units import is_unit
 
 SUFFIX = ".eqs"
-LONGEST = 20_000
-"""Characters of a file."""
+LONGEST = 20_000  # Characters of a file.
 _NAME = r"[A-Za-z_]\w*"
 _UNIT = r"(?:\s*\[(?P<unit>[^\]]*)\])?"
 _RATE = re.compile(rf"(?P<name>{_NAME})\s*'\s*=(?P<rest>.+)")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from harness.judgement import refuse_undetermined
 from harness.signals import PlantSpec, Trajectory
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +45,6 @@ class Excited:
         FitError
             If there are none.
         """
-        records, spec = usable(trajectories, samples=samples, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=inputs)
+        records, spec = learnable(trajectories, samples=samples, what=what, inputs=inputs)
         refuse_undetermined(records, what, self.least_excitation)
         return sorted(records, key=lambda record: (len(record), record.y.tobytes())), spec

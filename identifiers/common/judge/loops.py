@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import column_norms, divisor, orthonormal, unit_columns
 from harness.errors import FitError, HarnessError
 from harness.judgement import Feedback
 from harness.models.spread import Matrices, steps
@@ -38,12 +39,9 @@ UNCERTAIN = 0.35
 and more with a probability of 0.15. TAKEN and this were chosen on 147 records of benchmarks/feedback_judge.py (bases
 100 and 300): some 30 of 2499 fits err by half and more and say nothing, 157 of 986 that do not are warned of; with
 0.42 it would be 40 and 113."""
-FIRST = 4
-"""Answers that are looked at: what later ones hold a controller, or a filter that sees outputs, makes up for."""
-LAGS = 4
-"""Samples by which an input may reach an output, and that outputs' past is long, in the tests of errors."""
-USED = 200
-"""Samples in which it is asked what a model uses of the past."""
+FIRST = 4  # Answers that are looked at: what later ones hold a controller, or a filter that sees outputs, makes up for.
+LAGS = 4  # Samples by which an input may reach an output, and that outputs' past is long, in the tests of errors.
+USED = 200  # Samples in which it is asked what a model uses of the past.
 
 
 def doubt_of_loop(model: Any, records: Sequence[Trajectory], feedback: Feedback) -> str:
@@ -125,12 +123,10 @@ def _mistaken(
         rows.append(np.hstack([moved[LAGS - j : LAGS - j + n] for j in range(at_once, LAGS + 1)]))
     x, e, y = (np.concatenate(part) for part in (rows, errors, ahead))
     x, e, y = (part - part.mean(axis=0) for part in (x, e, y))
-    length = np.linalg.norm(x, axis=0)
-    left, values, _ = np.linalg.svd(x / np.where(length > 0, length, 1.0), full_matrices=False)
-    left = left[:, values > 1e-8 * max(float(values[0]), 1e-300)]
+    left = orthonormal(x, 1e-8)
     power = np.sum(e**2, axis=0)
     answers, whole = left.T @ e, left.T @ (y + e)
-    shares = np.sum(answers**2, axis=0) / np.where(power > 0, power, 1.0)
+    shares = np.sum(answers**2, axis=0) / divisor(power)
     chances = spec.ny * chi2.sf(len(e) * shares, left.shape[1])
     size = np.sqrt(np.sum(answers**2, axis=0) / np.maximum(np.sum(whole**2, axis=0), 1e-300))
     size = np.where(chances < COLOURED, size, 0.0)
@@ -153,8 +149,7 @@ def _taken_back(model: Any, records: Sequence[Trajectory], errors: Sequence[Floa
         with np.errstate(all="ignore"):
             size.append(predict(model, mixed, 1)[first:] - record.y[first - 1 : -1])
     x = np.concatenate(seen)
-    length = np.linalg.norm(x, axis=0)
-    length = np.where(length > 0, length, 1.0)
+    length = column_norms(x)
     law = np.linalg.lstsq(x / length, np.concatenate(errors), rcond=1e-12)[0]
     with np.errstate(all="ignore"):
         wrong = np.mean((np.concatenate(asked) / length @ law) ** 2, axis=0)
@@ -267,7 +262,6 @@ def _unforeseen(records: Sequence[Trajectory], first: int) -> list[FloatArray]:
         known.append(np.hstack([*columns, np.ones((n - first, 1))]))
         now.append(record.u[first:])
     x, u = np.concatenate(known), np.concatenate(now)
-    length = np.linalg.norm(x, axis=0)
-    x = x / np.where(length > 0, length, 1.0)
+    x = unit_columns(x)
     left = u - x @ np.linalg.lstsq(x, u, rcond=1e-10)[0]
     return np.split(left, np.cumsum([len(one) for one in now])[:-1])

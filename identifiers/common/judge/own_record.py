@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import orthonormal
 from harness.errors import HarnessError
 from harness.judgement import Feedback, moves
 from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.loops import ANSWERED, COLOURED, percent
 
-Readings = npt.NDArray[np.bool_]
-"""Of a record, (N, ny)."""
+Readings = npt.NDArray[np.bool_]  # Of a record, (N, ny).
 
 RIGHT = 0.1
 """Error over what the inputs do, up to which a model is right: a fit of 90 % (1 - NRMSE). The test is whether a free
@@ -24,14 +24,10 @@ however long and clean the record."""
 UNEXPLAINED = 0.7
 """What a free run leaves of an output over the output, from which on a model without an order says so: half of the
 variance is none of the inputs', and such a model takes load or drift for states."""
-WORTHLESS = 1.0
-"""The same of any model: beyond it the mean of the output foretells more."""
-PAST = 8
-"""Samples of its own past that foretell what is left, which may wander."""
-LAGS = 16
-"""Samples by which an input may reach an output in the test: twice as many."""
-EACH = 4
-"""Samples for each number of the test at least."""
+WORTHLESS = 1.0  # The same of any model: beyond it the mean of the output foretells more.
+PAST = 8  # Samples of its own past that foretell what is left, which may wander.
+LAGS = 16  # Samples by which an input may reach an output in the test: twice as many.
+EACH = 4  # Samples for each number of the test at least.
 RUN_AWAY = 1e6
 """Times the largest output that an error of a free run is at most: beyond, squares overflow, and nothing is told."""
 CHECKED, CHECKED_SLOWLY = 2_000, 500
@@ -155,9 +151,7 @@ def _answered(
         seen.append(_filtered(record.y[:, column, None], own)[where])
     x, e, y = (np.concatenate(part) for part in (regressors, wrong, seen))
     x, e, y = (part - part.mean(axis=0) for part in (x, e, y))
-    length = np.linalg.norm(x, axis=0)
-    base, values, _ = np.linalg.svd(x / np.where(length > 0, length, 1.0), full_matrices=False)
-    base = base[:, values > 1e-8 * max(float(values[0]), 1e-300)]
+    base = orthonormal(x, 1e-8)
     told, said = base.T @ e, base.T @ y
     power, answer, size = float(np.sum(e**2)), float(np.sum(told**2)), float(np.sum(said**2))
     free, count = base.shape[1], float(moves(e - base @ told)[0])

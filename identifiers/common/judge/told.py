@@ -30,8 +30,7 @@ ALONE, UNTOLD = 0.01, 0.97
 """Probability of what outputs before tell of an input, above which it is chance, and what the input's own past leaves
 of it, from which on it is white (0.98 of 1000 samples): a controller's command is neither, in any of 252 loops that are
 moved by a tenth of the input and more (benchmarks/feedback_judge.py, base 300000)."""
-CHECKED = 5_000
-"""Samples that are looked at."""
+CHECKED = 5_000  # Samples that are looked at.
 
 Fit = TypeVar("Fit", bound=Callable[..., Any])
 

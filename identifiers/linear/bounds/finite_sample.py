@@ -29,18 +29,12 @@ from identifiers.linear.bounds.responses import (
 from identifiers.linear.markov import sums_without
 from identifiers.linear.response_control import estimated_response
 
-_SHOWN = 12
-"""Coefficients that are listed."""
-_LAGS, _LONGEST = 10, 100
-"""Lags of the predictor where the fit tells none, and of a response at most."""
-_DIED = 0.01
-"""A response counts as died away where it stays below this share of its largest value."""
-_STATES = ("least-squares", "dmdc")
-"""Identifiers whose outputs are the states."""
-_DOUBT = 1e-3
-"""Probability of residuals so correlated in time, were they white, below which they count as coloured."""
-_WHITE = 0.2
-"""Correlation of inputs with their own past below which they count as white."""
+_SHOWN = 12  # Coefficients that are listed.
+_LAGS, _LONGEST = 10, 100  # Lags of the predictor where the fit tells none, and of a response at most.
+_DIED = 0.01  # A response counts as died away where it stays below this share of its largest value.
+_STATES = ("least-squares", "dmdc")  # Identifiers whose outputs are the states.
+_DOUBT = 1e-3  # Probability of residuals so correlated in time, were they white, below which they count as coloured.
+_WHITE = 0.2  # Correlation of inputs with their own past below which they count as white.
 
 
 @dataclass(frozen=True)

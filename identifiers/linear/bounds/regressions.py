@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.algebra import column_norms
 from harness.signals import FloatArray
 
-_FIRST = 0.1
-"""Share of the rows that come first: their Gram matrix is what the others are weighed against."""
-_BALL = 3.0 / 20.0
-"""Probability of the small ball of Gaussian states (Simchowitz et al. 2018, sec. 2.3)."""
-_BLOCKS = 200
-"""Lengths of blocks that are tried."""
+_FIRST = 0.1  # Share of the rows that come first: their Gram matrix is what the others are weighed against.
+_BALL = 3.0 / 20.0  # Probability of the small ball of Gaussian states (Simchowitz et al. 2018, sec. 2.3).
+_BLOCKS = 200  # Lengths of blocks that are tried.
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +70,8 @@ def ellipsoids(phi: FloatArray, y: FloatArray, confidence: float) -> Ellipsoids 
     few = max(int(_FIRST * rows), 2 * p)
     if rows - few <= 2 * p:
         return None
-    size = np.linalg.norm(phi, axis=0)
-    unit = phi / np.where(size > 0, size, 1.0)
+    size = column_norms(phi)
+    unit = phi / size
     before, after = unit[:few].T @ unit[:few], unit[few:].T @ unit[few:]
     if min(float(np.linalg.eigvalsh(part)[0]) for part in (before, after)) <= 1e-12:
         return None
@@ -84,9 +82,9 @@ def ellipsoids(phi: FloatArray, y: FloatArray, confidence: float) -> Ellipsoids 
     ratio = float(np.linalg.eigvals(inverse @ before).real.max())
     volume = float(np.linalg.slogdet(after + before)[1] - np.linalg.slogdet(before)[1])
     level = (1.0 + ratio) * (volume + 2.0 * np.log(outputs / (1.0 - confidence)))
-    each = np.sqrt(np.diag(inverse))[:, None] * np.sqrt(noise) / np.where(size > 0, size, 1.0)[:, None]
+    each = np.sqrt(np.diag(inverse))[:, None] * np.sqrt(noise) / size[:, None]
     own = float(t.ppf(0.5 + confidence / 2, free))
-    return Ellipsoids(theta / np.where(size > 0, size, 1.0)[:, None], np.sqrt(level) * each, own * each)
+    return Ellipsoids(theta / size[:, None], np.sqrt(level) * each, own * each)
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,9 @@ from harness.models.spread import Matrices, Spread, gains
 from harness.signals import FloatArray, Trajectory
 from identifiers.linear.markov import normal_equations, sums_without
 
-_FREQUENCIES = 64
-"""Points of the half circle on which gains are taken."""
+_FREQUENCIES = 64  # Points of the half circle on which gains are taken.
 _DRAWS = 1000
-_PIECES = 256
-"""Samples of a segment of a spectrum."""
+_PIECES = 256  # Samples of a segment of a spectrum.
 
 
 @dataclass(frozen=True, eq=False)

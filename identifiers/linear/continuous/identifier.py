@@ -13,11 +13,12 @@ from harness.frequency import FrequencyResponse
 from harness.judgement import feedback_of, refuse_undetermined
 from harness.models.determined import KEY, determined_bands
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import GROUPS, steps_without
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.common.scaling import Scaling, scaled
 from identifiers.linear.arx import Arx
 from identifiers.linear.continuous.model import TransferFunction, estimate_of_rows, sampled_model
@@ -26,15 +27,12 @@ from identifiers.linear.continuous.record_fit import RecordFit, Shown, fit_to_re
 from identifiers.linear.continuous.response_fit import ResponseFit, fit_response
 from identifiers.linear.polynomials.model import Part
 
-ORDERS = (1, 2, 3, 4, 5)
-"""Orders that are tried where none is given."""
-
-ENOUGH = 2
-"""Orders beyond the best one that are still tried on records, where each is a search of its own."""
+ORDERS = (1, 2, 3, 4, 5)  # Orders that are tried where none is given.
+ENOUGH = 2  # Orders beyond the best one that are still tried on records, where each is a search of its own.
 
 
 @dataclass(frozen=True)
-class ContinuousTransferFunction:
+class ContinuousTransferFunction(Excited):
     """Transfer functions in continuous time with dead times, from sampled records or from a frequency response.
 
     From records: the least output error, each output with a denominator of its own and the initial states free, exact
@@ -54,8 +52,6 @@ class ContinuousTransferFunction:
         What the inputs do between samples of records: stay, or go straight (a sensor read them).
     offset : bool
         Fit a constant level of each output too; of records.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`).
 
     Examples
     --------
@@ -75,18 +71,15 @@ class ContinuousTransferFunction:
     delay: float | None = None
     hold: Hold = "zoh"
     offset: bool = True
-    least_excitation: float = 2.0
 
     @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model between samples; ``notes["transfer_function"]`` holds that in continuous time."""
         what = "transfer-function"
         self._check(what, proper=True)
-        records, spec = usable(trajectories, samples=4 * (self.order or 1) + 8, what=what)
-        real_signals(spec, what)
+        records, spec = learnable(trajectories, samples=4 * (self.order or 1) + 8, what=what)
         if spec.nu == 0:
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use dmdc for free motion")
-        moving(records, what)
         refuse_undetermined(records, what, self.least_excitation)
         measured = records
         records, scaling = scaled(records)

@@ -23,8 +23,7 @@ from identifiers.linear.continuous.rational import Hold, Rational, sampled
 if TYPE_CHECKING:
     import control
 
-MANY = 1e6
-"""Degrees of freedom of a covariance that is known: Student's quantile is the normal one."""
+MANY = 1e6  # Degrees of freedom of a covariance that is known: Student's quantile is the normal one.
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import least_squares
 from harness.errors import FitError
 from harness.models.spread import gains, response_covariance
 from harness.signals import FloatArray
@@ -16,20 +17,13 @@ from identifiers.linear.continuous.rational import Hold, Rational, held
 from identifiers.linear.continuous.response_fit import fit_to_response
 from identifiers.linear.polynomials.model import Part
 
-POINTS = 60
-"""Frequencies of the discrete model's response that a start is fitted to."""
-LOW, HIGH = 0.5, 0.8
-"""They reach from half a period in the longest record to this share of the highest frequency."""
-FAINT = 1e-3
-"""No response counts for surer than this share of its size: the discrete model is not exact."""
-STEP = 1e-5
-"""Relative difference of parameters in gradients."""
-SLOWEST, FASTEST = 1e-4, 1e3
-"""Poles of a start relative to the middle of the frequencies."""
-GROWS = 1e9
-"""A model that grows by so much in a sample is none: the search is turned back."""
-EVALUATIONS = 30
-"""Of the search's gradients at most."""
+POINTS = 60  # Frequencies of the discrete model's response that a start is fitted to.
+LOW, HIGH = 0.5, 0.8  # They reach from half a period in the longest record to this share of the highest frequency.
+FAINT = 1e-3  # No response counts for surer than this share of its size: the discrete model is not exact.
+STEP = 1e-5  # Relative difference of parameters in gradients.
+SLOWEST, FASTEST = 1e-4, 1e3  # Poles of a start relative to the middle of the frequencies.
+GROWS = 1e9  # A model that grows by so much in a sample is none: the search is turned back.
+EVALUATIONS = 30  # Of the search's gradients at most.
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,9 +209,7 @@ def output_errors(
     regressors = np.hstack([*columns, np.ones((total, 1))]) if offset else np.hstack(columns)
     if not (np.isfinite(target).all() and np.isfinite(regressors).all()):
         return np.full(total, np.nan), 0.0
-    length = np.linalg.norm(regressors, axis=0)
-    length = np.where(length > 0, length, 1.0)
-    theta = np.linalg.lstsq(regressors / length, target, rcond=1e-10)[0] / length
+    theta = least_squares(regressors, target, 1e-10)
     return target - regressors @ theta, float(theta[-1]) if offset else 0.0
 
 

@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from harness.algebra import least_squares
 from harness.errors import FitError
 from harness.signals import FloatArray
 from identifiers.linear.continuous.rational import Rational
 
-ITERATIONS = 25
-"""Of Sanathanan and Koerner; it has settled long before, or swings."""
-DELAYS = 9
-"""Dead times from which the search begins, from none to that of the steepest phase."""
+ITERATIONS = 25  # Of Sanathanan and Koerner; it has settled long before, or swings.
+DELAYS = 9  # Dead times from which the search begins, from none to that of the steepest phase.
 FINE, ROUGH = (1e-12, 1000), (1e-5, 20)
 """Relative change of parameters, sum and gradient below which the search has arrived, and evaluations at most."""
-NEARLY = 1e-12
-"""Weights never below this share of the largest: a variance of nothing is not believed."""
+NEARLY = 1e-12  # Weights never below this share of the largest: a variance of nothing is not believed.
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,6 @@ def fit_to_response(
     zeros: int | None = None,
     delay: float | None = 0.0,
     rough: bool = False,
-    what: str = "transfer-function",
 ) -> ResponseFit:
     """Return the transfer function of an order that is most likely for a measured response.
 
@@ -78,7 +75,6 @@ def fit_to_response(
         [s], of all inputs; None estimates one for each input.
     rough : bool
         Where the answer is only where another search begins.
-    what : str
 
     Raises
     ------
@@ -99,7 +95,7 @@ def fit_to_response(
     free = order + nu * (degree + 1) + (nu if delay is None else 0)
     if order < 1 or not 0 <= degree <= order or 2 * frequency.size * nu <= free:
         raise FitError(
-            f"{what}: order",
+            "transfer-function: order",
             expected=f"1 or more, zeros from 0 to it, and more than {free / 2:g} frequencies",
             got=f"order={order}, zeros={degree}, {frequency.size} frequencies",
             remedy="lower the order, or measure at more frequencies",
@@ -200,9 +196,7 @@ def _sanathanan(
         left = (rows * weight[:, :, None]).reshape(-1, rows.shape[2])
         right = (target * weight).ravel()
         both, goal = np.vstack([left.real, left.imag]), np.concatenate([right.real, right.imag])
-        length = np.linalg.norm(both, axis=0)
-        length = np.where(length > 0, length, 1.0)
-        theta = np.linalg.lstsq(both / length, goal, rcond=1e-13)[0] / length
+        theta = least_squares(both, goal, 1e-13)
         model = Rational(theta[:order], theta[order:].reshape(nu, nb), delay, rate)
         bottom = np.asarray(np.polyval(np.concatenate([[1.0], model.a]), small), dtype=np.complex128)
         bottom = np.where(np.abs(bottom) > 0, bottom, 1e-12)

@@ -14,6 +14,7 @@ from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.signals import FloatArray, Trajectory
 from harness.units import quotient
+from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
@@ -33,28 +34,22 @@ from identifiers.linear.impulse.kernels import (
 )
 from identifiers.linear.markov import normal_equations
 
-_UNKNOWNS = 600
-"""Lags times inputs at most: each trial of a kernel's numbers factors a matrix of that size."""
-_CONSTANTS = 6
-"""Time constants that the search starts from, evenly in their logarithm."""
-_WEIGHTS = np.geomspace(1e-2, 1e6, 9)
-"""Variances of the first lag over that of the noise that the search starts from."""
-_SHORTEST = 0.3
-"""Least time constant [samples]: a kernel that falls to 4 % within a sample expects one lag."""
-_ROUNDS = 60
-"""Iterations of the search at most, for each number."""
+_UNKNOWNS = 600  # Lags times inputs at most: each trial of a kernel's numbers factors a matrix of that size.
+_CONSTANTS = 6  # Time constants that the search starts from, evenly in their logarithm.
+_WEIGHTS = np.geomspace(1e-2, 1e6, 9)  # Variances of the first lag over that of the noise that the search starts from.
+_SHORTEST = 0.3  # Least time constant [samples]: a kernel that falls to 4 % within a sample expects one lag.
+_ROUNDS = 60  # Iterations of the search at most, for each number.
 _LOOSER, _LONGER = 16.0, 2.4
 """Intervals are those of a prior of so many times the variance and so many times the time constants: with those that
 fit best, the response of a random system lies outside its band at half of all lags, as the prior is taken for known and
 smoother than the system. Chosen on 240 systems of benchmarks/kernel_responses.py with seeds that are not counted: with
 2.5 they hold 96.6 % of all lags under white inputs and 94.5 % under slow ones, with 2.2 95.6 % and 92.9 %."""
 _LEVEL = 0.95
-_DOUBT = 1e-3
-"""Probability of residuals so correlated in time, were they white, below which no interval is claimed."""
+_DOUBT = 1e-3  # Probability of residuals so correlated in time, were they white, below which no interval is claimed.
 
 
 @dataclass(frozen=True)
-class ImpulseResponse:
+class ImpulseResponse(Excited):
     """Impulse responses under a prior that they decay and are smooth, its numbers by marginal likelihood.
 
     Every output has its own noise, and every input of it its own size, time constant and, under DC, smoothness; all by
@@ -80,8 +75,6 @@ class ImpulseResponse:
         The input acts on the output of the same sample.
     offset : bool
         Fit a constant output too.
-    least_excitation : float
-        0 fits also what moves under a controller alone (:mod:`harness.judgement`).
 
     Examples
     --------
@@ -101,7 +94,6 @@ class ImpulseResponse:
     kernel: Kernel | Literal["auto"] = "auto"
     direct: bool = False
     offset: bool = True
-    least_excitation: float = 2.0
 
     @told
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:

@@ -130,12 +130,7 @@ def evidence(gram: FloatArray, right: FloatArray, square: float, rows: int, root
 
 
 def misfit(gram: FloatArray, right: FloatArray, square: float, rows: int, root: FloatArray) -> float:
-    """Return the ``value`` of :func:`evidence` alone, for searches.
-
-    Parameters
-    ----------
-    gram, right, square, rows, root
-        As of :func:`evidence`.
+    """Return the ``value`` of :func:`evidence` of the same arguments alone, for searches.
 
     Examples
     --------

@@ -11,12 +11,9 @@ from harness.models.spread import Matrices
 from harness.signals import FloatArray
 from identifiers.linear.length.quantities import Item
 
-_SAMPLES = 4000
-"""Samples of simulated noise from which its information is taken."""
-_LOST = 1e-9
-"""Relative eigenvalue of the scaled information below which a direction carries none."""
-_STEP = 1e-5
-"""Relative step of differences: the cube root of rounding."""
+_SAMPLES = 4000  # Samples of simulated noise from which its information is taken.
+_LOST = 1e-9  # Relative eigenvalue of the scaled information below which a direction carries none.
+_STEP = 1e-5  # Relative step of differences: the cube root of rounding.
 
 
 @dataclass(frozen=True, eq=False)

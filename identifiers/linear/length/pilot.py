@@ -21,8 +21,7 @@ from identifiers.linear.length.quantities import Asked, Item, items_of_estimate,
 _UNEVEN = 4.0
 """Information of the halves of a record that differs by more than this factor is no steady excitation; of a lightly
 damped plant under white inputs it differs by 2 in 500 samples by chance."""
-_ANALYTIC = 1e6
-"""Degrees of freedom of a covariance that no scatter was counted for."""
+_ANALYTIC = 1e6  # Degrees of freedom of a covariance that no scatter was counted for.
 
 
 @dataclass(frozen=True, eq=False)

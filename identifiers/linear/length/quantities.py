@@ -17,8 +17,7 @@ from harness.units import quotient
 
 Asked = Literal["gain", "pole", "response", "parameter"]
 
-_INTEGRATES = 1e-6
-"""Distance of a pole from 1 below which it is an integrator's, and a static gain has no value."""
+_INTEGRATES = 1e-6  # Distance of a pole from 1 below which it is an integrator's, and a static gain has no value.
 _DIED, _LONGEST = 1e-3, 400
 """A response is followed until it has fallen to this share of its largest value, and over so many samples at most."""
 _DRAWS, _DIRECTIONS = 4000, 20
@@ -122,7 +121,7 @@ def items_of_estimate(model: Any) -> list[tuple[Item, FloatArray]]:
     return found
 
 
-def quantile_of_norm(covariance: FloatArray, freedom: float, rng: np.random.Generator, level: float = 0.95) -> float:
+def quantile_of_norm(covariance: FloatArray, freedom: float, rng: np.random.Generator) -> float:
     """Return what the norm of an error stays below with a probability, for an error of a covariance (k, k).
 
     Parameters
@@ -132,7 +131,6 @@ def quantile_of_norm(covariance: FloatArray, freedom: float, rng: np.random.Gene
         Degrees of freedom of the covariance: the error is Student's t with these.
     rng : numpy.random.Generator
         For the draws of an error in more than one direction.
-    level : float
 
     Examples
     --------
@@ -145,13 +143,13 @@ def quantile_of_norm(covariance: FloatArray, freedom: float, rng: np.random.Gene
     from scipy.stats import norm, t
 
     if covariance.shape[0] == 1:
-        one = norm.ppf(0.5 + level / 2) if np.isinf(freedom) else t.ppf(0.5 + level / 2, freedom)
+        one = norm.ppf(0.975) if np.isinf(freedom) else t.ppf(0.975, freedom)
         return float(one) * float(np.sqrt(covariance[0, 0]))
     values = np.clip(np.linalg.eigvalsh(covariance)[::-1][:_DIRECTIONS], 0.0, None)
     squares = rng.standard_normal((_DRAWS, len(values))) ** 2 @ values
     if np.isfinite(freedom):
         squares = squares * freedom / rng.chisquare(freedom, _DRAWS)
-    return float(np.sqrt(np.quantile(squares, level)))
+    return float(np.sqrt(np.quantile(squares, 0.95)))
 
 
 def _poles(a: FloatArray, sample_time: float) -> tuple[list[Item], list[str]]:

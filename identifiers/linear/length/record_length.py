@@ -24,14 +24,10 @@ from identifiers.linear.length.pilot import (
 )
 from identifiers.linear.length.quantities import Asked, quantile_of_norm
 
-_DRAWS = 2000
-"""Draws of what the pilot may have been mistaken by."""
-_TOLD = 1.0
-"""Relative error, with 95 %, from which on a pilot does not tell a quantity from zero."""
-_SHORTER = 0.25
-"""Share of the pilot below which a length is no forecast."""
-_NOISE = 0.01
-"""Noise of a planned record of a mechanism where nothing says it, relative to each output."""
+_DRAWS = 2000  # Draws of what the pilot may have been mistaken by.
+_TOLD = 1.0  # Relative error, with 95 %, from which on a pilot does not tell a quantity from zero.
+_SHORTER = 0.25  # Share of the pilot below which a length is no forecast.
+_NOISE = 0.01  # Noise of a planned record of a mechanism where nothing says it, relative to each output.
 
 
 @dataclass(frozen=True)

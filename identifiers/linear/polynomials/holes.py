@@ -12,10 +12,8 @@ from identifiers.linear.polynomials.model import Part, Polynomials, errors_and_g
 
 MOST = 200
 """Missing readings of a piece: beyond so many a record is cut, for a system of equations of that size is solved."""
-LONG = 50
-"""Readings missing in a row that end a piece: what came before is forgotten, or as good as."""
-LOST = 1e-9
-"""What is left of a column beside missing readings, relative to its length, below which nothing is."""
+LONG = 50  # Readings missing in a row that end a piece: what came before is forgotten, or as good as.
+LOST = 1e-9  # What is left of a column beside missing readings, relative to its length, below which nothing is.
 
 Starts = Sequence[tuple[FloatArray, FloatArray]]
 

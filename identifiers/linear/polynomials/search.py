@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from harness.algebra import column_norms, divisor
 from harness.signals import FloatArray
 from identifiers.linear.polynomials.holes import Misses, misses_of
 from identifiers.linear.polynomials.model import Part, Polynomials
@@ -58,9 +59,9 @@ def settled_inside(coefficients: FloatArray, radius: float = 0.98) -> FloatArray
         return coefficients
     roots = np.roots(np.concatenate([[1.0], coefficients]))
     moduli = np.abs(roots)
-    roots = np.where(moduli > 1.0, roots / np.where(moduli > 0, moduli, 1.0) ** 2, roots)
+    roots = np.where(moduli > 1.0, roots / divisor(moduli) ** 2, roots)
     moduli = np.abs(roots)
-    roots = np.where(moduli > radius, roots / np.where(moduli > 0, moduli, 1.0) * radius, roots)
+    roots = np.where(moduli > radius, roots / divisor(moduli) * radius, roots)
     return np.pad(np.real(np.poly(roots))[1:], (0, coefficients.size - roots.size))
 
 
@@ -113,8 +114,7 @@ def search(
     damping, arrived = 1e-3, rounds == 0
     power = float(np.sum(np.concatenate([part.y for part in parts]) ** 2))
     for _ in range(rounds):
-        length = np.linalg.norm(now.gradients, axis=0)
-        length = np.where(length > 0, length, 1.0)
+        length = column_norms(now.gradients)
         slopes = now.gradients / length
         gram, right = slopes.T @ slopes, slopes.T @ now.errors
         gained = 0.0

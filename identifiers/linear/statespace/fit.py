@@ -22,18 +22,12 @@ from identifiers.linear.statespace.model import Piece, StateSpace
 from identifiers.linear.statespace.noise import MOST
 from identifiers.linear.statespace.search import Freedom, steps_of
 
-LONGEST = 8192
-"""Samples of a piece of a record, at most: transforms of that length stay in a processor's cache."""
-NUMBERS = 4_000_000
-"""Numbers of a piece's slopes, at most."""
-CHECKED, RECORDS = 5_000, 30
-"""Samples, and records, that all orders, dead times and noises are tried on, at most."""
-SHORT = 5
-"""Models that are judged again where there are more."""
-FINE = 1e-2
-"""Gain of the log-likelihood in a step that ends the search before that."""
-SPARE = 3
-"""Readings for each free number, at least."""
+LONGEST = 8192  # Samples of a piece of a record, at most: transforms of that length stay in a processor's cache.
+NUMBERS = 4_000_000  # Numbers of a piece's slopes, at most.
+CHECKED, RECORDS = 5_000, 30  # Samples, and records, that all orders, dead times and noises are tried on, at most.
+SHORT = 5  # Models that are judged again where there are more.
+FINE = 1e-2  # Gain of the log-likelihood in a step that ends the search before that.
+SPARE = 3  # Readings for each free number, at least.
 
 Delays = tuple[int, ...]
 

@@ -13,23 +13,17 @@ from identifiers.linear.statespace.noise import MOST, noise_of
 from identifiers.linear.statespace.search import End, Freedom, loss_of, search, settled_starts
 from identifiers.linear.statespace.starts import filtered_model, long_models, reduced
 
-ORDERS = 10
-"""Largest order that is tried."""
-ASKED = 6
-"""Orders that are tried in any case: a plant may need two states more before the next one helps."""
-BEYOND = 4
-"""Orders beyond the best that end the ladder."""
-STARTS = 2
-"""Starts of an order that are followed: those of the largest likelihood before any search."""
+ORDERS = 10  # Largest order that is tried.
+ASKED = 6  # Orders that are tried in any case: a plant may need two states more before the next one helps.
+BEYOND = 4  # Orders beyond the best that end the ladder.
+STARTS = 2  # Starts of an order that are followed: those of the largest likelihood before any search.
 ROUGH, FINE = 1e-2, 1e-3
 """Gain of the log-likelihood in a step that ends a search: before the colour of the noise is known, and after."""
-ROUNDS = 40
-"""Steps of a search of the ladder."""
+ROUNDS = 40  # Steps of a search of the ladder.
 SLACK = 10.0
 """Log-likelihood that an order may gain over the larger ones, which may have ended in lesser maxima: with none of it
 one of 40 data sets erred three times as much, with 5 none did."""
-ROUNDING = 1e-14
-"""Mean square of innovations, of outputs of size 1, below which no order is better than another."""
+ROUNDING = 1e-14  # Mean square of innovations, of outputs of size 1, below which no order is better than another.
 
 
 @dataclass(frozen=True, eq=False)

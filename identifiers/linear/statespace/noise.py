@@ -9,12 +9,9 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.linear.statespace.model import Errors, Piece
 
-MOST = 6
-"""Length of an autoregression, at most."""
-INSIDE = 0.97
-"""Largest modulus of a pole of the noise at the start of a search."""
-EXACT = 1e-24
-"""Mean square, of outputs of size 1, that counts as rounding."""
+MOST = 6  # Length of an autoregression, at most.
+INSIDE = 0.97  # Largest modulus of a pole of the noise at the start of a search.
+EXACT = 1e-24  # Mean square, of outputs of size 1, that counts as rounding.
 
 
 def noise_of(errors: Sequence[Errors], pieces: Sequence[Piece], most: int = MOST) -> FloatArray:

@@ -7,20 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.algebra import column_norms
 from harness.signals import FloatArray
 from identifiers.common.neighbours import steps_without
 from identifiers.linear.statespace.model import Errors, Piece, StateSpace, coordinates, errors_of, gradients_of
 
-EXACT = 1e-24
-"""Mean square of innovations, of outputs of size 1, that counts as rounding."""
+EXACT = 1e-24  # Mean square of innovations, of outputs of size 1, that counts as rounding.
 MEMORIES = 5.0
 """Time constants of the noise that a piece holds at least: a slower one would follow the record's chances."""
-DAMPING = (1e-13, 1e-4, 1e8)
-"""Least, first and largest damping, of columns of length 1."""
-HOPE, BEGUN = 4.0, 3
-"""Times what a step foretells that a search may still gain, and steps before that is believed."""
-LOST = 1e-9
-"""Responses to the start that depend on others up to this share are none of their own."""
+DAMPING = (1e-13, 1e-4, 1e8)  # Least, first and largest damping, of columns of length 1.
+HOPE, BEGUN = 4.0, 3  # Times what a step foretells that a search may still gain, and steps before that is believed.
+LOST = 1e-9  # Responses to the start that depend on others up to this share are none of their own.
 
 
 @dataclass(frozen=True)
@@ -187,8 +184,7 @@ class _System:
             parts.append(np.linalg.qr(rows, mode="r"))
             back.append(answer)
         triangle = np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"), dtype=np.float64)
-        length = np.linalg.norm(triangle[:, :-1], axis=0)
-        length = np.where(length > 0, length, 1.0)
+        length = column_norms(triangle[:, :-1])
         return cls(np.column_stack([triangle[:, :-1] / length, triangle[:, -1]]), length, back, directions)
 
     @property
@@ -218,8 +214,7 @@ def _eliminated(
     slopes, starts = gradients_of(model, errors, piece, directions, direct=free.direct, offset=free.offset)
     rows = np.concatenate([slopes, errors.innovations[:, :, None]], axis=2) * weight[:, None]
     rows, own = rows.reshape(-1, rows.shape[2]), (starts * weight[:, None]).reshape(-1, model.order)
-    length = np.linalg.norm(own, axis=0)
-    length = np.where(length > 0, length, 1.0)
+    length = column_norms(own)
     left, values, right = np.linalg.svd(own / length, full_matrices=False)
     kept = values > LOST * values.max(initial=0.0)
     inner = left[:, kept].T @ rows

@@ -8,20 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from harness.algebra import divisor, least_squares
 from harness.signals import FloatArray
 from identifiers.linear.statespace.model import Piece, StateSpace
 
-LAGS = (4, 6, 9, 13, 20, 30, 50)
-"""Lengths of the regressions that are tried."""
-EQUATIONS = 6
-"""Equations for each regressor, at least."""
-FURTHEST = 0.9995
-"""Largest modulus of a pole of a model that is reduced: those beyond are moved inside, all together."""
-NOTHING = 1e-9
-"""Hankel singular values below this share of the largest: directions that are not reached, or not seen."""
-
-INSIDE = 0.98
-"""Largest modulus of the poles that signals are filtered with."""
+LAGS = (4, 6, 9, 13, 20, 30, 50)  # Lengths of the regressions that are tried.
+EQUATIONS = 6  # Equations for each regressor, at least.
+FURTHEST = 0.9995  # Largest modulus of a pole of a model that is reduced: those beyond are moved inside, all together.
+NOTHING = 1e-9  # Hankel singular values below this share of the largest: directions that are not reached, or not seen.
+INSIDE = 0.98  # Largest modulus of the poles that signals are filtered with.
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +32,8 @@ class _Rows:
     def fitted(self, lags: int) -> tuple[FloatArray, FloatArray]:
         """Return coefficients (1 + lags (ny + nu), ny) and mean squares (ny,) of a regression on so many lags."""
         count = 1 + self.nu * self.direct + lags * (self.ny + self.nu)
-        length = np.linalg.norm(self.triangle[:, :count], axis=0)
-        length = np.where(length > 0, length, 1.0)
         target = self.triangle[:, -self.ny :]
-        theta = np.linalg.lstsq(self.triangle[:, :count] / length, target, rcond=1e-10)[0] / length[:, None]
+        theta = least_squares(self.triangle[:, :count], target, 1e-10)
         return theta, np.sum((target - self.triangle[:, :count] @ theta) ** 2, axis=0) / max(self.rows, 1)
 
 
@@ -93,7 +86,7 @@ def filtered_model(model: StateSpace, pieces: Sequence[Piece], direct: bool) -> 
 
     poles: Any = np.linalg.eigvals(model.a)
     moduli = np.abs(poles)
-    poles = np.where(moduli > INSIDE, poles * INSIDE / np.where(moduli > 0, moduli, 1.0), poles)
+    poles = np.where(moduli > INSIDE, poles * INSIDE / divisor(moduli), poles)
     both = sum(one.shape[1] for one in (pieces[0].u, pieces[0].y))
     enough = sum(max(len(piece.u) - model.order, 0) for piece in pieces) > EQUATIONS * model.order * both
     if not enough or any(piece.read is not None for piece in pieces):

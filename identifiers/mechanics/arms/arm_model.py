@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from harness.algebra import runge_kutta
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.described import Described
@@ -16,10 +17,8 @@ if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
     from harness.scoring import TorqueError
 
-STEPS = 2
-"""Runge-Kutta steps in a sample."""
-START = 12
-"""Samples at the start of a record whose cubic gives the rates there, where none are measured."""
+STEPS = 2  # Runge-Kutta steps in a sample.
+START = 12  # Samples at the start of a record whose cubic gives the rates there, where none are measured.
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +178,5 @@ class ArmDynamics(Described):
         x, held, h = ca.MX.sym("x", 2 * n), ca.MX.sym("u", n), dt / STEPS
         now = x
         for _ in range(STEPS):
-            k1 = derivative(now, held)
-            k2 = derivative(now + h / 2 * k1, held)
-            k3 = derivative(now + h / 2 * k2, held)
-            k4 = derivative(now + h * k3, held)
-            now = now + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            now = runge_kutta(lambda state: derivative(state, held), now, h)
         return ca.Function("step", [x, held], [now])

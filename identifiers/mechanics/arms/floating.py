@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.algebra import unit_columns
 from harness.errors import FitError, InputError
 from harness.models.analysis import Findings, Takes
 from harness.physics.arms.contact import friction_cone, restitution
@@ -23,14 +24,10 @@ from identifiers.mechanics.motion import Smoothing
 if TYPE_CHECKING:
     from harness.physics.lumps.identifiability import Identifiability
 
-BLOCKS = 20
-"""Stretches of the record, by which the spread of a parameter is told whatever the colour of its errors."""
-SEEN = 1e-5
-"""What is new in a column, relative to it, below which the record does not tell it from the others."""
-ROUNDS, FAR = 5, 2.0
-"""Rounds of the weights, and standard deviations from which on an equation counts less."""
-WIDE = 2.093
-"""Student's t for 95 % and 19 degrees of freedom."""
+BLOCKS = 20  # Stretches of the record, by which the spread of a parameter is told whatever the colour of its errors.
+SEEN = 1e-5  # What is new in a column, relative to it, below which the record does not tell it from the others.
+ROUNDS, FAR = 5, 2.0  # Rounds of the weights, and standard deviations from which on an equation counts less.
+WIDE = 2.093  # Student's t for 95 % and 19 degrees of freedom.
 
 
 @dataclass(frozen=True)
@@ -298,8 +295,7 @@ def _weights(matrix: FloatArray, target: FloatArray, kind: NDArray[np.intp]) -> 
     Of an impact a record holds neither the force nor the acceleration between two samples (Huber 1964, *Ann. Math.
     Stat.* 35:73; the errors' size by their median).
     """
-    lengths = np.linalg.norm(matrix, axis=0)
-    scaled = matrix / np.where(lengths > 0, lengths, 1.0)
+    scaled = unit_columns(matrix)
     floor = 1e-6 * float(np.std(target))
     size, own = np.zeros(len(target)), np.full(len(target), 1.0)
     for _ in range(ROUNDS):

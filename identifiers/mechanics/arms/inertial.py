@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from harness.algebra import column_norms
 from harness.errors import FitError, InputError
 from harness.models.estimate import Estimate, RankDecision
 from harness.options import check_options
 from harness.physics.arms.inertia import TEN, UNITS
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.records import learnable
 from identifiers.common.row_solvers import whitening
 from identifiers.mechanics.arms.arm_model import ArmDynamics
 from identifiers.mechanics.arms.torque_errors import low_pass
@@ -27,14 +28,10 @@ if TYPE_CHECKING:
 Method = Literal["sdp", "log-cholesky", "least-squares"]
 SLOW = 0.01
 """Speed [rad/s] and acceleration [rad/s^2] at which friction of the size of the torques seen is held possible."""
-ENOUGH = 3000
-"""Samples on which the rank is decided: the share of noise in a direction needs no more."""
-BLOCK = 2000
-"""Rows that are held in memory at a time."""
-BAND = 0.95
-"""Share of the power of a rate that its band holds: what is above is harmonics of its turns and noise."""
-MOVES = 0.05
-"""Rms rate, over that of the fastest joint, from which a joint has a band: noise alone would have all."""
+ENOUGH = 3000  # Samples on which the rank is decided: the share of noise in a direction needs no more.
+BLOCK = 2000  # Rows that are held in memory at a time.
+BAND = 0.95  # Share of the power of a rate that its band holds: what is above is harmonics of its turns and noise.
+MOVES = 0.05  # Rms rate, over that of the fastest joint, from which a joint has a band: noise alone would have all.
 CORNERS = 10.0
 """Corner of the filter over the band of the rates: the motion's squares reach twice as far, what dry friction does at a
 turn is seen to its ninth harmonic, and above there is noise. On public logs of two arms (bands 0.4 and 0.5 Hz) any
@@ -111,9 +108,7 @@ class Inertial:
         from harness.physics.arms.arm import load_arm
 
         what = "inertial"
-        records, spec = usable(trajectories, samples=12, what=what)
-        real_signals(spec, what)
-        moving(records, what)
+        records, spec = learnable(trajectories, samples=12, what=what)
         arm = load_arm(self.model)
         speaks(arm, spec, what)
         names = SimpleNamespace(coordinates=arm.positions)
@@ -243,8 +238,7 @@ class Inertial:
             noise += [some(other) - part for other in (again, bent)]
         phi = np.concatenate(rows)
         decision, kept, condition = determined(phi, equations.names, np.concatenate(noise))
-        lengths = np.linalg.norm(phi, axis=0)
-        return decision, condition, kept / np.where(lengths > 0, lengths, 1.0)[:, None]
+        return decision, condition, kept / column_norms(phi)[:, None]
 
 
 @dataclass(frozen=True, eq=False)

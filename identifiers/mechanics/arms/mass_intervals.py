@@ -19,16 +19,11 @@ if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
     from harness.physics.arms.inertial_fit import Problem
 
-QUANTILE = 1.96
-"""Of the normal distribution, for 95 %."""
-BLOCKS = 40
-"""Stretches of the records by which the colour of the errors is told."""
-VAST = 1e3
-"""Masses beyond so many times the file's count as without bound."""
-NONE = 1e-5
-"""Masses below this part of the file's count as nothing: ten times what the solver keeps of a body."""
-UNTOLD = 1e-10
-"""Share of a direction's information, of the largest one's, below which the data do not tell it."""
+QUANTILE = 1.96  # Of the normal distribution, for 95 %.
+BLOCKS = 40  # Stretches of the records by which the colour of the errors is told.
+VAST = 1e3  # Masses beyond so many times the file's count as without bound.
+NONE = 1e-5  # Masses below this part of the file's count as nothing: ten times what the solver keeps of a body.
+UNTOLD = 1e-10  # Share of a direction's information, of the largest one's, below which the data do not tell it.
 KINDS = ("data alone", "and bodies that mass can make", "and within their shapes", "and the file, trusted")
 """What is known beside the data, more and more of it."""
 Interval = tuple[float, float]

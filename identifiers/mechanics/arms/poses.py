@@ -19,10 +19,8 @@ if TYPE_CHECKING:
 
 TOLD = 1e-6
 """Singular value, of the largest one, below which no posture of the arm tells a direction of the parameters."""
-PASSES = 20
-"""Times that every posture is offered for exchange, at most: three to six are enough."""
-CHANCE = 20
-"""Random designs that the chosen one is compared with."""
+PASSES = 20  # Times that every posture is offered for exchange, at most: three to six are enough.
+CHANCE = 20  # Random designs that the chosen one is compared with.
 
 Criterion = Literal["D", "A", "E"]
 

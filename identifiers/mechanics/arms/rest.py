@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from harness.algebra import column_norms
 from harness.errors import FitError
 from harness.models.analysis import Findings, Takes
 from harness.options import check_options
@@ -17,12 +18,10 @@ from identifiers.mechanics.arms.inertial import speaks
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
 
-TOLD = 1e-8
-"""Information of a direction, of the largest one's, below which no posture of the records tells it."""
+TOLD = 1e-8  # Information of a direction, of the largest one's, below which no posture of the records tells it.
 MOVED = 5.0
 """Standard deviations of a reading at rest by which a joint must have come from elsewhere: less is its noise."""
-FEWEST = 5
-"""Samples of a rest at least: a slope of fewer is noise."""
+FEWEST = 5  # Samples of a rest at least: a slope of fewer is noise.
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +96,8 @@ class GravityAtRest:
         columns = [bodies, *([came[:, :, None] * np.eye(arm.n)] if self.friction else [])]
         rows = np.concatenate(columns, axis=2)
         target = torque - stated
-        size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)
-        rows = rows / np.where(size > 0, size, 1.0)
+        size = column_norms(rows.reshape(-1, rows.shape[2]))
+        rows = rows / size
         weights = 1.0 / np.maximum(np.std(target, axis=0), 1e-12)
         for _ in range(2):  # the second time joints weigh by what the first left
             found, basis, left, apart = _fitted(rows, target, weights)
@@ -110,8 +109,8 @@ class GravityAtRest:
                 got=f"{len(rests)} postures of {arm.n} joints",
                 remedy="hold the arm in more postures" + (", or leave friction out" if self.friction else ""),
             )
-        values = found / np.where(size > 0, size, 1.0)
-        spread = np.sqrt(np.sum(basis**2, axis=1)) / np.where(size > 0, size, 1.0)
+        values = found / size
+        spread = np.sqrt(np.sum(basis**2, axis=1)) / size
         count = bodies.shape[2]
         holds = stated + bodies @ values[:count]
         sides = [bool((came[:, k] > 0).any() and (came[:, k] < 0).any()) for k in range(arm.n)]

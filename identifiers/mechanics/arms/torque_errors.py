@@ -13,8 +13,7 @@ from harness.scoring import TorqueError
 from harness.signals import FloatArray, Trajectory
 from identifiers.mechanics.motion import motion
 
-THINNED = 2.5
-"""Rows that are kept in a period of the corner: two tell what is below it, the filter is not steep."""
+THINNED = 2.5  # Rows that are kept in a period of the corner: two tell what is below it, the filter is not steep.
 
 
 def torque_errors(

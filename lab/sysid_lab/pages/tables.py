@@ -37,8 +37,7 @@ drift along a record, a drive whose gain falls with its command or ripples, a cy
 sensor), and an answer that names it beside what is hidden is right; a heavy rod and a drive that tires at speed have
 none. Both models have viscous friction: it is not hidden."""
 PART = " (the order is balanced within every part, so what is done is a fair sample)"
-NAMED = ("payload_step", "backlash", "sensor_offset", "end_stop")
-"""Effects that the headline shows one by one."""
+NAMED = ("payload_step", "backlash", "sensor_offset", "end_stop")  # Effects that the headline shows one by one.
 
 
 def summary(rows: Iterable[Row], *, seeds: str, planned: int, keys: Collection[str]) -> str:

@@ -14,10 +14,8 @@ import numpy as np
 from harness.signals import FloatArray
 from sysid_lab.truths.simulation import DT, SUBSTEPS
 
-STEP = DT / SUBSTEPS
-"""Of a fine step [s]."""
-Law = Callable[[float, float, float, float], float]
-"""Force from position, rate, time and command."""
+STEP = DT / SUBSTEPS  # Of a fine step [s].
+Law = Callable[[float, float, float, float], float]  # Force from position, rate, time and command.
 ACTUATOR = (
     "input_delay",
     "actuator_lag",

@@ -11,8 +11,7 @@ import numpy as np
 from harness.signals import FloatArray
 from sysid_lab.truths.simulation import GRAVITY, Motion
 
-PRE = 125
-"""Samples before the record: it begins in motion, with an input history that nobody recorded."""
+PRE = 125  # Samples before the record: it begins in motion, with an input history that nobody recorded.
 Sensor = Callable[[FloatArray], FloatArray]
 
 

@@ -28,10 +28,8 @@ STRUCTURES = {
     "rippling-drive": "the drive's gain ripples with the position, by 1 % of the rms torque",
 }
 """How the nominal structure is a little wrong: what is in every such truth and in no model."""
-TRUTH_ONLY = ("heavy-rod",)
-"""Structures that only our own truth can have."""
-UNNAMED = ("tiring-drive",)
-"""Structures that no model holds and the dictionary has no name for."""
+TRUTH_ONLY = ("heavy-rod",)  # Structures that only our own truth can have.
+UNNAMED = ("tiring-drive",)  # Structures that no model holds and the dictionary has no name for.
 _NAMED = {
     "eccentric-encoder": "sensor_cyclic_error@theta",
     "bent-scale": "sensor_nonlinearity@theta",

@@ -44,8 +44,7 @@ LAWS = (
     "input_delay",
     "payload_step",
 )
-_PRESLIDING = 0.003
-"""Length at which bristles slip, over the rms of the motion."""
+_PRESLIDING = 0.003  # Length at which bristles slip, over the rms of the motion.
 _NEVER_EXACT = ("hysteresis", "sublinear_friction", "backlash", "end_stop", "actuator_lag", "input_delay")
 """No parameter of the dictionary's law is exactly one of these: the values only start the oracle's refit."""
 

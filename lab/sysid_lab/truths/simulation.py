@@ -17,8 +17,7 @@ import numpy as np
 from harness.errors import InputError, PlantError, refuse_unknown
 from harness.signals import FloatArray
 
-DT = 0.004
-"""Sample time of all records [s]."""
+DT = 0.004  # Sample time of all records [s].
 SUBSTEPS = 20
 GRAVITY = 9.81
 _LARGE = 1e30

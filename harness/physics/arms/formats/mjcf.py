@@ -21,8 +21,7 @@ from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
 EARTH = 9.81
-SAME_GRAVITY = 1e-3
-"""Relative difference of the gravity that is no other planet: 9.80665 is 3e-4 from 9.81."""
+SAME_GRAVITY = 1e-3  # Relative difference of the gravity that is no other planet: 9.80665 is 3e-4 from 9.81.
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ from harness.physics.arms.joints import MOVING, Joint
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
-WORLD = "world"
-"""The link that needs no declaration: what a robot is fastened to, as Drake and ROS read it."""
+WORLD = "world"  # The link that needs no declaration: what a robot is fastened to, as Drake and ROS read it.
 
 
 def load_urdf(path: str | Path) -> Arm:
