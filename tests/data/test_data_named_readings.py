@@ -136,6 +136,20 @@ HEADS = {
     + "".join(f"2024-11-29,10:00:0{k // 50},{k % 50 * DT:.2f},{U[k]},{Y[k]}\n" for k in K),
     "HOBO": '"Plot Title: 7"\n"#","Date Time, GMT+01:00","u, V (LGR S/N: 7, SEN S/N: 8, LBL: in)","y, V (LGR S/N: 7)"\n'
     + joined(range(1, N + 1), clock(DT, "11/29/24 10:{:02d}:{:06.3f}"), U, Y),
+    "Gamry": "EXPLAIN\nTAG\tCHRONOA\nCURVE\tTABLE\t60\n\tPt\tT\tu\ty\n\t#\ts\tV vs. Ref.\tV\n"
+    + joined([""] * N, K, SECONDS, U, Y, sign="\t"),
+    "a battery's cycler": "Data_Point,Test_Time(s),Step_Time(s),u,y\n" + joined(K, SECONDS, SECONDS[:30] * 2, U, Y),
+    "PASCO, units before the run": "Time (s) Run #1,u (V) Run #1,y (V) Run #1\n" + joined(SECONDS, U, Y),
+    "units behind their word": "time,u,y\nUnit: s,Unit: V,Unit: V\n" + joined(SECONDS, U, Y),
+    "dates of Java and of a trend": "GPS Time,u,y\n"
+    + joined(clock(DT, "Tue Feb 11 10:{:02d}:{:06.3f} GMT+01:00 2025"), U, Y),
+    "a date apart by a semicolon": "Time,u,y\n" + joined(clock(DT, "02/11/2025;10:{:02d}:{:06.3f}"), U, Y),
+    "Home Assistant": "entity_id,state,last_changed\n"
+    + "".join(
+        f"{name},{value},2025-02-11T{t}Z\n"
+        for k, t in enumerate(clock(DT))
+        for name, value in (("u", U[k]), ("y", Y[k]))
+    ),
     "a flight time": "OSD.flyTime,OSD.flyTime [s],u,y\n" + joined(["0m"] * N, SECONDS, U, Y),
     "dates under another title": "Datum,u,y\n" + joined(clock(DT, "2024-11-29 10:{:02d}:{:06.3f}"), U, Y),
     "WinCC's two clocks": "VarName;TimeString;VarValue;Time_ms\n"
@@ -149,7 +163,8 @@ HEADS = {
 
 @pytest.mark.parametrize("kind", HEADS)
 def test_heads_of_loggers(kind: str, tmp_path: Path) -> None:
-    read(tmp_path / ("a.lvm" if "LabVIEW" in kind else "a.csv"), HEADS[kind])
+    run = {one: f"{one} Run #1" for one in ("u", "y")} if "PASCO" in kind else {}
+    read(tmp_path / ("a.lvm" if "LabVIEW" in kind else "a.csv"), HEADS[kind], column=run)
     assert contents_of(next(tmp_path.iterdir())).sample_time == pytest.approx(DT)
 
 
@@ -157,6 +172,8 @@ UNTITLED = {
     "ROS": joined([1732874400 + k // 50 for k in K], [k % 50 * 20000000 for k in K], ["base"] * N, U, Y),
     "dates": joined(clock(DT, "2024-11-29 10:{:02d}:{:06.3f}"), U, Y),
     "dates, decimal commas": joined(clock(DT, "2024-11-29 10:{:02d}:{:06.3f}"), U, Y, sign=";").replace(".", ","),
+    "a word behind the stamp": joined(clock(DT, "2024-11-29T10:{:02d}:{:06.3f}"), ["base"] * N, U, Y, sign=" "),
+    "Tera Term": "".join(f"[2025-02-11 {t}] {u},{y}\n" for t, u, y in zip(clock(DT), U, Y, strict=True)),
     "ESP-IDF": "".join(f"I ({t}) adc: {u}, {y}\n" for t, u, y in zip(MS, U, Y, strict=True)),
     "arrow": "".join(f"{t} -> {u}\t{y}\n" for t, u, y in zip(clock(DT), U, Y, strict=True)),
 }
@@ -164,7 +181,7 @@ UNTITLED = {
 
 @pytest.mark.parametrize("kind", UNTITLED)
 def test_a_first_row_of_readings_is_no_title(kind: str, tmp_path: Path) -> None:
-    at = 3 if kind == "ROS" else 1
+    at = {"ROS": 3, "a word behind the stamp": 2}.get(kind, 1)
     read(tmp_path / "a.csv", UNTITLED[kind], input=str(at), output=str(at + 1))
 
 
@@ -215,7 +232,7 @@ def test_statistics_and_a_count_of_its_own_are_no_parts(tmp_path: Path) -> None:
 def test_a_node_of_spice_is_no_unit_and_slashes_are(tmp_path: Path) -> None:
     assert [split_header(one)[1] for one in ("V(in)", "V(s)", "I(L)", "y / u")] == [None] * 4
     assert [split_header(one)[1] for one in ("V(m/s)", "I(mA)", "u / V", "CH1 in mV")] == ["m/s", "mA", "V", "mV"]
-    assert [split_header(one)[1] for one in ("Phase, A", "Speed, min", "Torque, Nm")] == [None, None, "Nm"]
+    assert [split_header(one)[1] for one in ("Phase, A", "Leg, fl", "Temp, in")] == [None, None, None]
 
 
 def test_a_row_that_holds_a_number_below_units_is_no_comment(tmp_path: Path) -> None:

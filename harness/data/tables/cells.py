@@ -52,15 +52,24 @@ def is_number(text: str) -> bool:
     return not text.strip().lower().lstrip("+-").startswith(("nan", "inf"))
 
 
+_SAID = re.compile(r"^units?\s*[:=]\s*|\s+vs\.?\s.+$", re.IGNORECASE)
+"""What stands beside a unit: ``Unit: N``, and the reference of a potential, ``V vs. Ref.``."""
+
+
+def _bare(cell: str) -> str:
+    """Return the unit in a cell."""
+    return _SAID.sub("", cell.strip().strip("[](){}<>").strip())
+
+
 def is_unit_cell(cell: str) -> bool:
     """Return True if a cell is a unit, in brackets or not; of time in any language that titles may have.
 
     Examples
     --------
-    >>> is_unit_cell("[Nm]"), is_unit_cell("Sekunden"), is_unit_cell("sek."), is_unit_cell("theta")
+    >>> is_unit_cell("[Nm]"), is_unit_cell("sek."), is_unit_cell("V vs. Ref."), is_unit_cell("theta")
     (True, True, True, False)
     """
-    text = cell.strip().strip("[](){}<>").strip()
+    text = _bare(cell)
     return is_unit(text) or text.rstrip(".").lower() in TIME_UNITS
 
 
@@ -77,7 +86,7 @@ def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None
     >>> units_below(["t", "u", "theta"], ["s", "[Nm]", "°"]), units_below(["t", "u"], ["0.0", "1.0"])
     (['t [s]', 'u [Nm]', 'theta [°]'], None)
     """
-    bare = [cell.strip().strip("[](){}<>").strip() for cell in cells]
+    bare = list(map(_bare, cells))
     if len(bare) == len(titles):  # NO. below Number, time below Date&Time say nothing
         words = " ".join(titles).lower().replace("&", " ").split()
         idle = {"no", "no.", "nr", "nr.", "#", *words}

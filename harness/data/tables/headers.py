@@ -26,6 +26,10 @@ _OF_NODE = {"V": ("V", "m^3", "m/s"), "I": ("A", "kg m^2", "m^4", "W/m^2", "cd",
 """What V and I stand for: in brackets behind them no other unit stands, but a node or a part (SPICE's ``V(in)``)."""
 _ALONE = frozenset("smgVAWNJKCFHTh%°")
 """Units of one sign that may stand behind ``in`` or a slash: ``y / u`` is a ratio, and no atomic mass."""
+_INNER = re.compile(
+    r"(?P<name>.*[^\s(\[])\s*(?P<unit>\([^()]+\)|\[[^\[\]]+\])(?P<rest>\s*\((?P<kind>[^()]*)\)|\s+[^\W\d]+ #?\d+)$"
+)
+"""A unit before a further bracket, or the number of a run."""
 _GROUP = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
 _WIDE = str.maketrans("（）［］｛｝【】〔〕〈〉《》＜＞／：，、；．＿－　＊･・｡˚∘", "()[]{}[][]<><><>/:,,;._- *··.°°")
 _BREAK = re.compile(r"[\s_,;:/.|=\-]+(?:in[\s_]+)?|(?<=[a-z])(?=[A-Z])")
@@ -112,9 +116,9 @@ COUNTS = frozenset("tick ticks count counts cycle cycles sample samples frame fr
 def split_header(header: str) -> tuple[str, str | None]:
     """Return name and unit of a column title that has the unit in brackets; in round ones only where it is a unit.
 
-    So it is behind ``in`` or a slash between blanks (ISO 80000-1), or behind a comma, where one letter may be a part's
-    name unless a logger's remarks follow. A number in brackets is the index of an element, but for 1, which is the unit
-    of plain numbers.
+    So it is behind ``in`` or a slash between blanks (ISO 80000-1), and behind a comma where a logger's remarks follow:
+    else ``Leg, fl`` is a part. A number in brackets is the index of an element, but for 1, which is the unit of plain
+    numbers.
 
     Examples
     --------
@@ -124,11 +128,12 @@ def split_header(header: str) -> tuple[str, str | None]:
     (('u', 'N m'), ('theta', None), ('theta', 'deg'), ('theta (raw)', None))
     >>> split_header("u / V"), split_header("CH1 in mV"), split_header("V(in)")
     (('u', 'V'), ('CH1', 'mV'), ('V(in)', None))
-    >>> split_header("Torque, Nm"), split_header("Motor, A"), split_header("Volt, V (LGR S/N: 1023, SEN S/N: 7)")
-    (('Torque', 'Nm'), ('Motor, A', None), ('Volt', 'V'))
+    >>> split_header("Leg, fl"), split_header("Volt, V (LGR S/N: 1023, SEN S/N: 7)")
+    (('Leg, fl', None), ('Volt', 'V'))
+    >>> split_header("Force (N) Run #1"), split_header("theta [deg] (raw)"), split_header("Throttle (Manifold)(%)")
+    (('Force Run #1', 'N'), ('theta (raw)', 'deg'), ('Throttle (Manifold)', '%'))
     """
-    header = header.translate(_WIDE) if not header.isascii() else header
-    header, remarks = _ABOUT.subn("", header.strip()) if header.endswith(")") and ":" in header else (header, 0)
+    header, remarks = _with_unit_last(header)
     found = _HEADER.match(header)
     if found is not None and found["name"] and _INDEX.fullmatch(found["unit"]):
         return header.strip(), None
@@ -138,11 +143,20 @@ def split_header(header: str) -> tuple[str, str | None]:
     if found is not None and found["name"] and _says_unit(found["unit"]) and not _is_of_node(**found.groupdict()):
         return _bare(found["name"]), found["unit"].strip()
     found = _BEHIND.match(header.strip())
-    if found is not None and _says_unit(found["unit"]):
-        unit, comma = found["unit"].strip(), found["sign"] == "," and not remarks
-        if unit.lower() not in _OTHERWISE if len(unit) > 1 else unit in ("°%" if comma else _ALONE):
-            return _bare(found["name"]), unit
+    if found is not None and _says_unit(found["unit"]) and (remarks or found["sign"] != ","):
+        if len(found["unit"]) > 1 or found["unit"] in _ALONE:
+            return _bare(found["name"]), found["unit"].strip()
     return header.strip(), None
+
+
+def _with_unit_last(header: str) -> tuple[str, int]:
+    """Return a title with its unit at the end, and how many remarks of a logger stood there."""
+    header = header.translate(_WIDE) if not header.isascii() else header
+    header, remarks = _ABOUT.subn("", header.strip()) if header.endswith(")") and ":" in header else (header, 0)
+    found = _INNER.match(header)
+    if found is not None and _says_unit(found["unit"][1:-1]) and not _says_unit(found["kind"] or ""):
+        header = f"{found['name']}{found['rest']} {found['unit']}"
+    return header, remarks
 
 
 def _is_of_node(name: str, unit: str) -> bool:
@@ -365,8 +379,8 @@ def clock_of(titles: Sequence[str], taken: Collection[str | int] = ()) -> str | 
         found = exact or [title for title in free if names[title].lower() == wanted]
         if found:
             return _only(found)
-    for compounds in (False, True):
-        spoken = [title for title in free if _is_clock(title, compounds=compounds)]
+    for beside in ((), _BESIDE, (*_BESIDE, *COUNTS)):  # a time of a step or sample is a clock where no other is
+        spoken = [title for title in free if _is_clock(title, beside)]
         if spoken:
             return _only(spoken)
     if parts := parts_of(free):
@@ -463,16 +477,17 @@ def unlike_remark(title: str, unit: str, remark: str) -> InputError:
     )
 
 
-def _is_clock(title: str, *, compounds: bool = False) -> bool:
-    """Return True if a title holds a word for time, and beside it only such words, units of time and idle words."""
+def _is_clock(title: str, beside: Collection[str]) -> bool:
+    """Return True if a title holds a word for time, and beside it only such words, units of time and the given ones.
+
+    Where such are given, compounds (Messzeit) count, and so does the number of a run.
+    """
     words = words_of(_GROUP.sub(" ", _plain(title)))
-    spoken = [word for word in words if (_spoken(word) if compounds else word in TIME_WORDS or _fused(word))]
-    beside = _BESIDE if compounds else ()
-    if compounds and any(word in _DATES for word in words):  # Fecha/Hora
+    spoken = [word for word in words if (_spoken(word) if beside else word in TIME_WORDS or _fused(word))]
+    if beside and any(word in _DATES for word in words):  # Fecha/Hora
         spoken += [word for word in words if word in TIMES_OF_DAY]
-    return bool(spoken) and all(
-        word in TIME_UNITS or word in COUNTS or word in spoken or word in beside for word in words
-    )
+    numbers = [word for word in words if beside and word.isdigit() and len(word) < 3]
+    return bool(spoken) and all(word in TIME_UNITS or word in (*spoken, *beside, *numbers) for word in words)
 
 
 def _plain(title: str) -> str:

@@ -39,6 +39,8 @@ _BEHIND = re.compile(
     r"(?P<words>(?:(?![^\W\d][\w.\[\]/]*\s*[:=]\s*[+-]?[\d.])(?:[^\W\d]\w*|\[[^\]]*\]|<\w+>|\d+):?\s+)*)"
 )
 _NODE = re.compile(r"[^\W\d]\w*:\s+")
+_SAID = re.compile(r"->|[:\[<]")
+"""Signs of what a program says; a word alone may be a column."""
 """What a program says between a stamp and its readings: ``INFO controller:``."""
 _ITEM = re.compile(
     r"(?P<name>[^\W\d][\w.\[\]/²³°%-]*)\s*[:=]\s*"
@@ -117,16 +119,16 @@ def _of_stamped(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
     """Return readings without names behind a stamp and an arrow or words as a table; None for other lines."""
     if len(lines) < FEWEST or not all(_led(line)[0] for _, line in lines[:FEWEST]):
         return None
-    found = [(number, *_led(line)) for number, line in lines]
+    found = [(number, line, *_led(line)) for number, line in lines]
     rows = [
         (number, [at[0][1], *re.split(r"[,;\s]+", _NODE.sub("", rest, count=1).strip(" ,;"))])
-        for number, at, said, rest in found
-        if at and (said or _NODE.match(rest))
+        for number, line, at, said, rest in found
+        if at and (_SAID.search(said) or _NODE.match(rest) or line.lstrip().startswith("["))
     ]
     rows = [(number, row) for number, row in rows if all(map(is_number, row[1:]))]
     if len(rows) < len(lines) - 1:
         return None
-    head = [found[0][1][0][0], *(str(k + 1) for k in range(len(rows[0][1]) - 1))]
+    head = [found[0][2][0][0], *(str(k + 1) for k in range(len(rows[0][1]) - 1))]
     return [(rows[0][0], _joined(head)), *((number, _joined(row)) for number, row in rows)], (
         "stamps before the readings, as a serial monitor writes them, are the time: the columns are called 1, 2, ..."
     )

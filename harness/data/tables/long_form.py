@@ -16,10 +16,10 @@ from harness.signals import FloatArray
 
 NAMES = frozenset(
     "name signal signalname variable varname tag tagname channel channelname field _field key parameter sensor kanal "
-    "messstelle".split()
+    "messstelle entity_id".split()
 )
 """Titles of the column that names the signal, in small letters."""
-VALUES = frozenset("value val _value varvalue reading wert messwert valeur valor".split())
+VALUES = frozenset("value val _value varvalue reading wert messwert valeur valor state".split())
 """Titles of the column of readings, in small letters."""
 UNITS = frozenset("unit units einheit unité unidad".split())
 """Titles of the column of units, in small letters."""
@@ -139,7 +139,11 @@ def _is_dated(cell: str) -> bool:
 
 def _clock_of(source: Any, titles: Sequence[str], taken: Sequence[str]) -> str | None:
     """Return the column of times; of several that of dates, which is said; None where nobody can say which counts."""
-    spoken = [title for title in titles if says_time(title) and title not in taken]
+    free = [title for title in titles if title not in taken]
+    spoken = [title for title in free if says_time(title)]
+    written = [] if spoken else [title for title in free if all(map(_is_dated, source.texts(title, FEWEST)))]
+    if len(written) == 1:
+        return written[0]
     dated = [] if len(spoken) < 2 else [title for title in spoken if all(map(_is_dated, source.texts(title, 1)))]
     try:
         clock = dated[0] if len(dated) == 1 else clock_of(titles, taken)

@@ -92,7 +92,7 @@ def sign_of(lines: Sequence[str]) -> str | None:
         width = len(rows[-1])
         share = sum(map(_is_reading, (cell for row in rows for cell in row))) / sum(map(len, rows))
         above = (cells_of(line, sign) for line in lines[: min(MOST_ABOVE, len(lines) - len(rows))])
-        titled = any(len(row) == width and not any(map(_is_reading, row)) for row in above)
+        titled = any(len(row) == width and any(row) and not any(_is_reading(c) for c in row if c) for row in above)
         if share and (width > 1 or sign is None) and (rank := (round(share, 6), titled, width)) > best:
             best, found = rank, sign
     return found

@@ -529,8 +529,8 @@ class TextFile:
 
 
 def _of_tables(lines: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Return the lines that are neither empty nor comments."""
-    return [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith(_COMMENTS)]
+    """Return the lines that are neither empty nor comments; behind a tab a cell begins, which is none."""
+    return [(number, line) for number, line in lines if line.strip() and not line.lstrip(" ").startswith(_COMMENTS)]
 
 
 def _are_numbers(cells: list[str]) -> bool:

@@ -21,7 +21,7 @@ _TIME = (
     r"(?:[.,](?P<fraction>\d{1,12}))?(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
 _ZONE = r"(?P<zone>Z|UTC|GMT|(?:UTC|GMT)?[+-]\d\d(?::?\d\d)?|[A-Z]{3,5}|\[?[A-Z][A-Za-z]+(?:/[\w+\-]+)+\]?)"
-_STAMP = re.compile(rf"(?:{_DAY}(?P<joint>[T ]| +|, *))?{_TIME}\s*{_ZONE}?", re.ASCII)
+_STAMP = re.compile(rf"(?:{_DAY}(?P<joint>[T ]| +|[,;] *))?{_TIME}\s*{_ZONE}?", re.ASCII)
 _DATE = re.compile(rf"{_DAY}(?:[T ]00:00:00(?:\.0+)?)?", re.ASCII)
 _TWO_PARTS = re.compile(r"\d{1,2}:[0-5]\d", re.ASCII)
 SECONDS = 86400

@@ -41,8 +41,8 @@ _DAY_NAME = re.compile(rf"{_WORD}\.?,?\s+(?=.*\d{{4}})")
 _NAMED = re.compile(rf"(?P<day>\d{{1,2}})\.?(?P<sign>[-/. ]) ?(?P<month>{_WORD})\.?[-/., ]\s*(?P<year>\d{{4}})(?!\d)")
 _NAME_FIRST = re.compile(rf"(?P<month>{_WORD})\.?\s+(?P<day>\d{{1,2}})(?:st|nd|rd|th)?,?\s+(?P<year>\d{{4}})(?![\d:])")
 _YEAR_LAST = re.compile(
-    rf"(?P<month>{_WORD})\s+(?P<day>\d{{1,2}})\s+(?P<time>{_TIME}:\d\d(?:[.,]\d+)?)(?P<zone> [A-Z]{{3,5}})?"
-    r"\s+(?P<year>\d{4})"
+    rf"(?P<month>{_WORD})\s+(?P<day>\d{{1,2}})\s+(?P<time>{_TIME}:\d\d(?:[.,]\d+)?)"
+    r"(?P<zone> [A-Z]{3,5}(?:[+-]\d\d:\d\d)?)?\s+(?P<year>\d{4})"
 )
 _UNPADDED = re.compile(r"(?P<year>\d{4})(?P<sign>[-/.])(?P<month>\d{1,2})(?P=sign)(?P<day>\d{1,2})(?!\d)")
 _FOURTH = re.compile(rf"(?P<whole>{_TIME}:[0-5]\d):(?P<part>\d{{3}}|\d{{6}}|\d{{9}})(?!\d)")
