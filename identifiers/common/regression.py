@@ -142,11 +142,14 @@ def _by_qr(
 ) -> Solution:
     """Solve by a QR factorisation updated block by block (Golub & Van Loan 2013, sec. 6.5)."""
     p = scale.size
-    triangle: FloatArray | None = None
+    waiting: list[FloatArray] = []
+    rows_waiting = 0
     for phi, y in blocks():
-        both = np.hstack([phi / scale, y])
-        triangle = np.asarray(np.linalg.qr(both if triangle is None else np.vstack([triangle, both]), mode="r"))
-    assert triangle is not None
+        waiting.append(np.hstack([phi / scale, y]))
+        rows_waiting += len(phi)
+        if rows_waiting >= 4 * waiting[0].shape[1]:  # short records together: each update costs a whole triangle
+            waiting, rows_waiting = [np.asarray(np.linalg.qr(np.vstack(waiting), mode="r"))], 0
+    triangle = np.asarray(np.linalg.qr(np.vstack(waiting), mode="r"))
     r, z = triangle[:p, :p], triangle[:p, p:]
     if ridge > 0:
         q, r = np.linalg.qr(np.vstack([r, np.sqrt(ridge) * np.eye(p)]))

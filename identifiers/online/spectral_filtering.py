@@ -93,7 +93,7 @@ class SpectralFiltering(OnePass):
     """
 
     filters: int = 15
-    window: int = 150
+    window: int = 100
     update_by: Literal["newton", "gradient"] = "newton"
     rate: float = 1.0
     prior: float = 1e-3

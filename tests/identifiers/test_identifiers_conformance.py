@@ -86,7 +86,7 @@ ONLINE: list[tuple[str, dict[str, Any]]] = [
 LONG: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("recursive-polynomial", {"order": 1}, ("linear",)),
     ("recursive-polynomial", {"structure": "oe", "order": 1}, ("linear",)),
-    ("spectral-filtering", {"filters": 5, "window": 40}, ("linear",)),
+    ("spectral-filtering", {}, ("linear",)),
     ("gradient-descent", {"order": 3}, ("linear",)),
     ("follow-the-leader", {}, ("linear, state measured",)),
     ("edmdc", {"degree": 1, "learned": 4, "horizon": 8}, ("pendulum, rate measured",)),

@@ -1,0 +1,57 @@
+"""The examples of Williams, Kevrekidis & Rowley 2015 (*J. Nonlinear Sci.* 25:1307), sec. 4.1 and 4.2."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.models.lifted import eigenfunctions
+from harness.physics import Ode
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from identifiers.koopman.koopman import Edmdc
+from plants.equations.ode_plant import OdePlant
+
+STATES = (Channel("x"), Channel("v"))
+
+
+def records(states: list[FloatArray], step: float) -> list[Trajectory]:
+    spec = PlantSpec((), STATES, step)
+    return [Trajectory(step * np.arange(len(y)), np.zeros((len(y), 0)), y, spec) for y in states]
+
+
+def test_a_linear_system_has_the_products_of_its_eigenvalues() -> None:
+    """Their linear system: A = [[0.9, -0.04], [0, 0.8]], whose Koopman eigenvalues are 0.9^i 0.8^j."""
+    rng, a = np.random.default_rng(0), np.array([[0.9, -0.04], [0.0, 0.8]])
+    runs = [np.stack([x, a @ x, a @ a @ x]) for x in rng.normal(size=(100, 2))]
+    found = eigenfunctions(Edmdc(degree=4).fit(records(runs, 1.0), rng=rng)).values
+    powers = sorted(0.9**i * 0.8**j for i in range(5) for j in range(5 - i) if i + j)  # without the constant's
+    assert np.abs(found.imag).max() < 1e-6
+    assert sorted(found.real) == pytest.approx(powers, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_an_eigenfunction_of_the_duffing_oscillator_tells_its_basins() -> None:
+    """1000 records of 11 states, thin-plate splines (500 of their 1000): many seconds on a busy machine."""
+    ode = Ode("duffing", x="x v", u="u")
+    (x, v), (u,) = ode.x, ode.u
+    ode.rhs, ode.outputs = [v, x - x**3 - 0.5 * v + u], {"x": x, "v": v}
+    plant, rng = OdePlant(model=ode, sample_time=0.25, u_limit=1.0, substeps=20), np.random.default_rng(0)
+
+    def swing(samples: int) -> FloatArray:
+        first = plant.reset(rng=rng, x0=dict(zip("xv", rng.uniform(-2, 2, size=2).tolist(), strict=True)))
+        return np.vstack([first, plant.rollout(np.zeros((samples - 1, 1)))])
+
+    model = Edmdc(degree=1, radial=500).fit(records([swing(11) for _ in range(1000)], 0.25), rng=rng)
+    found = eigenfunctions(model)
+    rates = np.log(found.values.astype(complex)) / 0.25
+    well = -0.25 + 1j * np.sqrt(2 - 0.25**2)  # of the linearisation at the bottom of either well
+    assert abs(rates[np.argmin(np.abs(rates - well))].imag / well.imag - 1.0) < 0.1
+    still = np.argsort(np.abs(found.values - 1.0))[:2]  # what does not move: the constant, and which well it is
+    assert np.abs(found.values[still] - 1.0).max() < 0.01
+    held = [swing(120) for _ in range(200)]
+    right = np.array([one[-1, 0] > 0 for one in held])
+    told = []
+    for shown in np.real(found.at(np.array([one[0] for one in held]))[:, still]).T:
+        agree = np.mean((shown[:, None] > shown[None, :]) == right[:, None], axis=0)
+        told.append(max(agree.max(), 1.0 - agree.min()))
+    assert max(told) > 0.95
