@@ -144,6 +144,7 @@ def test_what_only_trades_with_parameters_that_were_told_is_no_effect(
     [
         # the other sensor says that the drive is not late
         ("sensor_lag", {"tau": 0.03}, ("sensor_delay", "actuator_lag", "input_delay")),
+        ("sensor_filter", {"tau": 0.02, "zeta": 0.7}, ("sensor_lag", "sensor_delay", "actuator_lag")),
         # four noises, at a frequency amid the motion's: a force of one frequency would move the other sensor too
         ("sensor_hum", {"A": 2e-3, "omega": 8.2, "phi": 1.0}, ("periodic_disturbance", "sensor_cyclic_error")),
     ],
@@ -162,3 +163,16 @@ def test_what_happens_behind_one_of_two_sensors_is_that_sensor_s(
     assert [(one["name"], one["at"]) for one in report.data["effects"]] == [(law, "a")]
     name, value = next(iter(values.items()))
     assert report.data["parameters"]["after"][lacks.name(name)]["value"] == pytest.approx(value, rel=0.03)
+
+
+def test_a_filter_behind_a_thermometer_is_tied_with_a_lag_of_the_heater() -> None:
+    """One input, one output, nothing bent: which of the two lags is all the same, and neither is left out."""
+    nominal, filtered = read_equations(HEATER, "heater").system(), Placed(builtin()["sensor_lag"], "T2")
+    truth = {"C1": 350.0, "C2": 180.0, "g12": 3.5, "g2": 1.7, filtered.name("tau"): 20.0}
+    rng = np.random.default_rng(7)
+    inputs = [np.repeat(rng.uniform(0, 400, 20), 40) for _ in range(2)]
+    data = recorded(compose(nominal, [filtered]), truth, inputs, np.array([0.05]), 2.0)
+    rivals = ("sensor_lag", "actuator_lag", "input_delay")
+    report = close_loop(data, nominal, dictionary=[builtin()[name] for name in rivals])
+    (tie,) = report.data["tie_sets"]
+    assert {(one["name"], one["at"]) for one in tie} == {("sensor_lag", "T2"), ("actuator_lag", "P")}

@@ -27,7 +27,17 @@ DT = 0.005
 PENDULUM, CART = pendulum().system(), cart_pole().system()
 NO_FORCE = {"backlash", "unilateral_backlash", "elastic_load", "elasticity", "hardening_elasticity"} | {
     f"sensor_{one}"
-    for one in ("cyclic_error", "drift", "hum", "lag", "nonlinearity", "quantisation", "rectification", "saturation")
+    for one in (
+        "cyclic_error",
+        "drift",
+        "filter",
+        "hum",
+        "lag",
+        "nonlinearity",
+        "quantisation",
+        "rectification",
+        "saturation",
+    )
 }
 
 
