@@ -16,7 +16,7 @@ STATES = (Channel("x"), Channel("v"))
 
 def records(states: list[FloatArray], step: float) -> list[Trajectory]:
     spec = PlantSpec((), STATES, step)
-    return [Trajectory(step * np.arange(len(y)), np.zeros((len(y), 0)), y, spec) for y in states]
+    return [Trajectory(step * np.arange(len(y), dtype=np.float64), np.zeros((len(y), 0)), y, spec) for y in states]
 
 
 def test_a_linear_system_has_the_products_of_its_eigenvalues() -> None:
