@@ -25,6 +25,7 @@ from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome
+from harness.diagnosis.search.refusal import Kind as Reason
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -119,18 +120,29 @@ def what_free_runs_say(
 
     They are compared along all readings; the noise of those that the form judges is this ``share`` (ny,) of theirs.
     Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back,
-    and those that explain nothing. Where free runs are all that judges, they must come nearer.
+    those that explain nothing, and those of which nothing is told once the colour of errors counts. Where free runs are
+    all that judges, they must come nearer.
     """
     runs = run_freely(kind, form, outcome, dataset, simple, share)
     say("what is left", 0.8)
     leftover = what_is_left(form, whole, outcome, policy)
     idle = explains_nothing(form, outcome, runs, policy) if form.latent else runs.idle(policy)
-    denied = runs.worse(policy) or idle
+    denied = runs.worse(policy) or idle or untold(form, outcome)
     if not denied or any(one.given for one in outcome.accepted):  # what is given is not taken back
         return outcome, runs, leftover
     outcome = outcome.taken_back(0.0 if runs.worse(policy) else policy.misfit_gain)
     runs = run_freely(kind, form, outcome, dataset, simple, share)
     return outcome, runs, what_is_left(form, whole, outcome, policy)
+
+
+def untold(form: WholeForm, outcome: Outcome) -> bool:
+    """Return whether an accepted effect cannot be told from none where deviations count how errors are coloured."""
+    model = form.with_deviations(outcome.model)
+    return model is not outcome.model and any(
+        refusal.kind is Reason.UNDETERMINED
+        for accepted in outcome.accepted
+        for refusal in impossible(form, accepted.placed, model)
+    )
 
 
 def run_freely(

@@ -14,6 +14,9 @@ from harness.diagnosis.contested import explains_nothing
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.second import halved, searched_unless_carried, second_opinion
+from harness.diagnosis.steps import untold
+from harness.effects import builtin
+from harness.effects.effect import Placed
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 SPEC = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), 0.5)
@@ -193,3 +196,16 @@ def test_what_helps_neither_free_runs_nor_the_unmeasured_force_explains_nothing(
     monkeypatch.setattr("harness.diagnosis.contested.latent_shares", lambda fit, scale: fit / scale)
     seen: Any = SimpleNamespace(nearer=lambda policy: nearer)
     assert explains_nothing(form, outcome, seen, POLICY) is nothing
+
+
+@pytest.mark.parametrize(("deviation", "nothing"), [(0.02, False), (0.3, True)])
+def test_what_coloured_errors_do_not_tell_from_none_is_no_name(deviation: float, nothing: bool) -> None:
+    """A supply sag around an FMU was named, of which nothing was known once the error's colour counted."""
+    drag = Placed(builtin()["quadratic_drag"], "q")
+    name = drag.name("c")
+    fit = SimpleNamespace(values={name: 0.2}, free=(name,), on_bound=(), beside={}, logarithmic=frozenset(),
+                          deviations={name: 0.01})  # fmt: skip
+    wide = SimpleNamespace(**{**vars(fit), "deviations": {name: deviation}})
+    form: Any = SimpleNamespace(with_deviations=lambda model: wide, damping=lambda model, at: None)
+    outcome: Any = SimpleNamespace(model=fit, accepted=[SimpleNamespace(placed=drag)])
+    assert untold(form, outcome) is nothing
