@@ -486,7 +486,7 @@ def _is_clock(title: str, beside: Collection[str]) -> bool:
     spoken = [word for word in words if (_spoken(word) if beside else word in TIME_WORDS or _fused(word))]
     if beside and any(word in _DATES for word in words):  # Fecha/Hora
         spoken += [word for word in words if word in TIMES_OF_DAY]
-    numbers = [word for word in words if beside and word.isdigit() and len(word) < 3]
+    numbers = [word for word in words[-1:] if beside and word.isdigit() and len(word) < 3]
     return bool(spoken) and all(word in TIME_UNITS or word in (*spoken, *beside, *numbers) for word in words)
 
 
