@@ -283,4 +283,5 @@ class BeliefLadder:
             f"{seen.shape[1]} hidden states; mixtures of {few} typical beliefs stand for {len(seen)} visited ones "
             f"within {self.enough:g} nats"
         )
-        return Findings("belief compression", rows, (text,), {"enough": few, "basis": bases[few - 1]})
+        words = (text, model.notes["warning"]) if "warning" in model.notes else (text,)
+        return Findings("belief compression", rows, words, {"enough": few, "basis": bases[few - 1]})

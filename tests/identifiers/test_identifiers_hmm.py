@@ -14,7 +14,7 @@ from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring.predictive import probability_score
-from harness.signals import Channel, PlantSpec, Trajectory
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from identifiers.finite import hmm_pass
 from identifiers.finite.hmm import HiddenMarkov, HmmModel, _from_moments
 from identifiers.finite.mdp import MdpCounting
@@ -231,3 +231,6 @@ def test_a_record_too_short_for_its_states_is_said():
     model = HiddenMarkov(states=3, starts=2).fit([record(60)], rng=np.random.default_rng(0))
     assert "the records are too short for 3 hidden states" in model.notes["warning"]
     assert "standard errors: at most" in model.findings[-1]
+    ladder = create("analyses", "belief-compression", states=3)
+    found = ladder.of(Dataset("short", (Run(record(60).measured()),)), rng=np.random.default_rng(0))
+    assert "too short for 3 hidden states" in found.words[1]
