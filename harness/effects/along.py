@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from harness.algebra import advanced
 from harness.effects.compose import recommended_substeps
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -178,27 +179,6 @@ def hidden_states(system: System, signals: Signals, p: FloatArray, *, substeps: 
     return np.vstack([first, np.array(states).T[:steps]])
 
 
-def runge_kutta(derivative: Callable[[Any, float], Any], state: Any, dt: float, parts: int) -> Any:
-    """Return a state after a sample of ``dt``, by so many classical Runge-Kutta steps.
-
-    ``derivative`` takes a state and the share of the sample that has gone by; numbers or CasADi symbols.
-
-    Examples
-    --------
-    >>> round(float(runge_kutta(lambda x, share: -x, 1.0, 0.5, 4)), 5)
-    0.60653
-    """
-    h = dt / parts
-    for part in range(parts):
-        first, middle, last = (part / parts, (part + 0.5) / parts, (part + 1) / parts)
-        k1 = derivative(state, first)
-        k2 = derivative(state + 0.5 * h * k1, middle)
-        k3 = derivative(state + 0.5 * h * k2, middle)
-        k4 = derivative(state + h * k3, last)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return state
-
-
 def _hidden_piece(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
     """Return the functions of several samples of the hidden states, and of where they start."""
     import casadi as ca
@@ -231,7 +211,7 @@ def _hidden_step(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
         x = (1.0 - share) * here + share * there
         return rates(ca.vertcat(x, state), (1.0 - share) * u + share * end, parameters, t + share * dt)
 
-    state = runge_kutta(derivative, z, dt, substeps)
+    state = advanced(derivative, z, dt, substeps)
     symbols = [z, here, there, u, end, parameters, t]
     step_function = ca.Function("step", symbols, [state], ["z", "here", "there", "u", "end", "p", "t"], ["after"])
     start = ca.SX(0, 1) if system.initial is None else system.initial

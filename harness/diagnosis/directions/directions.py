@@ -11,13 +11,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from harness.algebra import advanced
 from harness.diagnosis.directions.jumps import instants
 from harness.diagnosis.directions.lines import frequencies, short_waves, waves
 from harness.diagnosis.directions.trace import Along, Trace
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.fit import WAVE, ColumnKind
 from harness.diagnosis.systems import AnySystem
-from harness.effects.along import Signals, runge_kutta
+from harness.effects.along import Signals
 from harness.effects.columns import ColumnBlock, column_blocks
 from harness.effects.compose import compose
 from harness.effects.effect import EffectParameter, Placed
@@ -301,7 +302,7 @@ def _sensor_states(placed: Placed, trace: Along, y: FloatArray, values: Mapping[
         read, time = here + share * (there - here), t + share * trace.dt
         return ca.vertcat(*effect.evaluate(read, ca.vertsplit(now), values, read, 0.0, t=time, a=0.0, load=0.0)[1])
 
-    step = ca.Function("step", [z, here, there, t], [runge_kutta(derivative, z, trace.dt, _PARTS)])
+    step = ca.Function("step", [z, here, there, t], [advanced(derivative, z, trace.dt, _PARTS)])
     begun = np.array([y[0] if name in effect.initial else 0.0 for name in effect.states])
     run = step.mapaccum(len(y) - 1)(begun, y[None, :-1], y[None, 1:], trace.record.t[None, :-1])
     return list(np.column_stack([begun, run.full()]))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.algebra import advanced
 from harness.blackbox.effects import surround
 from harness.blackbox.system import FmuSystem
 from harness.diagnosis.directions.directions import (
@@ -21,7 +22,6 @@ from harness.diagnosis.directions.directions import (
 )
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.fit import WAVE
-from harness.effects.along import runge_kutta
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.errors import HarnessError
@@ -244,5 +244,5 @@ def _compiled(nominal: FmuSystem, placed: Placed, dt: float) -> tuple[FmuSystem,
         mixed = [start[0], *((1 - share) * a + share * b for a, b in zip(start[1:], end[1:], strict=True))]
         return around.functions["derivatives"](*mixed, now, own)
 
-    after = runge_kutta(derivative, first, dt, PARTS)
+    after = advanced(derivative, first, dt, PARTS)
     return made, ca.Function("step", [first, *start, *end, own], [after])
