@@ -6,6 +6,7 @@ first output that ``u[k]`` can change is ``y[k+1]`` (or ``y[k]`` itself where th
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,6 +22,7 @@ from harness.plots import plot_record
 FloatArray = npt.NDArray[np.float64]
 Use = Literal["estimation", "validation", "test"]
 Kind = Literal["real", "integer", "boolean", "category"]
+_CATEGORY = re.compile(r"category 0\s?\.\.\s?(?P<last>\d{1,6})")
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,30 @@ class Channel:
         return int(self.maximum) + 1
 
     def __str__(self) -> str:
-        return f"{self.name} [{self.unit}]"
+        return f"{self.name} [{f'category 0..{self.categories - 1}' if self.kind == 'category' else self.unit}]"
+
+
+def stated_categories(unit: str) -> int | None:
+    """Return how many categories a text says that stands in the place of a unit; None for any other text.
+
+    Numbers that are names have no unit: the title of their column says so, as ``str`` of a channel writes it.
+
+    Examples
+    --------
+    >>> str(Channel("state", "1", 0, 10, kind="category"))
+    'state [category 0..10]'
+    >>> stated_categories("category 0..10"), stated_categories("N m")
+    (11, None)
+    """
+    found = _CATEGORY.fullmatch(unit.strip())
+    return None if found is None else int(found["last"]) + 1
+
+
+SAY_CATEGORIES = (
+    'say that the numbers are names: --unit NAME="category 0..N" for each signal, or categories = N + 1 in a '
+    "dataset.toml (sysid new dataset drafts one)"
+)
+"""The remedy where a method needs categories and got amounts."""
 
 
 class Ported:

@@ -19,7 +19,7 @@ from harness.data.tables.headers import REFERENCE, TRUTH, split_header
 from harness.data.tables.table import Table
 from harness.data.whole_files import whole_file
 from harness.errors import InputError
-from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, stated_categories
 
 _KEY = b"sysid-harness/trajectory/1"
 
@@ -161,7 +161,8 @@ def _spec_from_titles(table: Table, inputs: list[str], truth: list[str], time: F
 
     def channel(title: str) -> Channel:
         name, unit = split_header(title)
-        return Channel(name, unit or "1")
+        count = stated_categories(unit or "1")
+        return Channel(name, unit or "1") if count is None else Channel(name, "1", 0, count - 1, kind="category")
 
     titles = [title for title in table.titles if split_header(title)[0] != "time" and not title.startswith(REFERENCE)]
     for name in inputs:

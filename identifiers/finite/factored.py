@@ -13,7 +13,7 @@ import numpy.typing as npt
 from harness.errors import FitError
 from harness.models.distributions import Categories
 from harness.scoring import same_language
-from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from harness.signals import SAY_CATEGORIES, Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
 from identifiers.common.records import usable
 
@@ -160,7 +160,7 @@ class FactoredCounting:
                 f"{what} needs finite processes",
                 expected="category outputs and inputs",
                 got=str(spec),
-                remedy="say categories = N of each signal in a dataset.toml (sysid new dataset drafts one)",
+                remedy=SAY_CATEGORIES,
             )
         now = np.concatenate([np.hstack([record.y[:-1], record.u[:-1]]) for record in records]).astype(np.intp)
         later = np.concatenate([record.y[1:] for record in records]).astype(np.intp)

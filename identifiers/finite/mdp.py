@@ -13,7 +13,7 @@ from harness.errors import FitError, InputError
 from harness.models.distributions import Categories
 from harness.protocols import Growth, Hindsight
 from harness.scoring import same_language
-from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.signals import SAY_CATEGORIES, FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
 from identifiers.common.records import usable
 
@@ -284,7 +284,7 @@ def finite_sizes(spec: PlantSpec, what: str) -> tuple[int, int]:
             f"{what} needs a finite process",
             expected="one category output and at most one category input",
             got=str(spec),
-            remedy="say categories = N of each signal in a dataset.toml (sysid new dataset drafts one)",
+            remedy=SAY_CATEGORIES,
         )
     try:
         return spec.outputs[0].categories, spec.inputs[0].categories if spec.nu else 1

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from harness import api
-from harness.data import load_dataset
+from harness.data import load_dataset, read_trajectory
+from harness.data.recipe.draft import draft_dataset
 from harness.errors import InputError
 from harness.registry import create
 from harness.rng import Streams
@@ -60,3 +61,27 @@ def test_numbers_that_are_no_categories_are_refused(tmp_path):
         load_dataset(written(tmp_path, actions=3))
     with pytest.raises(InputError, match="at least 2"):
         load_dataset(written(tmp_path, actions=1))
+
+
+def test_what_a_finite_plant_wrote_as_csv_is_identified_as_it_is(tmp_path):
+    """It was refused until somebody wrote categories = N into a dataset.toml by hand."""
+    log = tmp_path / "run.csv"
+    api.simulate("grid-pomdp", scenario="random-policy", out=log, options={"rows": 2, "columns": 3, "walls": []})
+    columns = {"input": "action", "output": "observation"}
+    found = api.identify(log, **columns)
+    assert found.probability["estimation"][0].log_score > -2.0  # counts, not the amounts of a linear model
+    assert any("observation count as names, 6 categories" in warning for warning in found.warnings)
+    spec = read_trajectory(log, inputs=["action"]).spec
+    assert [(c.kind, c.categories) for c in (*spec.inputs, *spec.outputs)] == [("category", 4), ("category", 6)]
+    assert "categories = 6  # numbers that are names, as the title says" in draft_dataset([log])
+
+
+def test_categories_of_a_plain_table_are_said_in_the_place_of_units_and_never_guessed(tmp_path):
+    written(tmp_path)
+    log, columns = tmp_path / "run.csv", {"input": "action", "output": "observation"}
+    assert {c.kind for c in load_dataset(log, **columns).dataset.spec.outputs} == {"real"}
+    said = load_dataset(log, **columns, unit={"action": "category 0..3", "observation": "category 0..5"})
+    assert [c.categories for c in (*said.dataset.spec.inputs, *said.dataset.spec.outputs)] == [4, 6]
+    with pytest.raises(InputError, match=r"integer in 0 \.\. 4"):
+        load_dataset(log, **columns, unit={"observation": "category 0..4"})
+    assert '# categories = 6  # whole numbers 0 to 5: are they names (unit = "1")?' in draft_dataset([log])

@@ -14,6 +14,9 @@ from harness.data.tables.table import WORKBOOKS, Table, open_table, suffix_of
 from harness.errors import InputError
 from harness.signals import FloatArray
 
+_OFTEN = 10.0
+"""Rows for each whole number up to the largest from which on it is asked whether they are names, and no counter."""
+
 
 @dataclass(frozen=True)
 class ChannelContent:
@@ -37,6 +40,8 @@ class ChannelContent:
         Why it cannot be read as numbers.
     begin, end : float or None
         First and last stamp [s] of a channel that has a clock of its own.
+    names : bool
+        True where its numbers may be names: whole, from 0 on, each in ten rows or more on average.
     """
 
     column: str
@@ -52,6 +57,7 @@ class ChannelContent:
     note: str = ""
     begin: float | None = None
     end: float | None = None
+    names: bool = False
 
 
 @dataclass(frozen=True)
@@ -255,10 +261,12 @@ def _channel(table: Table, title: str, selector: str) -> ChannelContent:
 
 
 def _sizes(values: FloatArray) -> dict[str, Any]:
-    """Return minimum, maximum, mean and standard deviation of what is finite."""
+    """Return minimum, maximum, mean and standard deviation of what is finite, and whether it may be names."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return {}
     with np.errstate(over="ignore"):  # a damaged row may hold numbers whose squares are none
         mean, deviation = float(finite.mean()), float(finite.std())
-    return {"minimum": float(finite.min()), "maximum": float(finite.max()), "mean": mean, "deviation": deviation}
+    low, high = float(finite.min()), float(finite.max())
+    names = low >= 0.0 and 1.0 <= high < finite.size / _OFTEN and not np.any(finite % 1.0)
+    return {"minimum": low, "maximum": high, "mean": mean, "deviation": deviation, "names": bool(names)}

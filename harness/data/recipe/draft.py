@@ -14,7 +14,7 @@ from harness.data.recipe.description import OPEN
 from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
 from harness.data.tables.headers import stated_unit
 from harness.errors import InputError
-from harness.signals import Channel
+from harness.signals import Channel, stated_categories
 from harness.units import fits
 
 _JOINT = re.compile(r"\.(?P<list>position|velocity|effort)\[(?P<joint>[^\]]+)\]$")
@@ -205,9 +205,9 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
     head = f"[signals.{_quoted(channel.name)}]"
     if channel.note and channel.minimum is None:
         return [f"# {' '.join(channel.column.split())}: {channel.note}", ""]
-    sizes = (
-        "" if channel.minimum is None else f"  # {channel.minimum:.4g} to {channel.maximum:.4g} {channel.unit}".rstrip()
-    )
+    count = stated_categories(channel.unit)
+    unit = channel.unit if count is None else ""
+    sizes = "" if channel.minimum is None else f"  # {channel.minimum:.4g} to {channel.maximum:.4g} {unit}".rstrip()
     sizes += f"{',' if sizes else '  #'} {channel.empty} rows empty" if channel.empty else ""
     match = None if ports is None else _port(channel, ports)
     if ports is not None and match is None:
@@ -229,6 +229,11 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
     else:
         lines = [head, f'role = "{OPEN}"  # "input", "output" or "reference"?{sizes.replace("  #", "")}']
         lines.append(f"column = {_quoted(channel.column)}")
+    if count is not None:
+        lines.append(f"categories = {count}  # numbers that are names, as the title says")
+    elif ports is None and channel.names and channel.unit in ("", "1"):
+        last = channel.maximum or 0.0
+        lines.append(f'# categories = {last + 1:.0f}  # whole numbers 0 to {last:.0f}: are they names (unit = "1")?')
     if not channel.unit and not (match and stated_unit(channel.column, rate_unit(match[0].unit, match[2]))):
         wanted = "" if match is None else f" (the model's is {rate_unit(match[0].unit, match[2])})"
         lines.append(f'unit = "{OPEN}"  # the title states none: which{wanted}?')

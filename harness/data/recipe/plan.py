@@ -13,7 +13,7 @@ from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
 from harness.data.recipe.si import si_unit
 from harness.data.sections import Description, NominalParameter, SignalSection
 from harness.errors import InputError
-from harness.signals import Channel
+from harness.signals import Channel, stated_categories
 from harness.trust import names_fmu, registered_only
 from harness.units import convert, fits
 
@@ -196,11 +196,12 @@ class Plan:
                 place=place,
             )
         label = Ports.channel_name(self.port(name), signal.derivative) if signal.role == "output" else self.port(name)
-        self.units[name] = unit
+        stated = stated_categories(unit)
+        self.units[name] = unit if stated is None else "1"
         if signal.role == "reference":
-            return Channel(name, _si(unit, place))
-        if signal.categories is not None:
-            return self._category(name, label)
+            return Channel(name, _si(self.units[name], place))
+        if signal.categories is not None or stated is not None:
+            return self._category(name, label, stated)
         if self.ports is None:
             return Channel(label, _si(unit, place))
         port = self.ports.find(self.port(name), signal.role)
@@ -219,21 +220,27 @@ class Plan:
             return Channel(label, target)
         return replace(port, name=label)
 
-    def _category(self, name: str, label: str) -> Channel:
-        """Return the channel of a signal whose numbers are names: 0 .. categories - 1."""
-        count, place = self.signal(name).categories, f"signals.{name}.categories"
+    def _category(self, name: str, label: str, stated: int | None) -> Channel:
+        """Return the channel of a signal whose numbers are names, as declared or as its unit states: 0 .. count - 1."""
+        signal, place = self.signal(name), f"signals.{name}.categories"
+        count = stated if signal.categories is None else signal.categories
         if count is None or count < 2:
             raise InputError(
                 "categories", expected="their number, at least 2", got=str(count), remedy="correct it", place=place
             )
         if self.ports is not None:
+            port = self.ports.find(self.port(name), signal.role)
+            if port.kind == "category" and port.categories == count:
+                return replace(port, name=label)
             raise InputError(
-                "categories under a nominal model",
-                expected="a real signal",
+                "categories that the model does not have",
+                expected=f"{port} of {self.ports.model}",
                 got=f"{count} categories",
-                remedy="remove the nominal model, or the key",
+                remedy="remove the nominal model, or correct the number",
                 place=place,
             )
+        if signal.categories is None:
+            self.notes.append(f"the numbers of {name} count as names, {count} categories, as its unit says")
         return Channel(label, "1", 0, count - 1, kind="category")
 
 

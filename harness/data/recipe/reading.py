@@ -26,7 +26,7 @@ from harness.data.tables.merging import in_turn, merged, one_clock
 from harness.data.tables.table import Table, open_table
 from harness.errors import InputError
 from harness.resolution import resolution
-from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
+from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, stated_categories
 from harness.units import convert, fits
 
 DATA_FOLDER = "SYSID_HARNESS_DATA"
@@ -333,7 +333,9 @@ class Reader:
         signal = self.description.signals[name]
         raw, stated = table.read(column, self.plan.like(name))
         unit = stated if signal.unit is None and stated is not None else self.plan.units[name]
-        if stated is not None and signal.unit is not None and not _same_unit(stated, unit):
+        if stated_categories(unit) is not None:
+            unit = "1"
+        elif stated is not None and signal.unit is not None and not _same_unit(stated, unit):
             self.notes.append(f"signals.{name}: the title says {stated!r}; {unit!r}, as declared, counts")
         self.recorded.setdefault(self.plan.channels[name].name, unit)
         scaled = raw if signal.scale == 1.0 and signal.offset == 0.0 else signal.scale * raw + signal.offset
