@@ -15,6 +15,7 @@ from harness import api
 from harness.data.oddities import examined
 from harness.diagnosis import close_loop
 from harness.diagnosis.records.inputs_check import inputs_checked
+from harness.diagnosis.records.stretches import parted
 from harness.physics.compiled.kalman_pass import KalmanPass, Noise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.physics.fitting.likelihood_fit import fit_likelihood
@@ -253,6 +254,19 @@ def test_lost_rows_are_named_where_the_motion_would_have_to_meet() -> None:
         assert not [one for one in found(u, y)[1] if one.kind == "leap"]
     assert leaps > 30
     assert named >= 0.95 * leaps
+
+
+def test_leaps_of_a_channel_are_counted_in_one_line_and_each_ends_a_record() -> None:
+    """A walker changes legs at each strike: a line for each of them, and of each column, hid all that was said else."""
+    t, period = np.arange(1200) * DT, 75
+    y = (np.arange(1200) % period) * 0.01 - 0.3 + 1e-4 * np.random.default_rng(0).standard_normal(1200)
+    spec = PlantSpec((), (Channel("leg", "rad"), Channel("other", "rad")), DT)
+    data = examined(Dataset("walk", (Run(Trajectory(t, np.zeros((1200, 0)), np.column_stack([y, -y]), spec)),)))
+    odd = [one for one in data.oddities or () if one.kind == "leap"]
+    assert [(one.channel, one.rows) for one in odd] == [(name, tuple(range(75, 1200, 75))) for name in ("leg", "other")]
+    assert "leaps by up to 0.7" in odd[0].words
+    assert "in 15 places, before rows 75, 150, 225, 300, ...," in odd[0].words
+    assert [len(run.trajectory) for run in parted(data)] == [75] * 16
 
 
 @given(seed=st.integers(0, 1000), finest=st.floats(1e-5, 1e-3))

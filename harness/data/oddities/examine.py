@@ -26,6 +26,8 @@ from harness.units import behind, own_unit, own_values, told
 
 _SHOWN = 4
 """Rows that a sentence names."""
+_OWN = ", or the state itself jumps (impacts, switches: identify has hybrid-automaton for it)"
+"""What leaps of a position in several places may be too."""
 _ONE_TURN = 1.05
 """Range of an angle over its period up to which its sensor may count one turn."""
 
@@ -133,8 +135,9 @@ class _Look:
                     continue
                 where = np.flatnonzero(np.abs(values) <= ODD.beyond)
                 remark = "read as their neighbours" if u_or_y is self.u else "counted as missing"
-                named = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
-                words = f"{channel.name} reads {values[rows[0]]:.3g} in row {named}, which no sensor does: {remark}"
+                words = (
+                    f"{channel.name} reads {values[rows[0]]:.3g} in row {_listed(rows)}, which no sensor does: {remark}"
+                )
                 values[rows] = np.interp(rows, where, values[where])
                 self._add("spike", channel, rows, words, used=True)
                 if u_or_y is self.y:
@@ -250,19 +253,24 @@ class _Look:
                 self._leave(column, good, mended)
 
     def _leaps(self, column: int, channel: Channel, plain: FloatArray) -> None:
-        """Find rows between which a position leaps."""
+        """Find rows between which a position leaps, all of a channel in one sentence."""
         if channel.unit not in POSITIONS or self.missing[:, column].mean() > ODD.most:
             return
         step = resolution([self.record.y[~self.missing[:, column], column]])
         rows, sizes = leaps_of(np.where(self.missing[:, column], self.y[:, column], plain), step)
-        for row, size in zip(rows, sizes, strict=True):
-            when = f"row {row} (t = {self.record.t[row]:g} s)"
-            words = (
-                f"{channel.name} leaps by {self._size(channel, size, '.3g')} before {when}, where the motion before "
-                "and after would have to meet: rows were lost, or the sensor slipped; close-loop takes what follows as "
-                "a record of its own"
-            )
-            self._add("leap", channel, np.array([row]), words)
+        if not rows.size:
+            return
+        size = self._size(channel, sizes[np.argmax(np.abs(sizes))], ".3g")
+        where = f"before row {rows[0]} (t = {self.record.t[rows[0]]:g} s)"
+        if len(rows) > 1:
+            size = f"up to {self._size(channel, np.abs(sizes).max(), '.3g')}"
+            where = f"in {len(rows)} places, before rows {_listed(rows)}"
+        words = (
+            f"{channel.name} leaps by {size} {where}, where the motion before and after would have to meet: rows were "
+            f"lost, or the sensor slipped{_OWN if len(rows) > 1 else ''}; close-loop takes what follows as a record of "
+            "its own"
+        )
+        self._add("leap", channel, rows, words)
 
     def _hum(self, column: int, channel: Channel) -> None:
         """Find a line above the motion and take it out."""
@@ -425,7 +433,7 @@ def _reads(
         when = f"row {rows[0]}" + ("" if word else f" (t = {t[rows[0]]:g} s)")
         near = f"where its neighbours foretell {foretold[0]:.3g}{unit}"
         return f"{channel.name} reads {read[0]:.6g}{unit} in {when}, {near}"
-    named = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
+    named = _listed(rows)
     if word:
         return (
             f"{channel.name} reads {read[0]:.6g}{unit} in {len(rows)} rows ({named}) that their neighbours contradict"
@@ -434,6 +442,11 @@ def _reads(
         f"{channel.name} has {len(rows)} spikes of up to {np.abs(read - foretold).max():.3g}{unit} (rows {named}), "
         "which their neighbours contradict"
     )
+
+
+def _listed(rows: npt.NDArray[np.intp]) -> str:
+    """Return the first numbers of rows as text."""
+    return ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
 
 
 def _th(number: int) -> str:
