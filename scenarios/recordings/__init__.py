@@ -27,21 +27,32 @@ __all__ = [
 
 _HERE = Path(__file__).resolve().parent
 
-emps = _HERE / "emps.toml"  # EMPS: friction of a linear drive in closed loop.
-silverbox = _HERE / "silverbox.toml"  # Silverbox: an electronic oscillator with a hardening spring.
-cascaded_tanks = _HERE / "cascaded-tanks.toml"  # Cascaded tanks: two tanks with overflow.
+emps = _HERE / "emps.toml"
+"""EMPS: friction of a linear drive in closed loop."""
+
+silverbox = _HERE / "silverbox.toml"
+"""Silverbox: an electronic oscillator with a hardening spring."""
+
+cascaded_tanks = _HERE / "cascaded-tanks.toml"
+"""Cascaded tanks: two tanks with overflow."""
 
 coupled_drives = _HERE / "coupled-drives.toml"
 """Coupled electric drives: a belt drive whose sensor reads the absolute speed, three recordings by one model."""
 
-coupled_drives_1 = _HERE / "coupled-drives-1.toml"  # Coupled electric drives, the recording with 1 V.
-coupled_drives_2 = _HERE / "coupled-drives-2.toml"  # Coupled electric drives, the recording with 1.5 V.
-coupled_drives_3 = _HERE / "coupled-drives-3.toml"  # Coupled electric drives, the recording with 0.5 V.
+coupled_drives_1 = _HERE / "coupled-drives-1.toml"
+"""Coupled electric drives, the recording with 1 V."""
+
+coupled_drives_2 = _HERE / "coupled-drives-2.toml"
+"""Coupled electric drives, the recording with 1.5 V."""
+
+coupled_drives_3 = _HERE / "coupled-drives-3.toml"
+"""Coupled electric drives, the recording with 0.5 V."""
 
 multi_arm_pendulum = _HERE / "multi-arm-pendulum.toml"
 """One arm of a multi-arm pendulum: free swing with dry friction and drag."""
 
-hair_dryer = _HERE / "hair-dryer.toml"  # Hair dryer: close to linear, nothing missing.
+hair_dryer = _HERE / "hair-dryer.toml"
+"""Hair dryer: close to linear, nothing missing."""
 
 RECORDINGS = {
     path.stem: path

@@ -8,7 +8,8 @@ __all__ = ["further", "measured", "quick", "smoke", "standard"]
 
 _here = Path(__file__).resolve().parent
 
-quick = _here / "quick.toml"  # Every plant family under every identifier family, in about a minute.
+quick = _here / "quick.toml"
+"""Every plant family under every identifier family, in about a minute."""
 
 standard = _here / "standard.toml"
 """Ten seeds of every plant family under every identifier family, and three axes: what a paper would cite."""
@@ -16,5 +17,8 @@ standard = _here / "standard.toml"
 further = _here / "further.toml"
 """Plants whose state jumps, slow systems online, hidden states: what the standard suite does not hold."""
 
-measured = _here / "measured.toml"  # The public recordings.
-smoke = _here / "smoke.toml"  # A few cells, in seconds.
+measured = _here / "measured.toml"
+"""The public recordings."""
+
+smoke = _here / "smoke.toml"
+"""A few cells, in seconds."""
