@@ -35,6 +35,9 @@ KINDS = (
     "tools",
 )
 
+FORMER = {("plants", "compass-gait-ode"): "compass-gait-pymunk"}
+"""By kind and former id the id of what took its place, which need not be the same thing: it is named, never taken."""
+
 
 def singular(kind: str) -> str:
     """Return the word for one part of a kind.
@@ -150,12 +153,16 @@ def entry(kind: str, id: str) -> Entry:
     Raises
     ------
     InputError
-        If no part of that kind has this id; the message lists the nearest ids, or says that there is no such file of a
-        plant.
+        If no part of that kind has this id; the message names what took its place (:data:`FORMER`), lists the nearest
+        ids, or says that there is no such file of a plant.
     """
     known, id = _all(kind), str(id)
     if id in known:
         return known[id]
+    if (now := FORMER.get((kind, id))) is not None:
+        raise InputError(
+            f"former id of a {singular(kind)}", expected=repr(now), got=repr(id), remedy=f"say {now}, which took its place"
+        )
     if kind == "plants":  # the only parts that may be files
         refuse_no_file(id, "the id of a plant (sysid list plants), an FMU, or a system of them")
     raise InputError(

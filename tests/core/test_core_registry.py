@@ -82,3 +82,12 @@ def test_units_that_do_not_fit_are_refused() -> None:
         units.convert(np.array([1.0]), "V", "rad")
     with pytest.raises(InputError, match="unknown unit"):
         units.convert(np.array([1.0]), "furlongs per", "m")
+
+
+@pytest.mark.parametrize(("kind", "former"), sorted(registry.FORMER))
+def test_a_former_id_is_answered_with_what_took_its_place(kind: str, former: str) -> None:
+    now = registry.FORMER[kind, former]
+    assert registry.entry(kind, now).id == now
+    assert former not in [one.id for one in registry.entries(kind)]
+    with pytest.raises(InputError, match=f"{former}.*say {now}, which took its place"):
+        registry.create(kind, former)
