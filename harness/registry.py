@@ -161,7 +161,10 @@ def entry(kind: str, id: str) -> Entry:
         return known[id]
     if (now := FORMER.get((kind, id))) is not None:
         raise InputError(
-            f"former id of a {singular(kind)}", expected=repr(now), got=repr(id), remedy=f"say {now}, which took its place"
+            f"former id of a {singular(kind)}",
+            expected=repr(now),
+            got=repr(id),
+            remedy=f"say {now}, which took its place",
         )
     if kind == "plants":  # the only parts that may be files
         refuse_no_file(id, "the id of a plant (sysid list plants), an FMU, or a system of them")
