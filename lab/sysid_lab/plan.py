@@ -15,8 +15,8 @@ from sysid_lab.truths.disturbances import KINDS, STRUCTURES, TRUTH_ONLY, named
 
 STUDIES = ("confusion", "false-alarms", "coverage", "cost")
 PLANTS = ("pendulum", "cart-pole")
-BASES = {"tuning": 0, "judged": 580_000}
-"""Records from 10 000, 20 000, ..., 570 000 on judged earlier versions or were seen: they judge no more."""
+BASES = {"tuning": 0, "judged": 590_000}
+"""Records from 10 000, 20 000, ..., 580 000 on judged earlier versions or were seen: they judge no more."""
 SHARES = {"confusion": 12, "none": 10, "two": 5, "outside": 3, "cost": 1}
 """Of the strata in any first part of a plan, while they last."""
 NOISE = {"low": 1e-4, "high": 1e-3}  # Standard deviation of the sensors [rad, m].
@@ -54,7 +54,7 @@ class Task:
     index : int
         Repetition.
     base : int
-        0 for tuning, 490000 for judging: no record is drawn from both.
+        0 for tuning, that of :data:`BASES` for judging: no record is drawn from both.
     model : str
         The nominal model: ``equations``, or ``fmu`` (the same as a black box).
     shape : str
@@ -121,7 +121,7 @@ def plan(
     study : str
         One of :data:`STUDIES`, or ``all``.
     base : int
-        0 (tuning) or 570000 (judged).
+        0 (tuning) or that of :data:`BASES` (judged).
     plants : sequence of str
     records : int, optional
         Only the first so many tasks.
