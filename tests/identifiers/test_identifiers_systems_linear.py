@@ -148,6 +148,26 @@ def test_the_largest_components_equal_a_program_written_anew():
     assert own == pytest.approx(best, rel=1e-6)
 
 
+def test_the_exercise_on_objectives_comes_out_as_published():
+    """Item 21: ch. 18 of Underactuated Robotics; errors of 1e-5 beside inputs of 1: the solver stopped 8e-5 above."""
+    a = np.array([[0.8, -0.1, 0.0, 0.0], [0.0, 0.2, 0.0, 0.1], [0.0, -0.1, 1.0001, 0.0], [0.0, 0.2, 0.0, 0.1]])
+    b = np.array([[0.0], [-0.02], [0.01], [-0.02]])
+    t = np.arange(1000) * 0.1
+    u, x = np.sin(0.1 * t)[:, None], np.zeros((1000, 4))
+    for k in range(999):
+        x[k + 1] = a @ x[k] + b @ u[k]
+    np.random.seed(0)  # noqa: NPY002 - the exercise's own noise
+    x += 1e-5 * np.random.normal(size=(4, 1000)).T  # noqa: NPY002
+    spec = PlantSpec((Channel("u"),), tuple(Channel(f"x{i}") for i in range(4)), 0.1)
+    for method, cost, published in (
+        ("ls", lambda miss: np.sum(miss**2), 5.313e-7),
+        ("linf", lambda miss: np.sum(np.abs(miss).max(axis=1)), 0.016846),
+        ("l1", lambda miss: np.sum(np.abs(miss)), 0.036672),
+    ):
+        model = StateLeastSquares(method=method, least_excitation=0.0).fit([Trajectory(t, u, x, spec)], rng=RNG)
+        assert cost(x[1:] - x[:-1] @ model.a_matrix.T - u[:-1] @ model.b_matrix.T) == pytest.approx(published, rel=4e-5)
+
+
 def balance(folder: Path, name: str, noise: float = 0.0):
     content = np.load(folder / "textbook" / f"cartpole_balance_wrongLQR_{name}.npz")
     spec = PlantSpec(
