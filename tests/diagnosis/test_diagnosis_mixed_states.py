@@ -165,6 +165,17 @@ def test_what_happens_behind_one_of_two_sensors_is_that_sensor_s(
     assert report.data["parameters"]["after"][lacks.name(name)]["value"] == pytest.approx(value, rel=0.03)
 
 
+def test_a_sensor_without_direction_is_named() -> None:
+    """A law without parameters: it is there or not, and ended the search of what trades with parameters in a fault."""
+    nominal, blind = read_equations(DOOR, "door").system(), Placed(builtin()["sensor_rectification"], "q")
+    rng = np.random.default_rng(4)
+    inputs = [np.repeat(rng.uniform(-8, 8, 15), 40) for _ in range(2)]
+    data = recorded(compose(nominal, [blind]), {"J": 1.4, "b": 1.5, "k": 6.0}, inputs, np.array([5e-4]), 0.02)
+    report = close_loop(data, nominal, dictionary=[builtin()[name] for name in ("sensor_rectification", "sensor_gain")])
+    assert [one["name"] for one in report.data["effects"]] == ["sensor_rectification"]
+    assert report.data["parameters"]["after"]["k"]["value"] == pytest.approx(6.0, rel=0.01)
+
+
 def test_a_filter_behind_a_thermometer_is_tied_with_a_lag_of_the_heater() -> None:
     """One input, one output, nothing bent: which of the two lags is all the same, and neither is left out."""
     nominal, filtered = read_equations(HEATER, "heater").system(), Placed(builtin()["sensor_lag"], "T2")

@@ -302,7 +302,9 @@ def _traded(placed: Placed, fit: Fit, base: Fit) -> list[Refusal]:
 
     Not where it shares the fate of parameters that nothing told before, as a friction that of a scale.
     """
-    main = placed.name(next(parameter.name for parameter in placed.effect.parameters if parameter.main))
+    if placed.effect.main is None:  # it is there or not, and trades with nothing
+        return []
+    main = placed.name(placed.effect.main.name)
     lost = [name for name in base.free if name in fit.free and _told(name, base) and not _told(name, fit)]
     if not lost or main not in fit.free or _told(main, fit):
         return []
