@@ -264,6 +264,8 @@ def spectrum(
     else:
         counted = "averages" if found.method == "Welch" else "lines each"
         say(f"{found.method}, {found.averages:.0f} {counted}; deviation is one standard deviation of the magnitude")
+        if dark := found.unexcited():
+            say(dark)
         print_rows(found.rows())
         print_paths(out)
 

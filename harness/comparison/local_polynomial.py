@@ -14,7 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from harness.algebra import column_norms
+from harness.algebra import column_norms, orthonormal
+from harness.frequency.segments import segment_spectra
 from harness.signals import FloatArray, Trajectory
 
 ORDER = 2  # Of the polynomials, as the authors advise: even orders have no larger bias than the odd ones below.
@@ -32,6 +33,8 @@ def local_polynomial(
     records: Sequence[Trajectory],
 ) -> tuple[FloatArray, ComplexArray, FloatArray, FloatArray, float] | None:
     """Return frequencies (F,) [Hz], response (F, ny, nu), variance of it (F, ny, nu), coherence (F, ny), median lines.
+
+    The variance is infinite where no record has power of an input in the narrowest window.
 
     Parameters
     ----------
@@ -73,6 +76,11 @@ def local_polynomial(
                 break
             kept.append(found[:2])
             (response[k], variance[k], coherence[k]), used[k] = found, width * len(records)
+    lit = np.zeros((nf, nu), dtype=bool)
+    for record, (lines, *_) in zip(records, spectra, strict=True):
+        found_lit = segment_spectra([record], len(record)).excited([record], narrow)[1:]
+        lit |= found_lit[np.abs(lines[:, None] - frequency).argmin(axis=0)]
+    variance = np.where(lit[:, None, :], variance, np.inf)
     return frequency, response, variance, coherence, float(np.median(used))
 
 
@@ -105,6 +113,8 @@ def _fit(
     # a line that is not excited says nothing of the response
     dark = np.sum(np.abs(right[singular <= 1e-10 * singular[0]][:, places]) ** 2, axis=0) > 1e-6
     variance = noise[:, None] * np.where(dark, np.inf, spread[places])[None, :]
-    power = np.sum(np.abs(target) ** 2, axis=0)
-    explained = 1.0 - noise * len(target) / np.maximum(power, 1e-300)
+    # of what the transients leave: these explain what leaks into a line, whatever the inputs do
+    alone = orthonormal(np.real(matrix[:, nu * (ORDER + 1) :]), 1e-10)
+    power = np.sum(np.abs(target - alone @ (alone.T @ target)) ** 2, axis=0)
+    explained = 1.0 - noise * (len(target) - alone.shape[1]) / np.maximum(power, 1e-300)
     return solution[places].T, variance, np.clip(explained, 0.0, 1.0)

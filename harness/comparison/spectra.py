@@ -32,11 +32,11 @@ class Spectrum:
     frequency : array (F,)
         [Hz].
     response : array (F, ny, nu)
-        Output over input, complex, in their units.
+        Output over input, complex, in their units; NaN at frequencies at which the input has no power.
     deviation : array (F, ny, nu)
-        Standard deviation of its magnitude (Bendat and Piersol 2010, eq. 9.90).
+        Standard deviation of its magnitude (Bendat and Piersol 2010, eq. 9.90); infinite where there is none.
     coherence : array (F, ny)
-        Share of each output that the inputs together explain (multiple coherence), 0 to 1.
+        Share of each output that the inputs together explain (multiple coherence), 0 to 1; 0 where none has power.
     averages : float
         Independent averages; of local polynomials the lines of a window, in the median.
     etfe : array (F2, ny, nu) or None
@@ -82,6 +82,16 @@ class Spectrum:
                     )
         return found
 
+    def unexcited(self) -> str:
+        """Return in words at which frequencies inputs have no power; empty where all have some."""
+        dark = np.isnan(self.response[1:]).any(axis=1)
+        return "; ".join(
+            f"{source.name} has no power at {dark[:, j].sum()} of {len(dark)} frequencies "
+            f"({f[0]:.3g} to {f[-1]:.3g} Hz): no response is told there"
+            for j, source in enumerate(self.spec.inputs)
+            if len(f := self.frequency[1:][dark[:, j]])
+        )
+
     def as_recorded(self, recorded: Mapping[str, str]) -> Spectrum:
         """Return the same in the units in which the channels were recorded (``Dataset.recorded``)."""
         spec, times = own_gains(self.spec, recorded)
@@ -100,7 +110,7 @@ class Spectrum:
         figure = sheet(figsize=(8, 7), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True)
         f = self.frequency[1:]
-        sizes = np.abs(self.response[1:])
+        sizes = np.abs(self.response[1:][np.isfinite(self.response[1:])])
         floor = 0.3 * sizes[sizes > 0].min(initial=1.0)  # here a band that holds zero ends, on an axis of logarithms
         for row, output in enumerate(self.spec.outputs):
             for column, source in enumerate(self.spec.inputs):
@@ -109,13 +119,16 @@ class Spectrum:
                 (line,) = axes[0].loglog(f, size, linewidth=0.9, label=f"{output} / {source}", color=colour)
                 low = np.maximum(size - spread, np.minimum(size, floor))
                 axes[0].fill_between(f, low, size + spread, alpha=0.25, color=line.get_color(), linewidth=0)
-                axes[1].semilogx(f, np.degrees(np.unwrap(np.angle(value))), linewidth=0.9, color=colour)
+                phase, told = np.degrees(np.angle(value)), np.isfinite(value)
+                phase[told] = np.unwrap(phase[told], period=360.0)
+                axes[1].semilogx(f, phase, linewidth=0.9, color=colour)
             axes[2].semilogx(f, self.coherence[1:, row], linewidth=0.9, label=output.name, color=colour)
         for axis, label in zip(axes, ("magnitude", "phase [deg]", "coherence"), strict=True):
             axis.set_ylabel(label)
         axes[0].legend(fontsize=8)
         axes[2].set_ylim(0, 1.02)
         axes[2].set_xlabel("frequency [Hz]")
+        axes[0].set_title(self.unexcited(), fontsize=8)
         return figure
 
 
@@ -123,7 +136,8 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
     """Return the frequency response that records show: by local polynomials, which choose their resolution.
 
     With ``segment`` by Welch's method instead, with a Hann window and half overlap: every line is then a mean over the
-    width of the window, and a resonance narrower than that is too low by far more than the band tells.
+    width of the window, and a resonance narrower than that is too low by far more than the band tells. Where an input
+    has no power, as beyond the lines of a multisine, the response is NaN.
 
     Parameters
     ----------
@@ -166,7 +180,7 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
     if local is not None:
         f, g, variance, explained_share, lines = local
         # as the other method, whose first line is that of the mean, which was taken away
-        return Spectrum(
+        return _shown(
             spec,
             np.concatenate([[0.0], f]),
             np.concatenate([g[:1], g]),
@@ -177,7 +191,8 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
             etfe_frequency,
             "local polynomials",
         )
-    suu, syu, syy, count, _ = segment_spectra(records, n)
+    found = segment_spectra(records, n)
+    suu, syu, syy, count = found[:4]
     averages = OVERLAP * count if count > 1 else float(count)
     if averages < max(LEAST, spec.nu + 1):
         raise InputError(
@@ -195,8 +210,17 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
     noise = np.maximum(syy - explained, 0.0) / max(averages - spec.nu, 1.0)
     own = np.real(np.einsum("fii->fi", inverse))
     deviation: FloatArray = np.sqrt(noise[:, :, None] * own[:, None, :] / 2.0)
+    deviation[np.broadcast_to(~found.excited(records)[:, None, :], deviation.shape)] = np.inf
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(n, spec.sample_time), dtype=np.float64)
-    return Spectrum(spec, frequency, response, deviation, coherence, averages, etfe, etfe_frequency)
+    return _shown(spec, frequency, response, deviation, coherence, averages, etfe, etfe_frequency, "Welch")
+
+
+def _shown(
+    spec: PlantSpec, f: FloatArray, g: ComplexArray, deviation: FloatArray, coherence: FloatArray, *rest: Any
+) -> Spectrum:
+    """Return a spectrum without a figure where its deviation is infinite: at no power of an input."""
+    dark = np.isinf(deviation)
+    return Spectrum(spec, f, np.where(dark, np.nan, g), deviation, np.where(dark.all(axis=2), 0.0, coherence), *rest)
 
 
 def _etfe(record: Trajectory) -> tuple[ComplexArray, FloatArray]:
@@ -204,5 +228,6 @@ def _etfe(record: Trajectory) -> tuple[ComplexArray, FloatArray]:
     u = np.fft.rfft(record.u[:, 0] - record.u[:, 0].mean())
     y = np.fft.rfft(record.y - record.y.mean(axis=0), axis=0)
     frequency = np.fft.rfftfreq(len(record), record.spec.sample_time)
-    strong = np.abs(u) > 1e-3 * np.abs(u).max()
+    lit = segment_spectra([record], len(record)).excited([record], LEAST)[:, 0]
+    strong = lit & (np.abs(u) > 1e-3 * np.abs(u).max())
     return (y[strong] / u[strong, None])[:, :, None], frequency[strong]

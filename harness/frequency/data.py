@@ -79,15 +79,16 @@ class FrequencyResponse(Ported):
 
     @classmethod
     def of_spectrum(cls, found: Any) -> FrequencyResponse:
-        """Return the response that records showed (:func:`harness.spectrum`), with its variance, without the mean.
+        """Return the response that records showed (:func:`harness.spectrum`), where every input has power.
 
         Parameters
         ----------
         found : Spectrum
         """
-        f, g = found.frequency[1:], found.response[1:]
+        told = np.isfinite(found.response).all(axis=(1, 2)) & (found.frequency > 0)
+        f, g = found.frequency[told], found.response[told]
         # the spectrum gives the deviation of the modulus: that of each part
-        variance = np.maximum(2.0 * found.deviation[1:] ** 2, 1e-24 * np.abs(g).max() ** 2)
+        variance = np.maximum(2.0 * found.deviation[told] ** 2, 1e-24 * np.abs(g).max() ** 2)
         return cls(f, g, variance, found.spec.inputs, found.spec.outputs)
 
     def __repr__(self) -> str:

@@ -16,6 +16,7 @@ from identifiers.common.records import learnable
 ComplexArray = npt.NDArray[np.complex128]
 # Neighbouring Hann segments that overlap by half are correlated by 1/6: averages count for so many fewer.
 _OVERLAP = 1.0 + 2.0 / 36.0
+_AROUND = 8  # Lines of a whole record over which its inputs' power is asked for: one line is small by chance.
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,7 @@ class FrequencyResponse:
     frequency : array (F,)
         Hz.
     response : array (F, ny, nu), complex
+        NaN at frequencies at which an input has no power of its own, as beyond the lines of a multisine.
     deviation : array (F, ny, nu)
         Root mean squared size of the error of each entry, a complex number whose parts are equally large.
     coherence : array (F, ny)
@@ -98,7 +100,8 @@ def welch(trajectories: Sequence[Trajectory], *, segment: int = 256) -> Frequenc
     averages = max(1.0, found.segments / _OVERLAP)
     frequency = np.arange(segment // 2 + 1) / (segment * spec.sample_time)
     density = 2.0 * spec.sample_time / (found.power * found.segments)
-    return _response(frequency, found.uu, found.yu, found.yy, averages, density, what)
+    lit = found.excited(records).all(axis=1)
+    return _response(frequency, found.uu, found.yu, found.yy, averages, density, lit, what)
 
 
 def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> FrequencyResponse:
@@ -133,8 +136,9 @@ def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> Frequency
     count = n // 2 + 1
     s_uu = np.zeros((count, spec.nu, spec.nu), dtype=complex)
     s_yu = np.zeros((count, spec.ny, spec.nu), dtype=complex)
-    s_yy = np.zeros((count, spec.ny))
+    s_yy, lit = np.zeros((count, spec.ny)), np.zeros((count, spec.nu), dtype=bool)
     for record in records:
+        lit |= segment_spectra([record], n).excited([record], max(width, _AROUND))
         fu, fy = (np.fft.rfft(part - part.mean(axis=0), axis=0) for part in (record.u, record.y))
         s_uu += _smoothed(np.einsum("fi,fj->fij", fu, fu.conj()), smoothing)
         s_yu += _smoothed(np.einsum("fi,fj->fij", fy, fu.conj()), smoothing)
@@ -144,7 +148,9 @@ def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> Frequency
     # the constant was taken away: the first lines say nothing
     keep = slice(1, None)
     density = 2.0 * spec.sample_time / (n * averages)
-    return _response(frequency[keep], s_uu[keep], s_yu[keep], s_yy[keep], averages, density, what)
+    return _response(
+        frequency[keep], s_uu[keep], s_yu[keep], s_yy[keep], averages, density, lit[keep].all(axis=1), what
+    )
 
 
 def _smoothed(spectrum: npt.NDArray[np.inexact], smoothing: int) -> ComplexArray:
@@ -168,14 +174,14 @@ def _response(
     s_yy: FloatArray,
     averages: float,
     density: float,
+    lit: npt.NDArray[np.bool_],
     what: str,
 ) -> FrequencyResponse:
     """Return the response and its deviation from summed spectra."""
     size = np.sqrt(np.real(np.einsum("fii->fi", s_uu)))
-    loudest = size.max(axis=0)
     scale = np.maximum(size, 1e-300)
     values = np.linalg.eigvalsh(s_uu / (scale[:, :, None] * scale[:, None, :]))
-    silent = (size <= 1e-9 * loudest).any(axis=1) | (values[:, 0] <= 1e-10)
+    silent = ~lit | (values[:, 0] <= 1e-10)
     if silent.all():
         raise FitError(
             f"{what}: the inputs excite no frequency by themselves",

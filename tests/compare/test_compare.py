@@ -18,6 +18,7 @@ from harness.api.comparing import _names
 from harness.comparison import compare, correlations, spectrum
 from harness.comparison.uncertain import pole_rows, transmission_zeros
 from harness.errors import InputError
+from harness.frequency import FrequencyResponse
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 DT = 0.05
@@ -92,6 +93,54 @@ def test_several_inputs_share_the_coherence_and_seams_are_not_crossed() -> None:
     found = spectrum(pieces, segment=128)
     assert np.abs(found.response[:, 0] - [2.0, -3.0]).max() < 1e-6
     assert found.coherence.min() > 1 - 1e-9
+
+
+@pytest.mark.parametrize("segment", [None, 256])
+@pytest.mark.parametrize(("digits", "noise"), [(None, 0.0), (None, 0.01), (3, 1e-3)])
+@pytest.mark.parametrize("whole", [True, False], ids=["whole periods", "leaking"])
+def test_beyond_the_lines_of_a_multisine_nothing_is_told_whatever_leaks_or_is_rounded(
+    segment: int | None, digits: int | None, noise: float, whole: bool
+) -> None:
+    rng, n = np.random.default_rng(4), 4000
+    lines = np.arange(8, n // 40, 8) / n + (0.0 if whole else 0.4 / n)
+    u = np.cos(2 * np.pi * lines * np.arange(n)[:, None] + rng.uniform(0, 2 * np.pi, len(lines))).sum(axis=1)
+    y = lfilter(B, A, u)
+    y += noise * y.std() * rng.normal(size=n)
+    if digits is not None:
+        u, y = np.round(u, digits), np.round(y, digits)
+    found = spectrum([Trajectory(DT * np.arange(n), u[:, None], y[:, None], SPEC)], segment=segment)
+    apart = np.abs(found.frequency[1:, None] - lines / DT).min(axis=1) * (segment or n) * DT  # in lines
+    f, g, spread = found.frequency[1:], found.response[1:, 0, 0], np.sqrt(2) * found.deviation[1:, 0, 0]
+    dark = (f > lines.max() / DT) & (apart > (3.0 if segment else 8.0))  # a lobe; half the narrowest window
+    assert dark.sum() > 50
+    assert np.isnan(g[dark]).all()
+    assert np.isinf(spread[dark]).all()
+    assert (found.coherence[1:, 0][dark] == 0).all()
+    near = apart < 0.51
+    assert np.isfinite(spread[near]).all()
+    assert (np.abs(g - truth(f)) < 3 * spread + 0.05 * np.abs(truth(f)))[near].all()
+    assert f"u has no power at {np.isnan(g).sum()} of {len(f)} frequencies" in found.unexcited()
+    phase = found.plot().axes[1].lines[0].get_ydata()
+    assert np.array_equal(np.isnan(phase), np.isnan(g))
+    assert not np.isin(found.etfe_frequency, f[dark]).any() or segment
+    assert len(FrequencyResponse.of_spectrum(found).frequency) == np.isfinite(g).sum()
+
+
+@pytest.mark.parametrize("segment", [None, 256])
+@pytest.mark.parametrize("held", [10, 200])
+def test_a_staircase_on_a_grid_of_levels_excites_all_but_the_zeros_of_its_hold(segment: int | None, held: int) -> None:
+    rng, n = np.random.default_rng(5), 4000
+    u = np.repeat(rng.integers(-3, 4, n // held) * 1.0, held)
+    y = lfilter(B, A, u)
+    y += 1e-3 * y.std() * rng.normal(size=n)
+    found = spectrum([Trajectory(DT * np.arange(n), u[:, None], y[:, None], SPEC)], segment=segment)
+    dark = found.frequency[np.isnan(found.response[:, 0, 0])] * DT * held
+    assert len(dark) < 0.2 * len(found.frequency)
+    assert (np.abs(dark - dark.round()) < 0.03 * min(held, 10)).all()
+    inside = np.isfinite(found.response[:, 0, 0]) & (found.frequency > found.frequency[2])
+    exact = truth(found.frequency[inside])
+    off, spread = np.abs(found.response[inside, 0, 0] - exact), np.sqrt(2) * found.deviation[inside, 0, 0]
+    assert np.mean(off < 3 * spread + 0.02 * np.abs(exact)) > 0.95
 
 
 def test_a_band_that_holds_zero_ends_near_the_smallest_size_and_data_may_be_grey() -> None:
@@ -195,6 +244,19 @@ def test_a_model_of_other_signals_or_of_python_is_refused(folder: Path, sysid: C
 def test_spectrum_on_the_command_line(folder: Path, sysid: Callable[..., Any]) -> None:
     assert "coherence" in sysid("spectrum", folder / "dataset.toml", "--segment", "64", "-o", folder / "bode.svg").out
     assert (folder / "bode.svg").read_text().startswith("<?xml")
+
+
+def test_the_command_line_says_where_an_input_has_no_power(tmp_path: Path, sysid: Callable[..., Any]) -> None:
+    n = 2000
+    u = np.sin(2 * np.pi * 0.01 * np.arange(n)) + np.sin(2 * np.pi * 0.0201 * np.arange(n))
+    rows = np.column_stack([DT * np.arange(n), u, lfilter(B, A, u)])
+    np.savetxt(tmp_path / "log.csv", rows, fmt="%.6g", delimiter=",", header="time [s],u [V],y [m]", comments="")
+    asked = ("spectrum", tmp_path / "log.csv", "--input", "u", "--output", "y")
+    assert "u has no power at" in sysid(*asked).out
+    told = json.loads(sysid(*asked, "--json").out)
+    assert told[-1]["magnitude"] is None
+    assert told[-1]["deviation"] is None
+    assert told[-1]["coherence"] == 0
 
 
 @settings(max_examples=30, deadline=None)
