@@ -328,6 +328,10 @@ class FitError(InputError):
     status = "unfit"
 
 
+class NotLinearError(InputError, AttributeError):
+    """What only linear models have, asked of another one: for ``hasattr`` and ``getattr`` it is not there."""
+
+
 class PluginError(HarnessError):
     """A plug-in that cannot be found, does not load, or raises where the contract forbids it."""
 

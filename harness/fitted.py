@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import InputError
+from harness.errors import InputError, NotLinearError
 from harness.models.determined import bands_of
 from harness.models.estimate import Estimate, estimate_of
 from harness.models.spread import Matrices, gain_and_phase_deviation, gains, pole_covariance, response_covariance
@@ -310,7 +310,7 @@ class Usable:
         """Return the model if it is linear."""
         names = ("a_matrix", "b_matrix", "c_matrix", "d_matrix", "centred")
         if not all(hasattr(self.model, name) for name in names):
-            raise InputError(
+            raise NotLinearError(
                 f"{what} of a model that is not linear",
                 expected="a linear model (A, B, C, D)",
                 got=type(self.model).__name__,
@@ -446,6 +446,8 @@ class FittedModel(Usable):
         """Return what the model has beside (``parameters``, ``a_matrix``, ``free_run``, ...)."""
         if name.startswith("__") or name == "model":
             raise AttributeError(name)
+        if isinstance(own := getattr(type(self), name, None), property):
+            return own.__get__(self)  # it was refused, and is again, in its own words
         return getattr(self.model, name)
 
     def __repr__(self) -> str:

@@ -95,6 +95,8 @@ def test_what_is_not_linear_says_what_to_do_instead(tmp_path: Path) -> None:
     for call in (model.step_response, model.to_control, lambda: model.poles, lambda: model.simulate(np.zeros(3))):
         with pytest.raises(InputError, match="simulate"):
             call()
+    assert not hasattr(model, "poles")
+    assert getattr(model, "poles", None) is None
 
 
 @pytest.mark.parametrize("bad", [np.zeros((4, 2)), np.full(3, np.nan), np.zeros((2, 2, 2))])
