@@ -5,8 +5,18 @@
 
 from __future__ import annotations
 
-from harness.judgement.feedback import Feedback, feedback_of, moves
+from harness.judgement.feedback import NEW, Feedback, feedback_of, moves
 from harness.judgement.law import Law, dependence_text, law_of
 from harness.judgement.refusals import refuse_law, refuse_undetermined
 
-__all__ = ["Feedback", "Law", "dependence_text", "feedback_of", "law_of", "moves", "refuse_law", "refuse_undetermined"]
+__all__ = [
+    "NEW",
+    "Feedback",
+    "Law",
+    "dependence_text",
+    "feedback_of",
+    "law_of",
+    "moves",
+    "refuse_law",
+    "refuse_undetermined",
+]

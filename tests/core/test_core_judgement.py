@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from harness import registry
 from harness.errors import FitError
@@ -155,3 +156,38 @@ def test_an_output_that_answers_within_the_sample_is_told_how_to_be_declared():
         refuse_undetermined([Trajectory(np.arange(600.0), u, y, spec)], "mine")
     declared = PlantSpec(spec.inputs, spec.outputs, 1.0, feedthrough=True)
     refuse_undetermined([Trajectory(np.arange(600.0), u, y, declared)], "mine")
+
+
+def pieces_of(record: Trajectory, lost: float, seed: int) -> list[Trajectory]:
+    """Return the stretches between lost rows, as ``gaps = "split"`` makes them of a log."""
+    kept = np.flatnonzero(np.random.default_rng(seed).random(len(record)) >= lost)
+    stretches = np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1)
+    return [
+        Trajectory(record.t[rows], record.u[rows], record.y[rows], record.spec) for rows in stretches if len(rows) > 1
+    ]
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.01, 0.02, 0.05])
+@pytest.mark.parametrize("kind", ["multisine", "prbs", "steps"])
+def test_seams_between_lost_rows_are_no_feedback(kind: str, lost: float) -> None:
+    n, h = 2000, 0.01
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), h)
+    rng = np.random.default_rng(0)
+    drawn = {
+        "multisine": lambda: np.sin(
+            2 * np.pi * np.arange(1, 51) * 0.05 * h * np.arange(n)[:, None] + rng.uniform(0, 2 * np.pi, 50)
+        ).sum(axis=1),
+        "prbs": lambda: np.repeat(rng.choice([-1.0, 1.0], n // 7 + 1), 7)[:n],
+        "steps": lambda: np.repeat(rng.normal(size=n // 100), 100),
+    }
+    for stiffness, damping in ((20.0, 0.4), (20.0, 8.0), (350.0, 0.6)):
+        u = drawn[kind]()
+        y = lfilter([0.0, 0.0, h**2], [1.0, damping * h - 2.0, 1.0 - damping * h + stiffness * h**2], u)
+        record = Trajectory(h * np.arange(n), u[:, None], (y + 1e-3 * y.std() * rng.normal(size=n))[:, None], spec)
+        assert not feedback_of(pieces_of(record, lost, 1)).found, (stiffness, damping)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.01, 0.02, 0.05])
+def test_feedback_is_found_in_a_record_with_lost_rows(lost: float) -> None:
+    for seed in range(5):
+        assert feedback_of(pieces_of(closed(seed, 0.03, dither=0.1, measured=True), lost, seed)).found

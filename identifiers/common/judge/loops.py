@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from harness.algebra import column_norms, divisor, orthonormal, unit_columns
 from harness.errors import FitError, HarnessError
-from harness.judgement import Feedback
+from harness.judgement import NEW, Feedback
 from harness.models.spread import Matrices, steps
 from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
@@ -23,9 +23,6 @@ from identifiers.common.regression import solve
 
 ANSWERED = 0.05
 """Share of an input's unpredictable part that past outputs explain, from which on what is left of them biases it."""
-NEW = 0.01
-"""What an input's own past leaves of it, below which nobody answers anything: a sweep of 2000 samples leaves 1e-5, a
-loop that is moved from outside by a tenth of its input 0.14 and more."""
 COLOURED = 1e-3
 """Probability of errors so correlated, were they chance, from which on they count: of all outputs together."""
 TAKEN = 0.5

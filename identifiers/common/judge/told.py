@@ -10,12 +10,12 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from harness.errors import HarnessError
-from harness.judgement import Feedback, feedback_of, law_of
+from harness.judgement import NEW, Feedback, feedback_of, law_of
 from harness.models.determined import KEY
 from harness.scoring import predict
 from harness.signals import Dataset, Run, Trajectory
 from identifiers.common.excitation import excited_lags, unexcited
-from identifiers.common.judge.loops import ANSWERED, NEW, doubt_of_loop
+from identifiers.common.judge.loops import ANSWERED, doubt_of_loop
 from identifiers.common.judge.own_record import Readings, doubt_of_own_record
 
 ASKED = 4
