@@ -15,7 +15,7 @@ standard = _here / "standard.toml"
 """Ten seeds of every plant family under every identifier family, and three axes: what a paper would cite."""
 
 further = _here / "further.toml"
-"""Plants whose state jumps, slow systems online, hidden states: what the standard suite does not hold."""
+"""Plants whose state jumps, slow systems online, hidden states, methods for one form: what standard does not hold."""
 
 measured = _here / "measured.toml"
 """The public recordings."""

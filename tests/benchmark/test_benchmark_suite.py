@@ -11,6 +11,7 @@ import pytest
 from harness.benchmark.suite import cells_of, load_suite, tasks_of
 from harness.errors import InputError
 from harness.jobs import make_engine
+from harness.registry import DISTRIBUTION, entries
 from harness.trust import trusting
 
 GROUP = """
@@ -28,6 +29,12 @@ def test_bundled_suites_load(name: str) -> None:
     assert suite.name == name
     assert suite.description
     assert len({cell.job for _, cell in pairs}) == len(pairs)
+
+
+def test_every_identifier_stands_in_a_suite() -> None:
+    groups = [group for suite in entries("suites") for group in load_suite(suite.id).groups]
+    held = {part.id for group in groups for part in group.identifiers}
+    assert held >= {one.id for one in entries("identifiers") if one.distribution == DISTRIBUTION}
 
 
 def test_quick_has_every_family() -> None:
