@@ -34,7 +34,9 @@ class Effort:
         "share of a record over which a latent force may remember; beyond it, promises are also asked for without",
         "a force of 0.2 of the record hid a constant force that was 19 better in log-likelihood, and promised 1.7",
     )
-    begun: int = number(12, "refits that are begun in a round", "cost", "seeds below 1000")
+    begun: int = number(
+        16, "refits that are begun in a round", "cost", "the overflow of measured tanks was the 13th by its promise"
+    )
     refits: int = number(6, "refits that are finished in a round", "cost", "seeds below 1000")
     pairs: int = number(2, "rivals of a first answer that are tried with a second effect", "cost", "seeds below 1000")
     points: int = number(3, "starts of a fit that its first steps are taken from, the likeliest ones", "cost")

@@ -144,7 +144,6 @@ def test_what_only_trades_with_parameters_that_were_told_is_no_effect(
     [
         # the other sensor says that the drive is not late
         ("sensor_lag", {"tau": 0.03}, ("sensor_delay", "actuator_lag", "input_delay")),
-        ("sensor_filter", {"tau": 0.02, "zeta": 0.7}, ("sensor_lag", "sensor_delay", "actuator_lag")),
         # four noises, at a frequency amid the motion's: a force of one frequency would move the other sensor too
         ("sensor_hum", {"A": 2e-3, "omega": 8.2, "phi": 1.0}, ("periodic_disturbance", "sensor_cyclic_error")),
     ],

@@ -43,7 +43,7 @@ def test_every_effect_that_fits_is_hidden_or_named_as_left_out():
              "supply_sag@u", "propeller_thrust@u", "counterbalance@theta",
              "wobbling_base@theta", "elastic_load@theta", "elastic_load@x"}  # fmt: skip
     # hidden by test_diagnosis_mixed_states.py
-    left |= {f"sensor_{one}@{at}" for one in ("lag", "filter", "hum") for at in ("theta", "x")}
+    left |= {f"sensor_{one}@{at}" for one in ("lag", "hum") for at in ("theta", "x")}
     # hidden by test_diagnosis_servos.py and test_diagnosis_suspension.py
     left |= {"gear_friction@theta", "gear_friction@x", "asymmetric_damping@theta", "asymmetric_damping@x"}
     # hardware hides laws of bristles under the names of their levels

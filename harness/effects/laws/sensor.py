@@ -133,26 +133,6 @@ def sensor_lag(y: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
 
 @effect(
     "output",
-    [
-        par("tau", "s", scale="2 dt", floor="0.1 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0),
-            meaning="period over 2 pi"),
-        par("zeta", "1", scale="0.7", sign="+", minimum=0.2, maximum=5.0, grid=(1.0,), meaning="damping ratio"),
-    ],
-    states={"z": "y", "r": "y/s"},
-    initial={"z": "signal"},
-    formula="y' = z, tau^2 z'' + 2 zeta tau z' + z = y",
-    family=("sensor_lag", "sensor_delay", "actuator_lag", "elasticity"),
-    limits={"sensor_lag": "if zeta is large", "sensor_delay": "at frequencies far below 1/tau"},
-    experiment="a free swing with a second, fast sensor",
-    told_by=("chirp",),
-)  # fmt: skip
-def sensor_filter(y: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
-    """Filter of second order behind a sensor: against aliases, or a mean over some readings."""
-    return s.z, [s.r, (y - s.z - 2.0 * p.zeta * p.tau * s.r) / p.tau**2]
-
-
-@effect(
-    "output",
     formula="y' = |y|",
     family=("sensor_saturation", "sensor_offset"),
     experiment="reverse the motion: the reading does not change its sign",
