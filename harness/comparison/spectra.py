@@ -84,7 +84,7 @@ class Spectrum:
 
     def unexcited(self) -> str:
         """Return in words at which frequencies inputs have no power; empty where all have some."""
-        dark = np.isnan(self.response[1:]).any(axis=1)
+        dark: npt.NDArray[np.bool_] = np.any(np.isnan(self.response[1:]), axis=1, keepdims=True)[:, 0]
         return "; ".join(
             f"{source.name} has no power at {dark[:, j].sum()} of {len(dark)} frequencies "
             f"({f[0]:.3g} to {f[-1]:.3g} Hz): no response is told there"

@@ -100,7 +100,7 @@ def welch(trajectories: Sequence[Trajectory], *, segment: int = 256) -> Frequenc
     averages = max(1.0, found.segments / _OVERLAP)
     frequency = np.arange(segment // 2 + 1) / (segment * spec.sample_time)
     density = 2.0 * spec.sample_time / (found.power * found.segments)
-    lit = found.excited(records).all(axis=1)
+    lit = found.excited(records)
     return _response(frequency, found.uu, found.yu, found.yy, averages, density, lit, what)
 
 
@@ -148,9 +148,7 @@ def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> Frequency
     # the constant was taken away: the first lines say nothing
     keep = slice(1, None)
     density = 2.0 * spec.sample_time / (n * averages)
-    return _response(
-        frequency[keep], s_uu[keep], s_yu[keep], s_yy[keep], averages, density, lit[keep].all(axis=1), what
-    )
+    return _response(frequency[keep], s_uu[keep], s_yu[keep], s_yy[keep], averages, density, lit[keep], what)
 
 
 def _smoothed(spectrum: npt.NDArray[np.inexact], smoothing: int) -> ComplexArray:
@@ -181,7 +179,7 @@ def _response(
     size = np.sqrt(np.real(np.einsum("fii->fi", s_uu)))
     scale = np.maximum(size, 1e-300)
     values = np.linalg.eigvalsh(s_uu / (scale[:, :, None] * scale[:, None, :]))
-    silent = ~lit | (values[:, 0] <= 1e-10)
+    silent = (~lit).any(axis=1) | (values[:, 0] <= 1e-10)
     if silent.all():
         raise FitError(
             f"{what}: the inputs excite no frequency by themselves",
