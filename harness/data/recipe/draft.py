@@ -205,10 +205,7 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
     head = f"[signals.{_quoted(channel.name)}]"
     if channel.note and channel.minimum is None:
         return [f"# {' '.join(channel.column.split())}: {channel.note}", ""]
-    count = stated_categories(channel.unit)
-    unit = channel.unit if count is None else ""
-    sizes = "" if channel.minimum is None else f"  # {channel.minimum:.4g} to {channel.maximum:.4g} {unit}".rstrip()
-    sizes += f"{',' if sizes else '  #'} {channel.empty} rows empty" if channel.empty else ""
+    sizes = _sizes(channel)
     match = None if ports is None else _port(channel, ports)
     if ports is not None and match is None:
         near = _fitting(channel, ports)
@@ -229,15 +226,29 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
     else:
         lines = [head, f'role = "{OPEN}"  # "input", "output" or "reference"?{sizes.replace("  #", "")}']
         lines.append(f"column = {_quoted(channel.column)}")
-    if count is not None:
-        lines.append(f"categories = {count}  # numbers that are names, as the title says")
-    elif ports is None and channel.names and channel.unit in ("", "1"):
-        last = channel.maximum or 0.0
-        lines.append(f'# categories = {last + 1:.0f}  # whole numbers 0 to {last:.0f}: are they names (unit = "1")?')
+    lines += _names(channel) if ports is None else []
     if not channel.unit and not (match and stated_unit(channel.column, rate_unit(match[0].unit, match[2]))):
         wanted = "" if match is None else f" (the model's is {rate_unit(match[0].unit, match[2])})"
         lines.append(f'unit = "{OPEN}"  # the title states none: which{wanted}?')
     return [*lines, ""]
+
+
+def _sizes(channel: ChannelContent) -> str:
+    """Return the remark on what the numbers of a channel are."""
+    unit = channel.unit if stated_categories(channel.unit) is None else ""
+    sizes = "" if channel.minimum is None else f"  # {channel.minimum:.4g} to {channel.maximum:.4g} {unit}".rstrip()
+    return sizes + (f"{',' if sizes else '  #'} {channel.empty} rows empty" if channel.empty else "")
+
+
+def _names(channel: ChannelContent) -> list[str]:
+    """Return what says that the numbers of a channel are names, or asks whether they are."""
+    count = stated_categories(channel.unit)
+    if count is not None:
+        return [f"categories = {count}  # numbers that are names, as the title says"]
+    if not channel.names or channel.unit not in ("", "1"):
+        return []
+    last = channel.maximum or 0.0
+    return [f'# categories = {last + 1:.0f}  # whole numbers 0 to {last:.0f}: are they names (unit = "1")?']
 
 
 def _port(channel: ChannelContent, ports: Ports) -> tuple[Channel, str, int] | None:
