@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from harness import registry
+from harness.data.conditioning.suspicion import swapped_in_and_out
 from harness.errors import FitError
 from harness.judgement import feedback_of, law_of, refuse_undetermined
 from harness.signals import Channel, PlantSpec, Trajectory
@@ -184,7 +185,9 @@ def test_seams_between_lost_rows_are_no_feedback(kind: str, lost: float) -> None
         u = drawn[kind]()
         y = lfilter([0.0, 0.0, h**2], [1.0, damping * h - 2.0, 1.0 - damping * h + stiffness * h**2], u)
         record = Trajectory(h * np.arange(n), u[:, None], (y + 1e-3 * y.std() * rng.normal(size=n))[:, None], spec)
-        assert not feedback_of(pieces_of(record, lost, 1)).found, (stiffness, damping)
+        pieces = pieces_of(record, lost, 1)
+        assert not feedback_of(pieces).found, (stiffness, damping)
+        assert not any(map(swapped_in_and_out, pieces)), (stiffness, damping)
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.01, 0.02, 0.05])
