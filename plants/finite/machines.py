@@ -41,7 +41,7 @@ class MachinesMdp(FinitePlant):
     Examples
     --------
     >>> print(MachinesMdp(machines=2).spec)
-    reboot [1] -> m0 [1], m1 [1] every 1 s
+    reboot [category 0..2] -> m0 [category 0..1], m1 [category 0..1] every 1 s
     """
 
     def __init__(

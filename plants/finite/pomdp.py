@@ -130,7 +130,7 @@ def grid_pomdp(*, error: float = 0.2, **options: Any) -> FinitePomdp:
     Examples
     --------
     >>> print(grid_pomdp().spec)
-    action [1] -> observation [1] every 1 s
+    action [category 0..3] -> observation [category 0..10] every 1 s
     """
     if not 0 <= error <= 1:
         raise InputError("option error", expected="a probability", got=repr(error), remedy="correct it")

@@ -36,7 +36,7 @@ class TigerPomdp(FinitePomdp):
     Examples
     --------
     >>> print(TigerPomdp().spec)
-    action [1] -> heard [1], reward [1] every 1 s
+    action [category 0..2] -> heard [category 0..1], reward [1] every 1 s
     """
 
     def __init__(self, *, hearing: float = 0.85, danger: float = 100.0, sample_time: float = 1.0) -> None:
