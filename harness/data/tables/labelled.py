@@ -38,10 +38,10 @@ _BEHIND = re.compile(
     r"\s*(?P<sign>->|[:,;|-])?(?:\s+|(?<=>))"
     r"(?P<words>(?:(?![^\W\d][\w.\[\]/]*\s*[:=]\s*[+-]?[\d.])(?:[^\W\d]\w*|\[[^\]]*\]|<\w+>|\d+):?\s+)*)"
 )
+"""What a program says between a stamp and its readings: ``INFO controller:``."""
 _NODE = re.compile(r"[^\W\d]\w*:\s+")
 _SAID = re.compile(r"->|[:\[<]")
 """Signs of what a program says; a word alone may be a column."""
-"""What a program says between a stamp and its readings: ``INFO controller:``."""
 _ITEM = re.compile(
     r"(?P<name>[^\W\d][\w.\[\]/²³°%-]*)\s*[:=]\s*"
     r'(?P<value>"[^"]*"|\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d[^\s,;|]*|[^\s,;|]+)'

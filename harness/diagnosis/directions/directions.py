@@ -28,6 +28,8 @@ from harness.errors import HarnessError
 from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
+Lines = Callable[[], Sequence[float]]
+"""Finds the strongest lines over time, when they are asked for."""
 _PARTS = 4
 """Of a sample, in which hidden states of a sensor are advanced."""
 
@@ -57,17 +59,20 @@ def directions(
     }
     known = {name: values[name] for name in nominal.parameter_names}
     possible: list[Direction] = []
+
+    @cache
+    def lines() -> list[float]:
+        return frequencies(traces["estimation"], nominal)
+
     for placed in candidates:
         kind = port_of(nominal, placed).kind
         try:
             if kind == "output":
-                over_time = placed.effect.parameter_of("frequency") is not None
-                lines = frequencies(traces["estimation"], nominal) if over_time else []
                 possible += reading_directions(traces, nominal, placed, sizes, ports=_ports(traces), lines=lines)
             elif nominal.coordinates and traces["estimation"][0].passes.nl:
-                possible += _forces(traces, signals, nominal, known, placed, sizes)
+                possible += _forces(traces, signals, nominal, known, placed, sizes, lines)
             else:
-                possible += _rates(traces, nominal, known, placed, sizes)
+                possible += _rates(traces, nominal, known, placed, sizes, lines)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             continue
     return [direction for direction in possible if _finite(direction)]
@@ -125,15 +130,14 @@ def _forces(
     known: Mapping[str, float],
     placed: Placed,
     sizes: Mapping[str, Mapping[str, float]],
+    lines: Lines,
 ) -> list[Direction]:
     """Return the directions of an effect whose force follows from the motion."""
     frequency, wave_number = (placed.effect.parameter_of(role) for role in ("frequency", "wave number"))
     phase, instant = (placed.effect.parameter_of(role) for role in ("phase", "instant"))
     waves_of_it: list[Placed] = []
     if frequency is not None:
-        waves_of_it = [
-            placed.with_values({frequency.name: omega}) for omega in frequencies(traces["estimation"], nominal)
-        ]
+        waves_of_it = [placed.with_values({frequency.name: omega}) for omega in lines()]
     elif wave_number is not None:
         row = next(k for k, coordinate in enumerate(nominal.coordinates) if coordinate.name == placed.at)
         angle = np.concatenate([motion.q[:, row] for motion in signals["estimation"]])
@@ -216,11 +220,11 @@ def reading_directions(
     sizes: Mapping[str, Mapping[str, float]],
     *,
     ports: int,
-    lines: Sequence[float] = (),
+    lines: Lines,
 ) -> list[Direction]:
     """Return the directions of a sensor's error: what it changes in the readings that the model expects.
 
-    ``lines`` are the angular frequencies [rad/s] at which one that repeats in time is looked for.
+    ``lines`` gives the angular frequencies [rad/s] at which one that repeats in time is looked for.
     """
     row = [channel.name for channel in nominal.outputs].index(placed.at)
     if placed.effect.sampled == "quantise" or not placed.effect.parameters:
@@ -231,7 +235,7 @@ def reading_directions(
         angle = np.concatenate([trace.expected[:, row] for trace in traces["estimation"]])
         return _waves_of_readings(traces, nominal, placed, {wave_number.name: waves(angle, wave_number)}, row, ports)
     if frequency is not None:
-        return _waves_of_readings(traces, nominal, placed, {frequency.name: lines}, row, ports)
+        return _waves_of_readings(traces, nominal, placed, {frequency.name: lines()}, row, ports)
     directions = []
     for given, linear in choices(placed, at):
         names = linear or ("effect",)
@@ -314,13 +318,13 @@ def _rates(
     known: Mapping[str, float],
     placed: Placed,
     sizes: Mapping[str, Mapping[str, float]],
+    lines: Lines,
 ) -> list[Direction]:
     """Return the directions of an effect in a system of plain rates: what it changes in them."""
     at = sizes.get(placed.at, {})
     change = _rate_changes(nominal, known, placed, at)
     frequency, phase = (placed.effect.parameter_of(role) for role in ("frequency", "phase"))
-    lines = [] if frequency is None else frequencies(traces["estimation"], nominal)
-    settled = [{frequency.name: omega} for omega in lines] if frequency is not None else [{}]
+    settled = [{frequency.name: omega} for omega in lines()] if frequency is not None else [{}]
     turns = [{}] if phase is None else [{phase.name: angle} for angle in (0.0, 0.5 * np.pi)]
     directions = []
     for wave in settled:

@@ -14,6 +14,7 @@ from harness.blackbox.effects import surround
 from harness.blackbox.system import FmuSystem
 from harness.diagnosis.directions.directions import (
     Direction,
+    Lines,
     choices,
     drift_directions,
     input_behind,
@@ -90,14 +91,18 @@ def pushes(
 ) -> list[Direction]:
     """Return the directions of candidates, several for one whose parameters are not all linear."""
     directions: list[Direction] = []
+
+    @functools.cache
+    def lines() -> list[float]:
+        return _lines(moved)
+
     for placed in candidates:
         kind = port_of(nominal, placed).kind  # type: ignore[arg-type]
         try:
             if kind == "output":
-                lines = _lines(moved) if placed.effect.parameter_of("frequency") is not None else []
                 directions += reading_directions(moved, nominal, placed, sizes, ports=nominal.nu, lines=lines)
             else:
-                directions += _commands(nominal, moved, placed, sizes, kind)
+                directions += _commands(nominal, moved, placed, sizes, kind, lines)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             continue
     return [
@@ -141,11 +146,12 @@ def _commands(
     placed: Placed,
     sizes: Mapping[str, Mapping[str, float]],
     kind: str,
+    lines: Lines,
 ) -> list[Direction]:
     """Return the directions of an effect before the FMU: what it makes of the command, less the command."""
     at = sizes.get(placed.at, {})
     directions = []
-    for given, linear, phase in _tried(placed, at, moved):
+    for given, linear, phase in _tried(placed, at, lines):
         names = linear or ("effect",)
         complete = placed.effect.complete(given, at)
         cases = [{**complete, **case} for case in _cases(placed, linear, phase)]
@@ -181,13 +187,13 @@ def _cases(placed: Placed, linear: Sequence[str], phase: bool) -> list[dict[str,
 
 
 def _tried(
-    placed: Placed, at: Mapping[str, float], moved: Mapping[str, Sequence[Moved]]
+    placed: Placed, at: Mapping[str, float], lines: Lines
 ) -> list[tuple[dict[str, float], tuple[str, ...], bool]]:
     """Return choices of the nonlinear parameters; of a periodic push the strongest lines of the output error."""
     frequency = placed.effect.parameter_of("frequency")
     if frequency is None:
         return [(given, linear, False) for given, linear in choices(placed, at)]
-    return [({frequency.name: omega}, WAVE, True) for omega in _lines(moved)]
+    return [({frequency.name: omega}, WAVE, True) for omega in lines()]
 
 
 def _lines(moved: Mapping[str, Sequence[Moved]]) -> list[float]:

@@ -8,32 +8,37 @@ from harness.effects.effect import effect, par
 from harness.effects.functions import sigmoid, sin
 from harness.effects.laws.stiffness import CHANGE
 
+LINE = (
+    par(
+        "omega",
+        "rad/s",
+        scale="20 1/T",
+        sign="+",
+        minimum=1e-9,
+        floor="12.5664 1/T",  # two periods: what does not come again within a record is a drift
+        grid=(1.0, 0.3, 3.0, 10.0),
+        role="frequency",
+        meaning="frequency",
+    ),
+    par(
+        "phi",
+        "rad",
+        scale="0.5",
+        nuisance=True,
+        per_record=True,
+        role="phase",
+        grid=(1.0, 4.0, 7.0, 10.0),
+        meaning="phase at time 0 of a record",
+    ),
+)
+"""Frequency and phase of what repeats in time, at any port."""
+
 
 @effect(
     ("coordinate", "input", "process"),
     [
         par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
-        par(
-            "omega",
-            "rad/s",
-            scale="20 1/T",
-            sign="+",
-            minimum=1e-9,
-            floor="12.5664 1/T",  # two periods: what does not come again within a record is a drift
-            grid=(1.0, 0.3, 3.0, 10.0),
-            role="frequency",
-            meaning="frequency",
-        ),
-        par(
-            "phi",
-            "rad",
-            scale="0.5",
-            nuisance=True,
-            per_record=True,
-            role="phase",
-            grid=(1.0, 4.0, 7.0, 10.0),
-            meaning="phase at time 0 of a record",
-        ),
+        *LINE,
     ],
     formula="F = A sin(omega t + phi) (at an input: u' = u + F; at a process state: x' = r + F)",
     family=("cogging", "sensor_offset"),

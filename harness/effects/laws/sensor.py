@@ -6,6 +6,7 @@ from typing import Any
 
 from harness.effects.effect import effect, par
 from harness.effects.functions import absolute, clip, sin
+from harness.effects.laws.external import LINE
 
 
 @effect(
@@ -64,21 +65,14 @@ def sensor_cyclic_error(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "output",
-    [
-        par("A", "y", scale="0.01 y", neutral=0.0, main=True, linear=True, meaning="amplitude"),
-        # two periods: what does not come again within a record is a drift
-        par("omega", "rad/s", scale="20 1/T", sign="+", minimum=1e-9, floor="12.5664 1/T",
-            grid=(1.0, 0.3, 3.0, 10.0), role="frequency", meaning="frequency"),
-        par("phi", "rad", scale="0.5", nuisance=True, per_record=True, grid=(1.0, 4.0, 7.0, 10.0), role="phase",
-            meaning="phase at time 0 of a record"),
-    ],
+    [par("A", "y", scale="0.01 y", neutral=0.0, main=True, linear=True, meaning="amplitude"), *LINE],
     formula="y' = y + A sin(omega t + phi)",
     family=("periodic_disturbance", "sensor_drift", "sensor_cyclic_error"),
     same_as={"periodic_disturbance": "where the nominal is linear and one thing is measured"},
     limits={"sensor_cyclic_error": "at constant speed"},
     experiment="hold the plant still by a brake: the line stays in the reading",
     told_by=("rest",),
-)  # fmt: skip
+)
 def sensor_hum(y: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
     """Line in a reading that the plant has no part in: mains or a vibration, also as sampling folds it down."""
     return y + p.A * sin(p.omega * t + p.phi)

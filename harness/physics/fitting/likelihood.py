@@ -364,11 +364,11 @@ class Likelihood:
         search.run(most, reach)
         return search.fit()
 
-    def past_forces(self, fit: LikelihoodFit) -> LikelihoodFit:
+    def past_forces(self, fit: LikelihoodFit, *, exact: bool = False) -> LikelihoodFit:
         """Return a fit that goes on from where one without latent forces ends, if that is likelier.
 
         What parameters have left to go along a narrow valley, faint forces take up: then no step brings much with both,
-        though much is left.
+        though much is left. ``exact`` is that of :meth:`maximise`; what the fit held stays held.
         """
         names, _, low, _ = self.layout()
         forces = slice(self._noise_begins, len(names) - self.filter.ny)
@@ -382,7 +382,7 @@ class Likelihood:
             bare = self.maximise(start, free=free, most=_VALLEY, reach=fit.nll, exact=False)
         except FitError:
             return fit
-        return self.maximise(bare.point, exact=False) if bare.nll < fit.nll - ENOUGH else fit
+        return self.maximise(bare.point, free=fit.names, exact=exact) if bare.nll < fit.nll - ENOUGH else fit
 
 
 def _log(values: FloatArray, least: FloatArray) -> FloatArray:

@@ -133,7 +133,7 @@ def _likeliest(likelihood: Likelihood, points: Sequence[Point]) -> LikelihoodFit
     best: LikelihoodFit | None = None
     for point in points:
         try:
-            found = likelihood.past_forces(likelihood.maximise(point))
+            found = likelihood.maximise(point)
         except FitError:
             continue
         if best is None or found.nll < best.nll:
@@ -145,7 +145,7 @@ def _likeliest(likelihood: Likelihood, points: Sequence[Point]) -> LikelihoodFit
             got="a diverging state",
             remedy="check units and signs of the records, or give start values",
         )
-    return best
+    return likelihood.past_forces(best, exact=True)
 
 
 def first_noises(model: NoiseModel, sensors: FloatArray, dt: float) -> list[Noise]:
