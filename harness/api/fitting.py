@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from harness.data.recipe.chosen import Records
     from harness.frequency.identified import IdentifiedResponse
     from harness.models.analysis import Findings
+    from harness.physics.definition.parameters import FarOff
 
 T = TypeVar("T")
 
@@ -160,6 +161,7 @@ def identify(
         _bounds_beside(fitted, measured, identifier, seed) if bounds else None,
         _by_use(data, fitted.torque_errors) if isinstance(fitted, Torques) else {},
         data.recorded,
+        _far_off(fitted),
     )
 
 
@@ -371,15 +373,19 @@ def _bounds_beside(model: Model, records: Sequence[Trajectory], identifier: str,
 
 def _said(model: Model) -> tuple[str, ...]:
     """Return what the fit of a model warns of."""
-    from harness.models.estimate import estimate_of
-    from harness.physics.definition.parameters import said_far
-
     notes = getattr(model, "notes", None)
     warning = notes.get("warning") if isinstance(notes, Mapping) else None
+    return (str(warning),) if warning else ()
+
+
+def _far_off(model: Model) -> tuple[FarOff, ...]:
+    """Return the parameters of a fitted physical model that lie far from what was declared; of another none."""
+    from harness.models.estimate import estimate_of
+    from harness.physics.definition.parameters import far_off
+
     system, found = getattr(model, "system", None), estimate_of(model)
     intervals = {} if found is None else {name: found.interval(name) or (0.0, 0.0) for name in found.names}
-    far = said_far(system().parameters, getattr(model, "parameters", {}), intervals) if callable(system) else None
-    return tuple(str(text) for text in (far, warning) if text)
+    return far_off(system().parameters, getattr(model, "parameters", {}), intervals) if callable(system) else ()
 
 
 def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from harness.models.analysis import Findings
+    from harness.physics.definition.parameters import FarOff
     from harness.scoring import Score, TorqueError
     from harness.scoring.predictive import ProbabilityScore
 
@@ -45,6 +46,9 @@ class Identified(Usable):
 
     recorded: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
     """Unit by channel in which the data came; what is not there is in that of the channel."""
+
+    far_from_declared: tuple[FarOff, ...] = ()
+    """Parameters of a physical model that lie a factor of 100 and more from what it declares: check the units."""
 
     def in_own_unit(self, size: float, channel: Channel) -> str:
         """Return a size in the unit of a channel as text, in the unit in which the channel was recorded."""
@@ -91,7 +95,8 @@ class Identified(Usable):
         torques = {use: [[asdict(joint) for joint in run] for run in runs] for use, runs in self.torque_errors.items()}
         if torques:
             scores["torque_error"] = torques
-        return {"model": self.model.to_dict(), **scores, "warnings": list(self.warnings), **bounds}
+        far = {"far_from_declared": [one.to_dict() for one in self.far_from_declared]}
+        return {"model": self.model.to_dict(), **far, **scores, "warnings": list(self.warnings), **bounds}
 
     def torque_rows(self) -> list[tuple[str, ...]]:
         """Return use, run, torque, rms with unit and NRMSE of every joint of an arm, of held-out runs if there are."""
@@ -121,13 +126,15 @@ class Identified(Usable):
 
     def __repr__(self) -> str:
         rows = [f"{use} {run} {name} {free}" for use, run, name, _, free, _ in self._rows()]
-        return f"<Identified {type(self.model).__name__}: NRMSE in free run: {', '.join(rows)}>"
+        far = "".join(f"{one}; " for one in self.far_from_declared)
+        return f"<Identified {type(self.model).__name__}: {far}NRMSE in free run: {', '.join(rows)}>"
 
     def _repr_html_(self) -> str:
         from harness.display import page, table
 
         titles = ["use", "run", "output", "NRMSE one step ahead", "NRMSE in free run", "rms in free run"]
-        parts = [table(titles, self._rows())]
+        far = [table(["far from declared: check the units"], [[str(one)] for one in self.far_from_declared])]
+        parts = [*(far if self.far_from_declared else ()), table(titles, self._rows())]
         if torques := self.torque_rows():
             parts.append(table(["use", "run", "torque", "rms", "NRMSE"], torques))
         if values := getattr(self.model, "parameters", None):

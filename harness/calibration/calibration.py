@@ -11,6 +11,7 @@ import numpy as np
 
 from harness.errors import printable
 from harness.models.estimate import Estimate
+from harness.physics.definition.parameters import FarOff, Parameter, far_off
 from harness.signals import PlantSpec
 
 Errors = Mapping[str, tuple[float, float]]
@@ -86,6 +87,14 @@ class Calibration:
             found[channel.name] = (float(np.sqrt(np.mean(every))), channel.unit)
         return found
 
+    @property
+    def far_from_declared(self) -> tuple[FarOff, ...]:
+        """Parameters a factor of 100 and more from the model's own values: check the units of the columns."""
+        names = self.estimate.names
+        intervals = {name: self.estimate.interval(name) or (0.0, 0.0) for name in names}
+        own = [Parameter(name, self.units[name], value) for name, value in self.before.items()]
+        return far_off(own, self.parameters, intervals)
+
     def parameter_rows(self) -> list[dict[str, str]]:
         """Return the parameters for a table."""
         rows = []
@@ -148,6 +157,7 @@ class Calibration:
 
         return {
             "kind": "calibration",
+            "far_from_declared": [one.to_dict() for one in self.far_from_declared],
             "model": str(self.model),
             "parameters": dict(self.parameters),
             "before": dict(self.before),

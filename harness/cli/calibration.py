@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from harness import api
+from harness.cli.results import say_far
 from harness.cli.terminal import noted, print_json, print_paths, print_rows, say, share_bar
 from harness.cli.words import text_pairs
 from harness.errors import InputError
@@ -76,6 +77,7 @@ def calibrated(
     if as_json:
         print_json(found.to_dict())
         return found
+    say_far(found.far_from_declared)
     print_rows(found.parameter_rows())
     print_rows(found.error_rows())
     for text in found.remarks():

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from harness.benchmark.public import PublicResult
     from harness.diagnosis.planned import Planned
     from harness.models.estimate import Estimate
+    from harness.physics.definition.parameters import FarOff
 from harness.cli.terminal import print_json, print_table, say, wide_console
 from harness.units import behind
 
@@ -119,6 +120,7 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     from harness.models.determined import bands_of, gaps_words
     from harness.models.estimate import estimate_of
 
+    say_far(fitted.far_from_declared)
     say(f"{identifier}: NRMSE (rms)")
     lines: list[tuple[str, ...]] = []
     for use, one_step in fitted.equation_error.items():
@@ -153,6 +155,14 @@ def print_identified(fitted: Identified, identifier: str) -> None:
         say(f"  {gaps}")
     for warning in fitted.warnings:
         say(f"warning: {warning}")
+
+
+def say_far(far: Sequence[FarOff]) -> None:
+    """Say first which parameters lie far from what was declared, if any do."""
+    from harness.physics.definition.parameters import said_far
+
+    if far:
+        say(f"warning: {said_far(far)}")
 
 
 def _print_parameters(model: Any, named: Mapping[str, float], estimate: Estimate | None) -> None:

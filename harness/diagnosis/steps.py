@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
 from harness.diagnosis.contested import explains_nothing, follows_whole
 from harness.diagnosis.dictionary import Laws, placed
 from harness.diagnosis.forms.fit_records import reading_noise
@@ -210,10 +208,8 @@ def widened(form: WholeForm, outcome: Outcome) -> Outcome:
 
 def sizes_off(system: AnySystem, fit: Fit, factor: float = FAR) -> list[str]:
     """Return a warning about parameters that the data determine, and a factor from what was declared."""
-    intervals = {name: fit.interval(name) for name in fit.free if np.isfinite(fit.deviations.get(name, np.nan))}
-    values = {name: fit.values[name] for name in fit.free if name not in fit.on_bound}
-    said = said_far(system.parameters, values, intervals, factor)
-    return [] if said is None else [f"{said}. If the plant is that size, give the model such values"]
+    far = fit.far_off(system.parameters, factor)
+    return [f"{said_far(far)}. If the plant is that size, give the model such values"] if far else []
 
 
 def beaten(rival: str) -> list[str]:

@@ -48,6 +48,9 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
 ``alarms``
     What must be known before anything else: a unit or a column that may be wrong, or why free runs judged the model
     where a likelihood would; among the ``warnings`` too.
+``far_from_declared``
+    Parameters that the data determine a factor of 100 and more from what the nominal model declares: ``name``,
+    ``unit``, ``value``, ``declared``, ``ratio``. The ``summary`` ends with them.
 ``oddities``
     What is odd about the records (:mod:`harness.data.oddities`): ``kind``, ``run``, ``channel``, ``count`` and ``rows``
     (the first 1000), ``text``, ``fault`` (false for what is worth knowing only), ``used`` (kept out of the fits).
@@ -126,6 +129,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         found.runs.output, answer.runs, list(found.dataset.estimation), _used(found, references)
     ) if answer.runs is not None else None  # fmt: skip
     stand_in = () if found.misfit else found.stand_in
+    far = answer.fit.far_off(found.system.parameters)
     errors, tests = _errors(found, found.nominal, found.runs.before), _tests(found, found.nominal)
     unchanged = answer.fit is found.nominal and answer.runs is found.runs.before
     data: dict[str, Any] = {
@@ -174,12 +178,14 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "policy": numbers(found.policy),
         "dictionary": str(found.wanted),
         "alarms": list(found.alarms),
+        "far_from_declared": [one.to_dict() for one in far],
         "warnings": _warnings(found, answer.fit, together),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
     cause = _cause(found) if found.verdict == "unexplained" else ""
     advice = undeclared_motion(found.system) if cause else ""
-    data["summary"] = "; ".join(filter(None, [_summary(data, found.policy.least, cause, _lasting(found)), advice]))
+    told = [_summary(data, found.policy.least, cause, _lasting(found)), advice, ", ".join(map(str, far))]
+    data["summary"] = "; ".join(filter(None, told))
     return data
 
 

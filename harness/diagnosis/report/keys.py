@@ -55,6 +55,7 @@ def blank() -> dict[str, Any]:
         "policy": {},
         "dictionary": "",
         "alarms": [],
+        "far_from_declared": [],
         "oddities": [],
         "warnings": [],
         "seconds": 0.0,

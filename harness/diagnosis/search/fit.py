@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, cast
 
@@ -11,6 +11,7 @@ import numpy as np
 from harness.diagnosis.systems import AnySystem, Parametrised
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
+from harness.physics.definition.parameters import FAR, FarOff, Parameter, far_off
 from harness.physics.fitting.maximum import interval
 from harness.signals import FloatArray
 
@@ -108,6 +109,12 @@ class Fit:
     def interval(self, name: str) -> tuple[float, float]:
         """Return the 95 % interval of a free parameter, from the curvature."""
         return interval(self.values[name], 1.96 * self.deviations[name], name in self.logarithmic)
+
+    def far_off(self, declared: Iterable[Parameter], factor: float = FAR) -> tuple[FarOff, ...]:
+        """Return the parameters that the data determine, and that lie a factor from what was declared."""
+        intervals = {name: self.interval(name) for name in self.free if np.isfinite(self.deviations.get(name, np.nan))}
+        values = {name: self.values[name] for name in self.free if name not in self.on_bound}
+        return far_off(declared, values, intervals, factor)
 
 
 @dataclass(frozen=True, eq=False)

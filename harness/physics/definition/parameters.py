@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -123,13 +123,48 @@ GONE = 1e-7
 """Share of its declared value below which a parameter has vanished: what is not there has no unit that may be wrong."""
 
 
-def said_far(
+@dataclass(frozen=True)
+class FarOff:
+    """A fitted parameter that lies a factor from its declared value.
+
+    Attributes
+    ----------
+    name, unit : str
+    value, declared : float
+        In ``unit``.
+
+    Examples
+    --------
+    >>> str(FarOff("J", "kg m^2", 5e4, 0.1))
+    'J = 5e+04 kg m^2 is 5e+05 times the declared 0.1'
+    """
+
+    name: str
+    unit: str
+    value: float
+    declared: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times the declared value it is, without its sign."""
+        return abs(self.value / self.declared)
+
+    def __str__(self) -> str:
+        size = f"{self.value:.4g}{behind(self.unit)} is {self.ratio:.2g} times the declared {self.declared:g}"
+        return f"{self.name} = {size}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return {**asdict(self), "ratio": self.ratio}
+
+
+def far_off(
     parameters: Iterable[Parameter],
     values: Mapping[str, float],
     intervals: Mapping[str, tuple[float, float]] | None = None,
     factor: float = FAR,
-) -> str | None:
-    """Return in words which fitted parameters are a factor from their declared values; None if none is.
+) -> tuple[FarOff, ...]:
+    """Return the fitted parameters that lie a factor from their declared values.
 
     Parameters
     ----------
@@ -144,23 +179,32 @@ def said_far(
 
     Examples
     --------
-    >>> said_far([Parameter("J", "kg m^2", 0.1), Parameter("b", value=1.0)], {"J": 5e4, "b": 1e-6})
-    'check the units of the columns, time included: J = 5e+04 kg m^2 is 5e+05 times the declared 0.1'
+    >>> [one.name for one in far_off([Parameter("J", "kg m^2", 0.1), Parameter("b", value=1.0)], {"J": 5e4, "b": 1e-6})]
+    ['J']
     """
-    parts = []
+    found = []
     for one in parameters:
         if one.fixed or not one.declared or not one.value or one.name not in values:
             continue
-        ratio = abs(values[one.name] / one.value)
+        far = FarOff(one.name, one.unit, float(values[one.name]), one.value)
         low, high = (intervals or {}).get(one.name, (0.0, 0.0))
         within = one.name in (intervals or {}) and min(low, high) <= one.value <= max(low, high)
-        if (ratio >= factor and not within) or (
-            GONE < ratio <= 1 / factor and 0 < abs(high) < 10 * abs(low) and low * high > 0
+        if (far.ratio >= factor and not within) or (
+            GONE < far.ratio <= 1 / factor and 0 < abs(high) < 10 * abs(low) and low * high > 0
         ):
-            parts.append(
-                f"{one.name} = {values[one.name]:.4g}{behind(one.unit)} is {ratio:.2g} times the declared {one.value:g}"
-            )
-    return f"check the units of the columns, time included: {', '.join(parts)}" if parts else None
+            found.append(far)
+    return tuple(found)
+
+
+def said_far(far: Sequence[FarOff]) -> str:
+    """Return in words what to check where parameters lie far from what was declared.
+
+    Examples
+    --------
+    >>> said_far([FarOff("J", "kg m^2", 5e4, 0.1)])
+    'check the units of the columns, time included: J = 5e+04 kg m^2 is 5e+05 times the declared 0.1'
+    """
+    return f"check the units of the columns, time included: {', '.join(map(str, far))}"
 
 
 def defaults(parameters: Iterable[Parameter], given: Mapping[str, float] | None = None) -> dict[str, float]:
