@@ -397,7 +397,11 @@ class ArmPolicy:
     kept: float = number(
         0.4, "band of a motion over the rate of the rows that are kept of it", "the filter of decimated rows keeps that"
     )
-    fewest: int = number(200, "rows of a record that are kept at least", "ten times the parameters of a joint")
+    fewest: int = number(
+        100,
+        "rows that a record must have in the band of its clear motion where elastic joints are looked for",
+        "ten times what a joint has by itself: six columns, four coefficients of its error",
+    )
     sets: int = number(3, "sets of links that are fitted with errors of their own, the best by one metric", "cost")
     rows: int = number(4000, "samples of a use that are asked for an inertia", "cost: there are five columns")
 

@@ -110,6 +110,33 @@ def test_dry_friction_in_a_torque_that_is_half_a_sample_late_is_a_clock_and_no_s
     assert np.linalg.norm(change + clock) < 0.5 * np.linalg.norm(change)
 
 
+def slow_log(joint: ArmModel, rows: int) -> Dataset:
+    """Return two logs at 100 Hz of a rigid joint on three slow sines, its encoder with noise."""
+    t, f = 0.01 * np.arange(rows), np.array([0.15, 0.3, 0.5])
+    runs = []
+    for number, use in enumerate(USES):
+        rng = np.random.default_rng(number)
+        turned = 2 * np.pi * np.outer(t, f) + rng.uniform(0, 6, 3)
+        y = np.sin(turned).sum(1) + 3e-4 * rng.standard_normal(rows)
+        u = -(LINK + ROTOR) * np.sin(turned) @ (2 * np.pi * f) ** 2 + 0.01 * rng.standard_normal(rows)
+        runs.append(Run(Trajectory(t, u[:, None], y[:, None], PlantSpec(joint.inputs, joint.positions, 0.01)), use))
+    return Dataset("joint", tuple(runs))
+
+
+def test_rows_of_a_short_record_hold_nothing_beyond_the_band_in_which_its_motion_is_clear(joint: ArmModel) -> None:
+    """A spring whose resonance lay there took the noise of the acceleration out of the torque that is needed."""
+    run = clear_runs(arm_runs(joint, slow_log(joint, 1000)))["estimation"][0]
+    t = 0.01 * np.arange(1000)
+    beyond, within = (run.slim(np.sin(2 * np.pi * f * t)[:, None]) for f in (2.0 * run.clear, 0.5))
+    assert np.std(beyond) < 0.2 * np.std(within)
+
+
+def test_a_record_too_short_for_springs_says_so(joint: ArmModel) -> None:
+    notes = searched(joint, slow_log(joint, 400)).notes
+    assert any("no elastic joint was looked for" in note and "record longer" in note for note in notes)
+    assert not searched(joint, slow_log(joint, 3000)).notes
+
+
 def test_a_stiff_spring_changes_the_torque_in_proportion_to_its_compliance(joint: ArmModel) -> None:
     """The limit that says what the elasticity is where its resonance is far above the motion."""
     run = arm_runs(joint, log(joint, "motor", 0.0, 3))["estimation"][0]

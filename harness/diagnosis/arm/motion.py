@@ -198,17 +198,21 @@ def _clear(record: Trajectory, columns: dict[str, tuple[int | None, int | None]]
     return min(motion_band(part, record.spec.sample_time, ARM_POLICY.clear)[1] for part in parts)
 
 
+def clear_factor(runs: Mapping[str, Sequence[ArmRun]]) -> int:
+    """Return by how many samples records are decimated to the band in which the motion of all of them is clear."""
+    bands = [min(run.clear, run.motion.cutoff) * run.motion.sample_time for parts in runs.values() for run in parts]
+    return max(int(ARM_POLICY.kept / min(bands)), 1)
+
+
 def clear_runs(runs: Mapping[str, Sequence[ArmRun]]) -> dict[str, tuple[ArmRun, ...]]:
     """Return the records with their true motion, decimated to the band in which all of it is free of noise.
 
     A calm motion, whose filter bends what lies near its corner, would pass for a spring, and so would the noise of a
-    sharp one beyond that band. So would the jumps of dry friction in a torque that is recorded a fraction of a sample
-    late, if its rate were that of the calm torque: it is taken in the same band as all else.
+    sharp one beyond that band, however short the record: a resonance at its end takes the noise of the accelerations
+    out of the torques that are needed. So would the jumps of dry friction in a torque that is recorded a fraction of a
+    sample late, if its rate were that of the calm torque: it is taken in the same band as all else.
     """
-    every = [run for parts in runs.values() for run in parts]
-    most = min((run.motion.inside.stop - run.motion.inside.start) // ARM_POLICY.fewest for run in every)
-    bands = (min(run.clear, run.motion.cutoff) * run.motion.sample_time for run in every)
-    factor = max(min(most, *(int(ARM_POLICY.kept / band) for band in bands)), 1)
+    factor = clear_factor(runs)
     return {
         use: tuple(
             replace(

@@ -15,7 +15,7 @@ import numpy as np
 
 from harness.diagnosis.arm.effects import GAIN, Wide, torques_of
 from harness.diagnosis.arm.links import LINK, LinkSet, exchanged
-from harness.diagnosis.arm.motion import ArmRun, clear_runs, standstill
+from harness.diagnosis.arm.motion import ArmRun, clear_factor, clear_runs, standstill
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.rotor import LINK_SIDE, MOTOR_SIDE, SPRINGS
 from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
@@ -89,7 +89,8 @@ def wide_search(
 ) -> WideResult:
     """Find what acts on the whole arm.
 
-    Where no joint pauses, and a joint's elasticity promises evidence, all effects are searched on the true motion, see
+    Where no joint pauses, records have rows enough in the band in which their motion is clear of noise, and a joint's
+    elasticity promises evidence, all effects are searched on the true motion in that band, see
     :func:`harness.diagnosis.arm.motion.clear_runs`; that answer holds if a spring is in it. Else they are searched on
     the calm motion, without springs.
 
@@ -123,8 +124,8 @@ def wide_search(
         return form, _searched(arm, form, without, own, arm_policy, say)
 
     # springs are told on the true motion alone; beside bodies that are free no rotor is known, nor a stiffness from it
-    pausing, springs = _pausing(arm, runs, joints, arm_policy), list[Placed]()
-    if not pausing:
+    hidden, springs = _no_springs(arm, runs, joints, arm_policy), list[Placed]()
+    if not hidden:
         form, outcome = searched(lean(None, clear_runs(runs)), *([LINK_SIDE] if len(calibrated) else []))
         springs = [one.placed for one in outcome.accepted if one.placed.effect.name in SPRINGS]
     if not springs or not all(_has_rotor(outcome.model, one, policy) for one in springs):
@@ -132,7 +133,7 @@ def wide_search(
         form, outcome = searched(lean(None), *SPRINGS)
     regression = _wide(form)
     outcome, notes = _without_small(form, outcome, arm_policy)
-    notes += pausing
+    notes += hidden
     fixed = len(calibrated) or springs
     outcome, beside = (outcome, None) if fixed else _as_a_set(form, outcome, lean, policy, own)
     gains = {
@@ -178,10 +179,17 @@ def _searched(
     return search(form, nominal, candidates, policy=own, say=say)
 
 
-def _pausing(
+def _no_springs(
     arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], joints: Sequence[int], policy: ArmPolicy
 ) -> list[str]:
-    """Return what is said of joints that stand still too long for springs to be looked for."""
+    """Return why no springs can be looked for: joints that stand still too long, or too few rows of clear motion."""
+    rows = min(run.motion.inside.stop - run.motion.inside.start for parts in runs.values() for run in parts)
+    clear = rows // clear_factor(runs)
+    if clear < policy.fewest:
+        return [
+            f"no elastic joint was looked for: in the band in which the motion is clear of noise a record has {clear} "
+            f"rows, and {policy.fewest} are needed (record longer, or with faster motion)"
+        ]
     still = standstill(runs)
     return [
         f"{arm.positions[k].name} stands still for {100 * still[k]:.0f} % of the time: no elastic joint was looked "
