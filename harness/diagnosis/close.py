@@ -14,8 +14,8 @@ from harness.data.oddities import examined, lines, odd_pictures, oddities_data
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.records.inputs_check import inputs_checked
-from harness.diagnosis.records.stretches import cut_alike, parted
+from harness.diagnosis.records.inputs_check import FOUND, inputs_checked
+from harness.diagnosis.records.stretches import cut_alike, parted, told_of_whole
 from harness.diagnosis.steps import Progress
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.diagnosis.wanted import Wanted
@@ -211,7 +211,7 @@ def close_loop(
             progress(0.9, "report")
         with one_thread():
             data = evidence_data(diagnosis, cut_alike(references, whole_runs, diagnosis.dataset))
-            data["oddities"] = oddities_data(whole_runs)
+            data["oddities"] = oddities_data(told_of_whole(whole_runs, dataset, FOUND))
             figures = Figures(partial(drawn, diagnosis))
             if folder is not None:
                 write_evidence(data, figures(), folder / HTML, odd_pictures(whole_runs))

@@ -511,6 +511,12 @@ class DataPolicy:
         "seeds below 1000",
     )
     rows_late: int = number(2, "rows by which a recorded input may be late", "a log is written a step or two off")
+    own_values: float = number(
+        3.0,
+        "times their declared values that parameters may take for an input that follows a law to count as late",
+        "a controller would have to have the plant's own resistance, inductance and so on as its gains",
+        "a motor whose current answers at once; controllers of a motor, a pendulum and an oven",
+    )
     rows_tried: tuple[float, ...] = number(
         (1.0, 1.5, 2.0, 2.5), "rows that are tried as long as each is likelier than the one before", "halves of a row"
     )

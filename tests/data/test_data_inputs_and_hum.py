@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from harness.data.oddities import examined
 from harness.diagnosis.records.inputs_check import inputs_checked
 from harness.diagnosis.records.stretches import parted
+from harness.judgement import law_of
+from harness.physics.compiled.system import System
 from harness.physics.symbolic.typed import read_equations
 from harness.signals import Channel, Dataset, FloatArray, Oddity, PlantSpec, Run, Trajectory
 
@@ -20,6 +23,20 @@ g = 0.002 K/J >= 0
 a = 0.003 1/s >= 0
 T' = g*P - a*(T - Ta)
 output T
+"""
+MOTOR = """
+input v [V]
+state i [A], w [rad/s]
+motion shaft: w, J
+R = 2 ohm >= 0
+L = 0.05 H >= 0
+K = 0.05 N m/A >= 0
+J = 1e-3 kg m^2 >= 0
+b = 1e-4 N m s/rad >= 0
+i' = (v - R*i - K*w) / L
+w' = (K*i - b*w) / J
+output i
+output w
 """
 SPEC = PlantSpec((Channel("P", "W"), Channel("Ta", "K")), (Channel("T", "K"),), DT)
 
@@ -64,6 +81,43 @@ def test_equations_tell_whether_a_plant_felt_a_jump_of_an_input_that_no_output_s
         found = inputs_checked(system, looked(u, y)[0])
         assert [(one.channel, one.used) for one in found.oddities or ()] == ([] if felt else [("Ta", True)])
         assert (found.runs[0].trajectory.u[420:450, 1] > 10.0).all() == (not felt)
+
+
+def test_a_late_input_that_an_output_answers_at_once_is_told_by_the_plant_although_it_follows_a_law() -> None:
+    rng, dt, n = np.random.default_rng(4), 0.01, 500
+    system = read_equations(MOTOR, "motor").system()
+    r, inductance, gain, inertia, b = 1.6, 0.04, 0.06, 1.2e-3, 2e-4
+    rates = np.array([[-r / inductance, -gain / inductance, 1.0 / inductance], [gain / inertia, -b / inertia, 0.0]])
+    step = expm(dt * np.vstack([rates, np.zeros(3)]))[:2]
+    v, y, x = np.repeat(rng.uniform(-8.0, 8.0, n // 25), 25)[:, None], np.zeros((n, 2)), np.zeros(2)
+    for k in range(n):
+        y[k] = x + [0.02, 0.3] * rng.standard_normal(2)
+        x = step @ np.append(x, v[k])
+    record = Trajectory(np.arange(float(n)) * dt, np.vstack([v[:1], v[:-1]]), y, _spec(system, dt))
+    assert law_of([record]) is not None
+    found = inputs_checked(system, Dataset("motor", (Run(record),)))
+    assert [odd.kind for odd in found.oddities or ()] == ["shift"]
+    assert np.array_equal(found.runs[0].trajectory.u, v[:-1])
+
+
+@pytest.mark.parametrize("law", [0.6, 1.0, 2.0])
+def test_a_controller_in_time_is_no_late_input_although_a_plant_of_other_values_would_say_so(law: float) -> None:
+    """Read a row early its law tells the next output to the noise, by a gain of the plant that nobody declared."""
+    rng, n = np.random.default_rng(1), 400
+    system = read_equations("input P [W]\nlevel T [K]\ng = 0.2 K/J\na = 0.3 1/s\nT' = g*P - a*T\noutput T", "").system()
+    u, y, x, decay = np.zeros((n, 1)), np.zeros((n, 1)), 0.0, np.exp(-0.3 * DT)
+    for k in range(n):
+        y[k] = x + 1e-2 * rng.standard_normal()
+        u[k] = -law * y[k]
+        x = decay * x + (1.0 - decay) / 0.3 * (0.2 * float(u[k, 0]) + 0.3 * rng.standard_normal())
+    record = Trajectory(np.arange(float(n)) * DT, u, y, _spec(system, DT))
+    found = inputs_checked(system, Dataset("room", (Run(record),)))
+    assert "shift" not in [odd.kind for odd in found.oddities or ()]
+    assert np.array_equal(found.runs[0].trajectory.u, u)
+
+
+def _spec(system: System, dt: float) -> PlantSpec:
+    return PlantSpec(tuple(system.inputs), tuple(system.outputs), dt)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -349,3 +349,23 @@ def test_a_reading_that_falls_to_zero_and_stays_there_is_none_from_its_first_row
         missing = found(u, read)[0].missing
         assert missing is not None
         assert np.flatnonzero(missing[:, 0]).tolist() == list(range(first, row + 30))
+
+
+def test_stretches_of_ten_equal_readings_and_lines_between_others_are_no_readings(
+    clean: tuple[FloatArray, FloatArray],
+) -> None:
+    u, y = clean
+    stuck, bridged = y.copy(), y.copy()
+    stuck[400:410] = stuck[400]
+    bridged[700:715] = np.linspace(y[700], y[714], 15)
+    knots = np.arange(0, N, 4)
+    answers = {
+        "stuck": (stuck, list(range(401, 410))),
+        "filled": (bridged, list(range(701, 714))),
+        "filled, in a rhythm": (np.interp(np.arange(N), knots, y[knots]), np.setdiff1d(np.arange(N), knots).tolist()),
+    }
+    for kind, (read, rows) in answers.items():
+        record, oddities = found(u, read)
+        assert [odd.kind for odd in oddities] == [kind.partition(",")[0]]
+        assert record.missing is not None
+        assert np.flatnonzero(record.missing[:, 0]).tolist() == rows

@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter1d
 from harness.data.oddities.between import mismatched
 from harness.data.oddities.bursts import bursts_of
 from harness.data.oddities.dropouts import dropouts_of
-from harness.data.oddities.held import held_readings, stuck_rows
+from harness.data.oddities.held import filled_readings, held_readings, scatters, stuck_rows
 from harness.data.oddities.hum import hum_of
 from harness.data.oddities.leaps import POSITIONS, SIDE, STRIDES, leaps_of
 from harness.data.oddities.levels import coarse_step, saturated, stuck
@@ -208,13 +208,16 @@ class _Look:
             return
         found = stuck_rows(self.record.y[:, column])
         if not found:
+            self._filled(column, channel, plain)
             return
         typical = float(np.median(np.abs(np.diff(plain))))
+        noisy = scatters(plain) and typical > ODD.above_step * resolution([plain])
         fresh = np.ones(self.n, dtype=bool)
         for first, length in found:
             self.resting[first : first + length, column] = True
             after = abs(plain[first + length] - plain[first])
-            if after > ODD.catch_up * length * typical:  # a plant that stands still starts slowly
+            # a plant that stands still starts slowly, and the noise of its sensor does not stand
+            if noisy or after > ODD.catch_up * length * typical:
                 before = np.abs(np.diff(plain[max(first - SIDE - 1, 0) : first + 1]))
                 fell = before[-1] > STRIDES * before[:-1].max(initial=np.inf if len(before) < 2 else 0.0)
                 fresh[first + int(not fell) : first + length] = False  # a drop-out to 0 is no reading from the start
@@ -224,6 +227,19 @@ class _Look:
         own, (shown,) = self._own(channel, self.record.y[:, column])
         for words in stuck(own, shown, self.spec.sample_time):
             self._add("stuck", channel, rows, words, used=not fresh.all())
+
+    def _filled(self, column: int, channel: Channel, plain: FloatArray) -> None:
+        """Find readings that lie on straight lines between others."""
+        found = filled_readings(plain, self.record.u)
+        if found is None:
+            return
+        rows = np.flatnonzero(~found.fresh)
+        how = f"between every {_th(found.every)} row" if found.every else f"in rows {rows[0]} to {rows[-1]}"
+        if not found.every and rows[-1] - rows[0] >= len(rows):
+            how = f"in {len(rows)} rows (first {rows[0]})"
+        words = f"{channel.name} lies on straight lines {how}, as a log that was filled in: those rows are no readings"
+        self._leave(column, found.fresh, plain)
+        self._add("filled", channel, rows, words, used=True)
 
     def _spikes(self, column: int, channel: Channel, plain: FloatArray, fresh: npt.NDArray[np.bool_]) -> None:
         """Find readings that their neighbours contradict."""

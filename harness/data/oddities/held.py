@@ -1,4 +1,4 @@
-"""Readings that are the one before once more: a sensor slower than its record, a sensor that was stuck."""
+"""Readings that are none: the one before once more, or a point of the straight line from one to the next."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.data.oddities.numbers import ODD
+from harness.resolution import resolution
 from harness.signals import FloatArray
 
 _SHORTEST_STEP = 1e-9
@@ -24,6 +25,10 @@ _BEFORE = 5
 """Moves before a stretch of which one at least was as usual, if the signal was on its way."""
 _FAINT = 0.05
 """Part of the typical change of a signal that a reading must have been behind to count."""
+_ROUNDED = 4.0
+"""Last places by which four rounded readings on a line may bend it."""
+_PLACES = 1e-9
+"""Last place of a reading over the largest one, at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,13 +144,64 @@ def held_readings(y: FloatArray, u: FloatArray) -> Held | None:
     return Held(None, fresh)
 
 
+def filled_readings(y: FloatArray, u: FloatArray) -> Held | None:
+    """Return which readings of an output are no points of straight lines between others, None if all are readings.
+
+    A log that was filled in, or brought to a faster clock, goes on straight and bends where a reading was: in a rhythm
+    that no input has, or in stretches as :func:`stuck_rows` has them of a slope that scatters with the sensor's noise.
+
+    Parameters
+    ----------
+    y : array (N,)
+    u : array (N, nu)
+
+    Examples
+    --------
+    >>> k = np.arange(601.0)
+    >>> y = np.interp(k, k[::3], np.sin(0.05 * k[::3]))
+    >>> filled_readings(y, np.zeros((601, 0))).every, filled_readings(np.sin(0.05 * k), np.zeros((601, 0)))
+    (3, None)
+    """
+    if len(y) < ODD.fewest:
+        return None
+    slope = np.diff(y)
+    least = max(resolution([y]), _PLACES * float(np.abs(y).max()))
+    bends = np.concatenate([[True], np.abs(np.diff(slope)) > _ROUNDED * least])
+    slope = slope[np.maximum.accumulate(np.where(bends, np.arange(len(slope)), 0))]
+    every = rhythm_of(slope)
+    fresh = np.ones(len(y), dtype=bool)
+    if every is not None and not any(every in (rhythm_of(one), rhythm_of(np.diff(one))) for one in u.T):
+        knots = np.flatnonzero(np.diff(slope)) + 1
+        fresh[:] = False
+        fresh[int(np.bincount(knots % every).argmax()) :: every] = True
+        fresh[0] = True
+        return Held(every, fresh)
+    if scatters(slope):
+        for first, length in stuck_rows(slope):
+            fresh[first + 1 : first + length] = False
+    return None if fresh.all() else Held(None, fresh)
+
+
+def scatters(values: FloatArray) -> bool:
+    """Return True where a signal turns back as often as the noise of a sensor does, and no plant that moves by itself.
+
+    Examples
+    --------
+    >>> k = np.arange(600.0)
+    >>> scatters(np.sin(0.05 * k)), scatters(np.random.default_rng(0).standard_normal(600))
+    (False, True)
+    """
+    moves = np.diff(values)
+    return bool(np.mean(moves[1:] * moves[:-1] < 0.0) > ODD.turns)
+
+
 def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     """Return first row and length of every stretch in which a sensor stood still while it otherwise never does.
 
-    One that is ten times longer than any other, or fifty times than they are in the mean, is told by that. Several are
-    exceptions too, so much longer than nearly all others and less than half of the rows; and the signal was on its way
-    before each, as one that settles is not, and went on at once, as one that sticks does not, by more than a few steps
-    of its readings, as an encoder at rest does not.
+    One that is ten times longer than any other, or fifty times than they are in the mean, is told by that. Others,
+    which may be shorter, are exceptions so much longer than nearly all the rest and less than half of the rows; and the
+    signal was on its way before each, as one that settles is not, and went on at once, as one that sticks does not, by
+    more than a few steps of its readings, as an encoder at rest does not.
 
     Parameters
     ----------
@@ -154,9 +210,9 @@ def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     Examples
     --------
     >>> y = np.sin(0.05 * np.arange(600.0))
-    >>> y[100:130], y[310:420] = y[100], y[310]
+    >>> y[100:130], y[310:420], y[500:510] = y[100], y[310], y[500]
     >>> stuck_rows(y), stuck_rows(np.round(y))
-    ([(100, 30), (310, 110)], [])
+    ([(100, 30), (310, 110), (500, 10)], [])
     """
     starts, lengths = runs_of_equal(y)
     moves = np.abs(np.diff(y[starts]))
@@ -165,21 +221,21 @@ def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     usual, step = float(np.median(moves)), step_of(y)
     ends = starts + lengths
     # a plant at rest before its first and after its last excitation is no fault
-    longest = (starts > 0) & (ends < len(y)) & (lengths >= max(ODD.still, 0.01 * len(y)))
-    longest &= (y[starts] != y.max()) & (y[starts] != y.min())
-    sudden = longest.copy()
-    for k in np.flatnonzero(longest):
+    inside = (starts > 0) & (ends < len(y)) & (y[starts] != y.max()) & (y[starts] != y.min())
+    sudden = inside & (lengths >= ODD.brief)
+    for k in np.flatnonzero(sudden):
         arrived = moves[max(k - _BEFORE, 0) : k].max()
         sudden[k] = min(arrived, float(moves[k])) >= ODD.on_its_way * usual and moves[k] > ODD.above_step * step
     places = np.flatnonzero(sudden)
     places = places[np.argsort(-lengths[places], kind="stable")]
-    for count in range(len(places), 1, -1):
+    for count in range(len(places), 0, -1):
         others = np.delete(lengths, places[:count])
         least = int(lengths[places[count - 1]])
         if 2 * others.sum() > len(y) and least >= min(10 * np.percentile(others, _NEARLY_ALL), 50 * np.mean(others)):
             return [(int(starts[k]), int(lengths[k])) for k in np.sort(places[:count])]
     first = int(np.argmax(lengths))
     others = np.delete(lengths, first)
-    if longest[first] and lengths[first] >= min(10 * int(others.max()), 50 * float(np.mean(others))):
+    long = inside[first] and lengths[first] >= max(ODD.still, 0.01 * len(y))
+    if long and lengths[first] >= min(10 * int(others.max()), 50 * float(np.mean(others))):
         return [(int(starts[first]), int(lengths[first]))]
     return []

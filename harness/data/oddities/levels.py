@@ -20,7 +20,8 @@ def stuck(channel: Channel, values: FloatArray, dt: float, kind: str = "output")
     where = f"at {values[first]:g} {channel.unit} for {length} samples from sample {first} ({length * dt:g} s)"
     if len(found) > 1:
         spans = [rows for _, rows in found]
-        where = f"in {len(found)} places for {min(spans)} to {max(spans)} samples, first {where}"
+        least = f"{min(spans)} to " if min(spans) < max(spans) else ""
+        where = f"in {len(found)} places for {least}{max(spans)} samples, first {where}"
     return [
         f"{kind} {channel.name} stands still {where} while elsewhere it does not for more than {elsewhere}: a stuck "
         "sensor or a drop-out?"

@@ -70,6 +70,16 @@ class OddNumbers:
     above_step: float = _number(3.0, "and over the step of the readings: an encoder repeats too", "noise adds a step")
     coarse: float = _number(2.0, "step of the readings over their noise from which it is worth a word", "r hides less")
     still: int = _number(20, "equal readings in a row from which a sensor may be stuck", "as before")
+    brief: int = _number(
+        10,
+        "and where the signal was on its way before them and went on at once",
+        "ten times the length of one reading; 1 in 1000 equal to the next makes ten in a row by chance once in 1e24",
+    )
+    turns: float = _number(
+        0.33,
+        "share of the rows in which a signal turns back from which its sensor's noise moves it",
+        "2 in 3 of white noise, next to none of a motion that is sampled well",
+    )
     on_its_way: float = _number(
         0.2, "move that a signal at a rail was about to make, over its usual one", "0 for one that settles or sticks"
     )

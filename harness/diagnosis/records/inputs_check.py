@@ -16,8 +16,11 @@ from harness.physics.compiled.simulator import Intersample
 from harness.physics.compiled.system import System
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.likelihood_fit import fitted_likelihood
+from harness.physics.fitting.maximum import LikelihoodFit
 from harness.signals import Dataset, FloatArray, Oddity, Run, Trajectory
 
+FOUND = ("shift", "between")
+"""Kinds of oddity that the equations of motion find."""
 _SAMPLES = 2000
 """Rows of a record that are asked; more would tell no other thing."""
 _STEPS = 12
@@ -33,9 +36,12 @@ def inputs_checked(system: System, dataset: Dataset) -> Dataset:
     its input read earlier and later. Nothing mechanical lets a plant answer before it is asked: if the record is far
     likelier with the input read exactly one row (two rows) earlier than as it is, half a row earlier, and half a row
     earlier still, it was written so late. If half a row earlier is far likelier than both whole ones, an input that
-    passes for held moves between its readings, and a line from one to the next is read. Not asked where the input only
-    follows from the outputs. An input that acts a row later may be a dead time, and is only said. Rows of an input
-    that the outputs alone did not decide (:func:`harness.data.oddities.spikes.unfelt`) are asked alike.
+    passes for held moves between its readings, and a line from one to the next is read. Where the input follows from
+    the outputs by a law, that may be a controller, which answers in time, or the plant itself, of which an input that
+    was written late is told by an output that answers at once: it is late where the equations, read so, keep their
+    declared values within ``DATA_POLICY.own_values``. An input that acts a row later may be a dead time, and is only
+    said. Rows of an input that the outputs alone did not decide (:func:`harness.data.oddities.spikes.unfelt`) are asked
+    alike.
 
     Parameters
     ----------
@@ -99,8 +105,9 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
     """Return the data set with inputs read as many rows earlier as they were written late."""
     record = max(dataset.estimation, key=len)
     moving = [k for k in range(record.spec.nu) if np.ptp(record.u[:, k]) > 0]
-    if len(record) < ODD.fewest or not moving or law_of([record]) is not None:  # a controller answers in time
+    if len(record) < ODD.fewest or not moving:
         return dataset
+    law = law_of([record])
     cut = record[: min(len(record), _SAMPLES)]
     spare = DATA_POLICY.rows_late + 1
 
@@ -110,7 +117,9 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
 
     equations = _asked(system, read(0.0), dataset)
     rows, gained = (0.0, 0.0) if equations is None else _late(equations, read)
-    if not rows:
+    if not rows or equations is None:
+        return dataset
+    if law is not None and not (rows >= 1.0 and equations.keeps(read(rows))):
         return dataset
     late, sign = abs(rows), np.sign(rows)
     whole, names = int(late), " and ".join(record.spec.inputs[k].name for k in moving)
@@ -190,11 +199,22 @@ class _Equations:
 
     def gain(self, record: Trajectory) -> float:
         """Return how much likelier the model makes a record with another input."""
+        return self._base.nll - self._fitted(record).nll
+
+    def keeps(self, record: Trajectory) -> bool:
+        """Return True where the model keeps its declared values for a record with another input."""
+        found, most = self._fitted(record).point.p, DATA_POLICY.own_values
+        free = [not one.fixed and one.declared and one.value != 0.0 for one in self._likelihood.system.parameters]
+        ratio = np.array([found[k] / self._likelihood.system.parameters[k].value for k in np.flatnonzero(free)])
+        return bool(ratio.size and ((ratio >= 1.0 / most) & (ratio <= most)).all())
+
+    def _fitted(self, record: Trajectory) -> LikelihoodFit:
+        """Return the maximum for a record with another input."""
         own = self._likelihood
         other = Likelihood(
             own.system, [record.measured()], own.noise_model, intersample=self._intersample, passes=own.filter
         )
-        return self._base.nll - other.maximise(self._base.point, most=_STEPS).nll
+        return other.maximise(self._base.point, most=_STEPS)
 
 
 def _asked(system: System, record: Trajectory, dataset: Dataset) -> _Equations | None:

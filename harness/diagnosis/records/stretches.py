@@ -161,6 +161,33 @@ def parted(dataset: Dataset) -> Dataset:
     return replace(dataset, runs=tuple(runs), oddities=tuple(moved))
 
 
+def told_of_whole(whole: Dataset, pieces: Dataset, kinds: Sequence[str]) -> Dataset:
+    """Return a data set with what was found in the pieces of it since :func:`parted`.
+
+    Parameters
+    ----------
+    whole, pieces : Dataset
+    kinds : sequence of str
+        Of what was found since; it stands in no row.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec, Trajectory
+    >>> spec = PlantSpec((), (Channel("q"),), 0.5)
+    >>> record = Trajectory(np.arange(80) * 0.5, np.zeros((80, 0)), np.arange(80.0)[:, None], spec)
+    >>> whole = Dataset("x", (Run(record, "test"), Run(record)), oddities=(Oddity("leap", 1, "q", (30,), ""),))
+    >>> found = replace(parted(whole), oddities=(Oddity("shift", 2, "u", (), "late"),))
+    >>> [(odd.kind, odd.run) for odd in told_of_whole(whole, found, ("shift",)).oddities]
+    [('leap', 1), ('shift', 1)]
+    """
+    since = [
+        replace(odd, run=next(k for k, run in enumerate(whole) if _place(pieces.runs[odd.run], run) is not None))
+        for odd in pieces.oddities or ()
+        if odd.kind in kinds
+    ]
+    return replace(whole, oddities=(*(whole.oddities or ()), *since))
+
+
 def windowed(dataset: Dataset, seconds: float | None) -> Dataset:
     """Return a data set whose estimation and validation records are cut into windows, each a record of its own.
 
