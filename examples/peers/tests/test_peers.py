@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sysid_peers.linear import NFourSid, PyDmd, Sippy
+from sysid_peers.linear import Control, JaxSysId, NFourSid, PyDmd, Sippy
 from sysid_peers.narx import NarxModel, SysIdentPy
 from sysid_peers.recursive import FilterPy
 from sysid_peers.sparse import PySindy
@@ -18,12 +18,29 @@ from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import LinearSystem, simulate_linear
 
-NEEDS = {PyDmd: "pydmd", Sippy: "sippy_unipi", NFourSid: "nfoursid", FilterPy: "filterpy", PySindy: "pysindy"}
+NEEDS = {
+    PyDmd: "pydmd",
+    Sippy: "sippy_unipi",
+    NFourSid: "nfoursid",
+    FilterPy: "filterpy",
+    PySindy: "pysindy",
+    Control: "control",
+    JaxSysId: "jax_sysid",
+}
 STATE, OUTPUTS = ("linear, state measured",), ("linear",)
 
 
 @pytest.mark.parametrize(
-    ("peer", "kinds"), [(PyDmd, STATE), (PySindy, STATE), (Sippy, OUTPUTS), (NFourSid, OUTPUTS), (FilterPy, STATE)]
+    ("peer", "kinds"),
+    [
+        (PyDmd, STATE),
+        (PySindy, STATE),
+        (Sippy, OUTPUTS),
+        (NFourSid, OUTPUTS),
+        (FilterPy, STATE),
+        (Control, OUTPUTS),
+        (JaxSysId, OUTPUTS),
+    ],
 )
 def test_contract(peer: Any, kinds: tuple[str, ...]) -> None:
     pytest.importorskip(NEEDS[peer], reason=f"{NEEDS[peer]} is not installed")
@@ -31,7 +48,18 @@ def test_contract(peer: Any, kinds: tuple[str, ...]) -> None:
     assert [f"{one.name}: {one.reason}" for one in results if not one.passed] == []
 
 
-@pytest.mark.parametrize("peer", [PyDmd(), PySindy(degree=1), Sippy(order=2), NFourSid(order=2), FilterPy(order=1)])
+@pytest.mark.parametrize(
+    "peer",
+    [
+        PyDmd(),
+        PySindy(degree=1),
+        Sippy(order=2),
+        NFourSid(order=2),
+        FilterPy(order=1),
+        Control(order=2),
+        JaxSysId(order=2),
+    ],
+)
 def test_a_linear_system_is_found(peer: Any) -> None:
     pytest.importorskip(NEEDS[type(peer)], reason=f"{NEEDS[type(peer)]} is not installed")
     outputs = (Channel("x0", "m"), Channel("x1", "m"))

@@ -1,4 +1,4 @@
-"""State-space models of PyDMD, SIPPY and nfoursid."""
+"""State-space models of PyDMD, SIPPY, nfoursid, python-control and jax-sysid."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.linear.least_squares import LinearModel
-from sysid_peers.records import called, longest, package, real_records
+from sysid_peers.records import NO_JUDGE, ONE_RECORD, called, longest, package, real_records
 
-__all__ = ["NFourSid", "PyDmd", "Sippy"]
-
-ONE_RECORD: Mapping[str, str] = {"all_records_used": "the package takes one record: the longest"}
+__all__ = ["Control", "JaxSysId", "NFourSid", "PyDmd", "Sippy"]
 
 
 UNSTABLE = 1.05
@@ -115,6 +113,76 @@ class NFourSid:
         return _model(spec, a, b, c, d, _filter_gain(a, c, np.asarray(covariance, dtype=float)))
 
 
+@dataclass(frozen=True)
+class Control:
+    """The eigensystem realisation of python-control from its estimate of Markov parameters, on the longest record.
+
+    Parameters
+    ----------
+    order : int
+        Number of states.
+    markov : int
+        Markov parameters that are estimated, with no more of the past in the fit.
+    """
+
+    order: int = 3
+    markov: int = 60
+    expected_failures: ClassVar[Mapping[str, str]] = ONE_RECORD
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return the model; it has no filter."""
+        control = package("control", "control")
+        records, spec = real_records(trajectories, 2 * self.markov, "python-control")
+        record = longest(records)
+        with called("python-control"):
+            response = control.markov(record.y.T, record.u.T, m=self.markov)
+            response = np.reshape(response, (spec.ny, spec.nu, -1))
+            found, _ = control.eigensys_realization(response, r=self.order)
+        return _model(spec, found.A, found.B, found.C, found.D, np.zeros((len(found.A), spec.ny)))
+
+
+@dataclass(frozen=True)
+class JaxSysId:
+    """A linear model of jax-sysid, by its L-BFGS on simulation errors of signals scaled as its documentation does.
+
+    Parameters
+    ----------
+    order : int
+        Number of states.
+    feedthrough : bool
+        Whether outputs answer in the same sample.
+    iterations : int
+        Of L-BFGS.
+    """
+
+    order: int = 3
+    feedthrough: bool = False
+    iterations: int = 1000
+    expected_failures: ClassVar[Mapping[str, str]] = NO_JUDGE
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return the model; it has no filter."""
+        models = package("jax_sysid.models", "jax-sysid")
+        double = package("jax.experimental", "jax").enable_x64
+        records, spec = real_records(trajectories, 4 * self.order, "jax-sysid")
+        u, y = (np.vstack([getattr(record, name) for record in records]) for name in ("u", "y"))
+        scale_u, scale_y = (np.where(part.std(axis=0) > 0, part.std(axis=0), 1.0) for part in (u, y))
+        with called("jax-sysid"), double():
+            model = models.LinearModel(
+                self.order, spec.ny, spec.nu, feedthrough=self.feedthrough, seed=int(rng.integers(2**31))
+            )
+            model.loss(rho_x0=1e-3, rho_th=1e-3)
+            model.optimization(lbfgs_epochs=self.iterations, iprint=-1)
+            model.fit(
+                [(record.y - y.mean(axis=0)) / scale_y for record in records],
+                [(record.u - u.mean(axis=0)) / scale_u for record in records],
+            )
+            a, b, c, d = (np.asarray(part, dtype=float) for part in model.ssdata())
+        b, c, d = b / scale_u, scale_y[:, None] * c, scale_y[:, None] * d / scale_u
+        about = -b @ u.mean(axis=0), y.mean(axis=0) - d @ u.mean(axis=0)
+        return _model(spec, a, b, c, d, np.zeros((len(a), spec.ny)), about=about)
+
+
 def _filter_gain(a: FloatArray, c: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the gain of the stationary Kalman filter; nfoursid orders the covariance as output, then state noise."""
     from scipy.linalg import solve_discrete_are
@@ -133,8 +201,13 @@ def _radius(a: FloatArray) -> float:
     return float(np.abs(np.linalg.eigvals(a)).max(initial=0.0))
 
 
-def _model(spec: PlantSpec, a: Any, b: Any, c: Any, d: Any, gain: Any, burn_in: int = 0) -> LinearModel:
-    """Return a linear model, without a filter where the one found is unstable; refuses what then cannot predict."""
+def _model(
+    spec: PlantSpec, a: Any, b: Any, c: Any, d: Any, gain: Any, burn_in: int = 0, about: tuple[Any, Any] | None = None
+) -> LinearModel:
+    """Return a linear model, without a filter where the one found is unstable; refuses what then cannot predict.
+
+    ``about`` is what is added to the next state and to the outputs where the signals were taken about their means.
+    """
     if not all(np.isfinite(part).all() for part in (a, b, c, d, gain)):
         raise FitError("its model", expected="finite matrices", got="others", remedy="record more, or lower the order")
     size = len(a)
@@ -142,4 +215,5 @@ def _model(spec: PlantSpec, a: Any, b: Any, c: Any, d: Any, gain: Any, burn_in: 
         gain = np.zeros_like(gain)
         if _radius(a) > UNSTABLE:
             raise FitError("its model", expected="a stable model or filter", got="neither", remedy="lower the order")
-    return LinearModel(spec, a, b, c, d, gain, np.zeros(len(a)), np.zeros(spec.ny), burn_in)
+    offset, level = (np.zeros(len(a)), np.zeros(spec.ny)) if about is None else about
+    return LinearModel(spec, a, b, c, d, gain, offset, level, burn_in)

@@ -11,7 +11,7 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
-from sysid_peers.records import called, longest, package, real_records
+from sysid_peers.records import ONE_RECORD, called, longest, package, real_records
 
 __all__ = ["NarxModel", "SysIdentPy"]
 
@@ -100,9 +100,7 @@ class SysIdentPy:
     degree: int = 2
     terms: int = 15
     criterion: str = "aic"
-    expected_failures: ClassVar[Mapping[str, str]] = {
-        "all_records_used": "the package takes one record: the longest",
-    }
+    expected_failures: ClassVar[Mapping[str, str]] = ONE_RECORD
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> NarxModel:
         """Return the model with the terms that SysIdentPy chose."""

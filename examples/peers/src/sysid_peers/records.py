@@ -6,7 +6,7 @@ import contextlib
 import importlib
 import io
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,12 @@ import numpy as np
 from harness.errors import FitError, HarnessError, InputError
 from harness.signals import PlantSpec, Trajectory
 
-__all__ = ["called", "longest", "package", "real_records"]
+__all__ = ["NO_JUDGE", "ONE_RECORD", "called", "longest", "package", "real_records"]
+
+NO_JUDGE: Mapping[str, str] = {"feedback_told": "the package does not look for feedback"}
+"""Checks of the contract that no package keeps."""
+ONE_RECORD: Mapping[str, str] = {**NO_JUDGE, "all_records_used": "the package takes one record: the longest"}
+"""Those that packages of one record do not keep."""
 
 
 def package(name: str, distribution: str) -> Any:

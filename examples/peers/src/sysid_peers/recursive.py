@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from harness.signals import FloatArray, Trajectory
 from identifiers.linear.least_squares import LinearModel
-from sysid_peers.records import called, package, real_records
+from sysid_peers.records import NO_JUDGE, called, package, real_records
 
 __all__ = ["FilterPy"]
 
@@ -28,6 +29,7 @@ class FilterPy:
     """
 
     order: int = 2
+    expected_failures: ClassVar[Mapping[str, str]] = NO_JUDGE
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model with the coefficients after the last sample of the last record."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from harness.errors import FitError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
-from sysid_peers.records import called, package, real_records
+from sysid_peers.records import NO_JUDGE, called, package, real_records
 
 __all__ = ["PySindy", "SindyModel"]
 
@@ -31,6 +31,7 @@ class PySindy:
 
     degree: int = 2
     threshold: float = 1e-3
+    expected_failures: ClassVar[Mapping[str, str]] = NO_JUDGE
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> SindyModel:
         """Return the model."""
