@@ -159,8 +159,8 @@ class Logs:
                 remedy="choose another time column",
             )
         if span is not None:
-            inside = np.flatnonzero((t >= span[0]) & (t <= span[1]))
-            low, high = (int(inside[0]), int(inside[-1]) + 1) if inside.size else (0, 0)
+            later, sooner = np.flatnonzero(t >= span[0]), np.flatnonzero(t <= span[1])
+            low, high = int(later[0]) if later.size else len(y), int(sooner[-1]) + 1 if sooner.size else 0
             low, high = max(low - 1, 0), min(high + 1, len(y))  # the line goes on beyond the edge
             t, y = t[low:high], y[low:high]
         rows = extremes(y, pixels)

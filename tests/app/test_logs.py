@@ -49,6 +49,8 @@ def test_a_span_is_drawn_from_its_own_rows_in_the_unit_of_the_clock(folder: Path
     line = Logs().lines(path, ["y"], clock="time [ms]", span=(0.2, 0.3))[0]
     assert line["t"] == pytest.approx([0.01 * k for k in range(19, 32)])
     assert line["y"] == list(range(19, 32))
+    between = Logs().lines(path, ["y"], clock="time [ms]", span=(0.202, 0.207))[0]
+    assert between["y"] == [20, 21], "between two rows the line that joins them is drawn"
 
 
 def test_without_a_clock_rows_or_the_sample_time_count(folder: Path) -> None:
