@@ -9,7 +9,7 @@ import numpy as np
 from harness.cosim.wiring import Part, Wire
 from harness.signals import FloatArray
 
-PASSES = 50
+PASSES = 50  # of an iteration, before it is given up
 NUDGE = 1e-7  # of a signal, relative; about the root of the rounding error
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from harness.cosim.controlled import Controlled, Hold, Lines
 from harness.cosim.graph import followers, newton, reached_at_once, strong_components
+from harness.cosim.initial import start_from_inputs
 from harness.cosim.texts import split
 from harness.cosim.watched import watched
 from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower
@@ -240,27 +241,46 @@ class Coupled:
         return self._abilities
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
-        """Reset every part, each with its own stream; initial states are named ``"part.state"``."""
-        own = self._checked_states({**self._initial, **(x0 or {})})
-        for part, stream in zip(self._parts, rng.spawn(len(self._parts)), strict=True):
-            self._put(part, part.plant.reset(rng=stream, x0=own[part.name] or None))
+        """Reset every part, each with its own stream; initial states are named ``"part.state"``.
+
+        What an FMU computes from its inputs while it initialises (FMI 2.0.5 sec. 4.2.4), it computes from what drives
+        them then; ``x0`` may name external inputs too, for what they are at that time.
+        """
+        outside = {channel.name: 0.0 for channel in self._spec.inputs}
+        outside.update(zip(outside, self.input_starts, strict=False))
+        states = {**self._initial, **(x0 or {})}
+        outside.update({name: states.pop(name) for name in outside if name in states})
+        own = self._checked_states(states)
+        streams = {part.name: stream for part, stream in zip(self._parts, rng.spawn(len(self._parts)), strict=True)}
+        for part in self._parts:
+            self._put(part, part.plant.reset(rng=streams[part.name], x0=own[part.name] or None))
         self._tick = 0
         if self._lines is not None:
             self._lines.forget()
         if self._controlled is not None:
             self._controlled.forget()
         signals = self._signals
-        signals[self._outside] = [0.0] * len(self._spec.inputs)
-        for group in self._direct:  # a delay line starts with its source's first value
-            self._fill_lines()
-            self._evaluate([group])
-        self._fill_lines()
+        signals[self._outside] = list(outside.values())
+        self._agree_at_once()
+        resting = {wire.target for wire in self._wires if wire.external and not self.input_starts}
+
+        def again(part: Part, inputs: Mapping[str, float]) -> None:
+            self._put(part, part.plant.reset(rng=streams[part.name], x0={**own[part.name], **inputs}))
+
+        start_from_inputs(self._parts, signals, resting, again, self._agree_at_once, self._tolerance)
         for wire in self._late:
             wire.memory = deque([signals[wire.source]] * wire.delay)
         if self._texts is not None:
             self._texts.move()
         self._evaluate(self._direct)
         return self._shown_outputs()
+
+    def _agree_at_once(self) -> None:
+        """Bring the signals of the first instant into agreement; a delay line starts with its source's first value."""
+        for group in self._direct:
+            self._fill_lines()
+            self._evaluate([group])
+        self._fill_lines()
 
     def preset(self, values: Mapping[str, Any]) -> None:
         """Set parameters and start values of parts (``"part.name"``, SI) for the resets to come, where they take any.

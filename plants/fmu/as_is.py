@@ -92,8 +92,8 @@ def run_as_is(
             return IsolatedPlant("plants.fmu.plant:FmuPlant", {**asked, **more}, timeout=timeout)
         return FmuPlant(**{**asked, **more})
 
-    starts = _input_starts(file, chosen)
     with made() as plant:
+        starts = np.array(plant.input_starts)
         found = free_run(plant, starts, span, progress)
         notes += [*plant.warnings]
     notes += found.notes
@@ -143,19 +143,6 @@ def _left_out(file: FmuFile) -> list[str]:
 def _fixed(file: FmuFile, name: str) -> bool:
     """Return True for a variable that cannot change."""
     return file.variables[name].variability in ("constant", "fixed", "parameter")
-
-
-def _input_starts(file: FmuFile, chosen: dict[str, Any]) -> FloatArray:
-    """Return the start values of the inputs (nu,), in SI, those that the caller gives included."""
-    from plants.fmu.variables import choose, starts
-
-    ports = choose(file, chosen.get("inputs"), "input")
-    values = np.array(starts(ports))
-    names = [channel.name for one in ports for channel in one.channels]
-    for name, value in dict(chosen.get("start") or {}).items():
-        if name in names:
-            values[names.index(name)] = float(value)
-    return values
 
 
 def _dominated(

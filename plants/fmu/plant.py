@@ -187,7 +187,7 @@ class FmuPlant(Beyond):
         return ExchangeEngine(self._instance, inputs, outputs, timing, solver=solver, tolerance=self.tolerance)
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
-        """Initialise the FMU anew; ``x0`` sets start values of states by name, in SI; returns ``y[0]`` (ny,).
+        """Initialise the FMU anew; ``x0`` sets states and inputs at the start, by name, in SI; returns ``y[0]`` (ny,).
 
         Raises
         ------
@@ -198,8 +198,8 @@ class FmuPlant(Beyond):
         """
         self._check_open()
         self._one = idle
-        values = dict(self._start)
-        values.update(encoded(self.file, x0 or {}, "x0", None))
+        given = dict(x0 or {})
+        values = {**self._start, **self._inputs_of(given), **encoded(self.file, given, "x0", None)}
         if self.way_back is None and self._first is not None:
             self._find_way_back(self._first)
         self._begin(values)
@@ -209,6 +209,19 @@ class FmuPlant(Beyond):
         else:
             self._one = self._engine.one
         return self._engine.y.copy()
+
+    def _inputs_of(self, given: dict[str, float]) -> dict[str, Any]:
+        """Take the channels of inputs out of values in SI; returns them by variable, in the FMU's types and units."""
+        if not given:
+            return {}
+        row = {channel.name: given.pop(channel.name, None) for channel in self.spec.inputs}
+        own, found = dict(zip(row, self.input_starts.tolist(), strict=True)), {}
+        for one in self._inputs:
+            names = [channel.name for channel in one.channels]
+            if any(row[name] is not None for name in names):
+                found[one.variable.name] = [own[name] if row[name] is None else row[name] for name in names]
+        scalars = {name: x if self.file.variables[name].shape else x[0] for name, x in found.items()}
+        return encoded(self.file, scalars, "start", ("input",))
 
     def _begin(self, values: Mapping[str, Any]) -> None:
         """Initialise the FMU anew with these start values, in its own types and units, and read the outputs."""
@@ -380,8 +393,8 @@ class FmuPlant(Beyond):
 
     @property
     def input_starts(self) -> FloatArray:
-        """Start values of the inputs (nu,), in SI."""
-        return np.array(starts(self._inputs))
+        """Values of the inputs (nu,) while the FMU initialises, in SI: those that were given, or its own."""
+        return np.array(starts(self._inputs, self._start))
 
     @property
     def substeps(self) -> int:

@@ -170,11 +170,12 @@ def _listed(text: str, known: Collection[str]) -> list[str]:
     return names if all(names) else [text]
 
 
-def starts(ports: Iterable[Port]) -> list[float]:
-    """Return the start values of all channels in SI; 0 where the description gives none."""
+def starts(ports: Iterable[Port], given: Mapping[str, Any]) -> list[float]:
+    """Return the start values of all channels in SI, those ``given`` first; 0 where the description gives none."""
     values: list[float] = []
     for one in ports:
-        words = str(one.variable.start or "").split()
+        own = np.ravel(given.get(one.variable.name, ())).tolist()
+        words = own or str(one.variable.start or "").split()
         raw = [{"true": 1.0, "false": 0.0}.get(word) if word in ("true", "false") else _number(word) for word in words]
         listed = [0.0 if value is None else one.scale * value + one.offset for value in raw] or [0.0]
         values += (listed * one.size)[: one.size]

@@ -449,7 +449,7 @@ def test_a_file_outside_the_folder_is_said_to_be_there_and_one_that_is_nowhere_i
     (tmp_path / "beside.fmu").write_text("x")
     package = FolderPackage(inside / "s.ssd", inside)
     for source, remedy in (
-        ("../beside.fmu", "within=FOLDER"),
+        ("../beside.fmu", f"--option within={tmp_path}$"),
         ("../nowhere.fmu", "put it there"),
         ("file:../beside.fmu", "put it there"),
     ):

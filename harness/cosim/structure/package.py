@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import posixpath
+import shlex
 import shutil
 import tempfile
 import zipfile
@@ -183,12 +185,14 @@ class FolderPackage(Package):
 
     def _missing(self, source: str, what: str) -> InputError:
         plain = urlparse(source)
-        outside = not plain.scheme and (self._folder / unquote(plain.path)).resolve().is_file()
+        place = (self._folder / unquote(plain.path)).resolve()
+        outside = not plain.scheme and place.is_file()
         return InputError(
             f"source of {what}",
             expected=f"a file inside {self._within}",
             got=repr(source),
-            remedy="say which folder its files may lie in: --option within=FOLDER"
+            remedy="if you trust it, say which folder its files may lie in: --option within="
+            + shlex.quote(os.path.commonpath([self._within, place.parent]))
             if outside
             else "put it there, or correct the source",
             file=self.path,

@@ -1,0 +1,91 @@
+"""What a part computes from its inputs while it initialises, it computes from what drives them then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from harness import registry
+from harness.cosim import Connection, Coupled
+from harness.protocols import Plant
+
+ZERO = 273.15
+Made = Callable[..., Plant]
+
+
+@pytest.fixture
+def settled(odd_fmu: Callable[..., Path]) -> Made:
+    """Return a maker of FMUs whose level is, from the start on, twice the flow (degC, 20 by itself)."""
+    path = str(odd_fmu("settled"))
+
+    def made(id: str = "fmu", **options: Any) -> Plant:
+        inner = {"path": path, "sample_time": 0.1, **options}
+        if id == "isolated":
+            return registry.create("plants", id, plant="fmu", **inner)
+        return registry.create("plants", id, **inner)
+
+    return made
+
+
+def levels(plant: Coupled, **x0: float) -> list[float]:
+    """Return the outputs at the start [degC]; after a step they are the same."""
+    with plant:
+        for _ in range(2):
+            y = plant.reset(rng=np.random.default_rng(0), x0=x0)
+        assert plant.step(np.full(plant.spec.nu, ZERO + 5)) == pytest.approx(y)
+    return [float(value) - ZERO for value in y]
+
+
+def chain(settled: Made, order: str, **first: Any) -> Coupled:
+    """Return c -> b -> a, the parts being named in an order of one's choice."""
+    parts = {name: settled(inputs=[] if name == "c" else ["flow"], **(first if name == "c" else {})) for name in order}
+    return Coupled(parts, [("c.level", "b.flow"), ("b.level", "a.flow")], outputs=["a.level", "b.level", "c.level"])
+
+
+@pytest.mark.parametrize("order", ["abc", "cba", "bca"])
+def test_a_part_starts_from_what_drives_it_in_whatever_order_the_parts_stand(settled: Made, order: str) -> None:
+    assert levels(chain(settled, order)) == pytest.approx([160, 80, 40])
+    assert levels(chain(settled, order, start={"flow": ZERO + 1})) == pytest.approx([8, 4, 2])
+
+
+def test_gains_and_delays_count_at_the_start_too(settled: Made) -> None:
+    wire = Connection("a.level", "b.flow", 0.5, gain_unit=None, delay=3, offset=0.5 * ZERO)
+    parts = {"b": settled(), "a": settled(inputs=[], start={"flow": ZERO + 7})}
+    assert levels(Coupled(parts, [wire], outputs=["b.level"])) == pytest.approx([14])
+
+
+def test_what_comes_from_outside_rests_at_the_own_start_value_unless_it_is_given(settled: Made) -> None:
+    def pair() -> Coupled:
+        parts = {"b": settled(), "a": settled(start={"flow": ZERO + 3})}
+        return Coupled(
+            parts, [("push", "a.flow"), ("a.level", "b.flow")], inputs={"push": "a.flow"}, outputs=["b.level"]
+        )
+
+    assert levels(pair()) == pytest.approx([12])
+    told = pair()
+    told.input_starts = (ZERO + 10.0,)
+    assert levels(told) == pytest.approx([40])
+
+
+@pytest.mark.parametrize("gain", [0.25, -0.25, 0.0])
+def test_a_loop_starts_where_all_agree(settled: Made, gain: float) -> None:
+    there = Connection("a.level", "b.flow", gain, gain_unit=None, offset=(1 - gain) * ZERO + 1)
+    back = Connection("b.level", "a.flow", gain, gain_unit=None, offset=(1 - gain) * ZERO + 1)
+    y = levels(Coupled({"a": settled(), "b": settled()}, [there, back], outputs=["a.level", "b.level"]))
+    assert y == pytest.approx([2 / (1 - 2 * gain)] * 2, abs=1e-6)
+
+
+def test_a_loop_without_an_end_is_said(settled: Made, caplog: pytest.LogCaptureFixture) -> None:
+    wires = [("a.level", "b.flow"), ("b.level", "a.flow")]
+    y = levels(Coupled({"a": settled(), "b": settled()}, wires, outputs=["a.level"]))
+    assert "do not agree" in caplog.text
+    assert np.isfinite(y).all()
+
+
+def test_a_part_in_a_process_of_its_own_starts_alike(settled: Made) -> None:
+    parts = {"b": settled("isolated"), "a": settled(inputs=[], start={"flow": ZERO + 6})}
+    assert levels(Coupled(parts, [("a.level", "b.flow")], outputs=["b.level"])) == pytest.approx([24])
