@@ -143,16 +143,20 @@ def _answers(place: float, sources: list[int], n: int) -> bool:
 
 def _line(place: int, n: int, lags: int, left: FloatArray, alone: FloatArray) -> tuple[float, float]:
     """Return the frequency about a bin whose sine lowers a sum of squares most, and that sum."""
-    k = np.arange(lags, n)
-    best = (place / n, np.inf)
-    for more in _WITHIN:
-        frequency = (place + more) / n
-        pair = _pair(frequency, k)
-        pair = pair - left @ (left.T @ pair)
-        rest = alone - pair @ np.linalg.lstsq(pair, alone, rcond=1e-9)[0]
-        if float(rest @ rest) < best[1]:
-            best = (frequency, float(rest @ rest))
-    return best
+    frequencies = (place + _WITHIN) / n
+    turn = 2 * np.pi * np.outer(np.arange(lags, n), frequencies)
+    cosine, sine = np.cos(turn), np.sin(turn)
+    known, other = left.T @ cosine, left.T @ sine  # what the regressors tell of them is no line of its own
+    first, second = (
+        np.sum(cosine**2, axis=0) - np.sum(known**2, axis=0),
+        np.sum(sine**2, axis=0) - np.sum(other**2, axis=0),
+    )
+    both = np.sum(cosine * sine, axis=0) - np.sum(known * other, axis=0)
+    a, b = alone @ cosine, alone @ sine
+    volume = np.maximum(first * second - both**2, 1e-9 * len(turn) ** 2)
+    lower = (second * a**2 - 2 * both * a * b + first * b**2) / volume
+    best = int(np.argmax(lower))
+    return float(frequencies[best]), float(alone @ alone - lower[best])
 
 
 def _pair(frequency: float, k: npt.NDArray[Any]) -> FloatArray:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
-from scipy.stats import chi2, norm
+from scipy.special import chdtri
+from scipy.stats import norm
 
 from harness.data.oddities.foretold import Foretold, foretold
 from harness.data.oddities.leaps import STRIDES
@@ -73,12 +74,13 @@ def slips_of(y: FloatArray, u: FloatArray, odd: npt.NDArray[np.bool_]) -> list[S
     asked = [(int(row), -1) for row in twice]
     asked += [(int(row) - early, lost) for row in far for lost in range(1, ODD.lost + 1) for early in (0, 1)]
     near_odd = maximum_filter1d(odd, 4 * n + 1)
+    unknown = {lost: [_unknown(one, max(lost, 0)) for one in told] for lost in {lost for _, lost in asked}}
     found: list[Slip] = []
     for row, lost in asked:
         whole = 2 * n <= row < count - 2 * n - 1 and not near_odd[row]
         if not whole or any(abs(row - slip.row) <= 2 * n for slip in found):
             continue
-        if (lost < 0 or _calm(u[row - 2 * n : row + 2 * n])) and _told(y, u, told, row, lost):
+        if (lost < 0 or _calm(u[row - 2 * n : row + 2 * n])) and _told(y, u, told, row, lost, unknown[lost]):
             found.append(Slip(row, lost))
     return sorted(found, key=lambda slip: slip.row)
 
@@ -89,30 +91,34 @@ def _calm(u: FloatArray) -> bool:
     return bool((moves[middle - 3 : middle + 1] <= STRIDES * np.median(moves, axis=0)).all())
 
 
-def _told(y: FloatArray, u: FloatArray, told: list[Foretold], row: int, lost: int) -> bool:
+def _told(y: FloatArray, u: FloatArray, told: list[Foretold], row: int, lost: int, unknown: list[FloatArray]) -> bool:
     """Return True where rows that are lost before one, or it itself written twice, explain the errors after it."""
     n, more, first = len(told[0].own), max(lost, 0), row - min(lost, 0)
     before, after = slice(row - n, row), slice(first, first + 2 * n)
     share = np.arange(1, more + 1)[:, None] / (more + 1)
     inputs = np.vstack([u[before], u[row - 1] + share * (u[row] - u[row - 1]), u[after]])
     left = rival = whole = 0.0
-    for one, readings in zip(told, y.T, strict=True):
+    for one, readings, free in zip(told, y.T, unknown, strict=True):
         scale, level = one.scale[row], _level(one, readings, u, row)
         wrong = _errors(one, np.concatenate([readings[before], np.zeros(more), readings[after]]), inputs, level)
-        if more:
-            nothing = np.zeros((len(wrong) + n, 1 + u.shape[1]))
-            slopes = []
-            for place in np.ndindex(more, nothing.shape[1]):  # readings that are not known, and inputs
-                unknown = nothing.copy()
-                unknown[n + place[0], place[1]] = 1.0
-                slopes.append(_errors(one, unknown[:, 0], unknown[:, 1:], 0.0))
-            wrong = wrong - np.column_stack(slopes) @ np.linalg.lstsq(np.column_stack(slopes), wrong, rcond=None)[0]
+        wrong = wrong - free @ (free.T @ wrong)
         left += float(wrong @ wrong) / scale**2
         own = np.sort((one.error[row : row + 2 * n] / scale) ** 2)
         whole += float(own.sum())
         rival += float(own[: -max(more * (1 + u.shape[1]), 1)].sum())  # what as many kicks would leave
-    usual = left <= ODD.heavy * float(chi2.isf(_USUAL, 2 * n * len(told)))
+    usual = left <= ODD.heavy * float(chdtri(2 * n * len(told), _USUAL))
     return usual and 0.5 * (whole - left) > ODD.felt and left <= ODD.rival * rival
+
+
+def _unknown(one: Foretold, rows: int) -> FloatArray:
+    """Return a basis (2 n + rows, k), of unit length, of what unknown readings and inputs of some rows do to errors."""
+    n = len(one.own)
+    each = np.column_stack([one.pattern, -one.other])
+    columns = np.zeros((2 * n + rows, rows, each.shape[1]))
+    for row in range(rows):
+        columns[row : row + n + 1, row] = each
+    left, values, _ = np.linalg.svd(columns.reshape(len(columns), -1), full_matrices=False)
+    return np.asarray(left[:, values > len(columns) * np.finfo(float).eps * values.max(initial=0.0)])
 
 
 def _errors(one: Foretold, y: FloatArray, u: FloatArray, level: float) -> FloatArray:
