@@ -62,15 +62,21 @@ def together(springs: Sequence[tuple[Spring, FloatArray]]) -> list[tuple[Spring,
     return found
 
 
-def torques_of(effects: Sequence[tuple[Wide, FloatArray]], run: ArmRun) -> FloatArray:
-    """Return the torque (N, n) that the joints need more, of effects with values of their parameters."""
+def torques_of(effects: Sequence[tuple[Wide, FloatArray]], run: ArmRun) -> tuple[FloatArray, FloatArray]:
+    """Return the torque (N, n) that the joints need more, of effects with values of their parameters.
+
+    Beside it stand the torques (N, n, k) of the swings that the record may begin in.
+    """
     total = np.zeros_like(run.calm.q)
+    swings = [np.zeros((*total.shape, 0))]
     for effect, values in effects:
         if effect.bent is None:
             total += effect.columns(run) @ values
     for spring, values in together([(effect.bent(run), values) for effect, values in effects if effect.bent]):
         total += spring(values)
-    return total
+        if spring.hidden:
+            swings.append(spring.swings(values))
+    return total, np.concatenate(swings, axis=2)
 
 
 def _on_several(signal: Any, states: Any, parameters: Any, q: Any, v: Any) -> Any:

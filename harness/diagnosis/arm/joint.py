@@ -56,6 +56,7 @@ class JointEquation:
     system: System
     motions: Mapping[str, Sequence[Motion]]
     rows: Callable[..., list[FloatArray]]
+    hidden: int = 0
 
     def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
         """Return for every record the residual torque (rows, 1) and its derivatives (rows, 1, np)."""

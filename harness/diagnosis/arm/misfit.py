@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, moving_rows
-from harness.diagnosis.arm.wide_regression import OWN, own_columns
+from harness.diagnosis.arm.wide_regression import OWN, own_columns, turning_level
 from harness.diagnosis.policy import ARM_POLICY, Policy
 from harness.diagnosis.records.columns_check import DEGREE
 from harness.physics.arms.arm import ArmModel
@@ -172,8 +172,7 @@ def _explained(pairs: Sequence[tuple[ArmRun, FloatArray]], joints: Sequence[int]
     for k in joints:
         parts = []
         for run, torque in pairs:
-            speeds = np.maximum(0.02 * np.sqrt(np.mean(run.motion.v**2, axis=0)), 1e-6)
-            own = own_columns(run, speeds)[:, k, len(OWN) * k : len(OWN) * k + 3]
+            own = own_columns(run, turning_level(run))[:, k, len(OWN) * k : len(OWN) * k + 3]
             columns = np.concatenate([(torque - run.rigid)[:, [k]], torque[:, [k]], own], axis=1)
             keep = moving_rows(run.motion)[:, k] > 0
             parts.append(run.slim(columns[:, None, :], [k])[keep, 0])

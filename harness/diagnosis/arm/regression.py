@@ -44,6 +44,11 @@ class Equation(Protocol):
         """What has the parameters."""
         ...
 
+    @property
+    def hidden(self) -> int:
+        """Number of values that are estimated beside the parameters: swings that estimation records may begin in."""
+        ...
+
     def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
         """Return for every record the residual torque (rows, n) and its derivatives by all parameters (rows, n, np)."""
         ...
@@ -302,7 +307,7 @@ class RegressionForm(InOneGo):
 
         return Fit(
             tuple(effects), system, values, tuple(names[k] for k in free),
-            len(free) + len(errors) * (POLICY.order + 1),
+            len(free) + equation.hidden + len(errors) * (POLICY.order + 1),
             {use: [-Filtered(e, s).terms for e, s in parts] for use, parts in innovations.items()},
             {names[k]: d / max(size, 1e-300) for k, d, size in zip(free, deviations, relative, strict=True)},
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),

@@ -15,7 +15,7 @@ twist ``e = theta - q``. Which encoder was logged decides what is known of it:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -123,6 +123,15 @@ class Spring(Protocol):
         """Return by how much more torque (N, n) the joints need, for values of the parameters."""
         ...
 
+    @property
+    def hidden(self) -> int:
+        """Number k of free swings that a record may begin in."""
+        ...
+
+    def swings(self, values: FloatArray) -> FloatArray:
+        """Return the torques (N, n, k) of these swings, 1 at most, for values of the parameters."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Swinging:
@@ -146,6 +155,7 @@ class Swinging:
     drag: FloatArray
     pull: FloatArray
     dt: float
+    _made: dict[bytes, FloatArray] = field(default_factory=dict)
 
     def beside(self, other: Swinging) -> Swinging:
         """Return both as one."""
@@ -166,8 +176,15 @@ class Swinging:
             found.append({"compliance": 1 / (inertia * w**2), "lag": 2 * ARM_POLICY.damped / w})
         return found
 
+    @property
+    def hidden(self) -> int:
+        """Number k of free swings that a record may begin in: a twist and its rate of every joint that gives way."""
+        return 2 * len(self.joints)
+
     def twist(self, compliance: FloatArray, lag: FloatArray) -> FloatArray:
-        """Return the twists (N, s) of springs: ``c M e'' + (lag + c C) e' + (1 + c G) e = c tau``, at rest at first.
+        """Return the twists (N, s, 1 + k) of springs: ``c M e'' + (lag + c C) e' + (1 + c G) e = c tau``.
+
+        The first one begins at rest; the others are without tau, each with one of the first two twists of a joint at 1.
 
         Central differences; the weights of the neighbours in what is not differentiated give the discrete spring the
         frequency of the continuous one (1/12 where it is slow: Numerov's method), and keep it stable where it is fast:
@@ -196,15 +213,29 @@ class Swinging:
                     band[s - 1 + back * s + at - by, 2 - back : rows - back, by] = block[:, at, by]
         first = np.linalg.solve(still[:2], forced[:2, :, None])[:, :, 0]
         later = weight * (forced[2:] + forced[:-2]) + (1 - 2 * weight) * forced[1:-1]
-        wanted = np.concatenate([first, later]).ravel()
+        wanted = np.zeros((rows * s, 1 + 2 * s))
+        wanted[:, 0] = np.concatenate([first, later]).ravel()
+        wanted[: 2 * s, 1:] = np.eye(2 * s)
         found = solve_banded((3 * s - 1, s - 1), band.reshape(len(band), -1), wanted, check_finite=False)
-        return np.asarray(found.reshape(rows, s))
+        return np.asarray(found.reshape(rows, s, -1))
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        """Return by how much more torque (N, n) the joints need, for a compliance and a lag of each."""
-        e = self.twist(values[::2], values[1::2])
-        parts = (self.mass, _second(e, self.dt)), (self.drag, np.gradient(e, self.dt, axis=0)), (self.pull, e)
-        return -np.asarray(sum(np.einsum("tns,ts->tn", gradient, twist) for gradient, twist in parts))
+        """Return by how much more torque (N, n) the joints need, for a compliance and a lag of each, at rest first."""
+        return self._torques(values)[:, :, 0]
+
+    def swings(self, values: FloatArray) -> FloatArray:
+        """Return the torques (N, n, k) of the swings that a record may begin in, 1 at most."""
+        begun = self._torques(values)[:, :, 1:]
+        return np.asarray(begun / np.maximum(np.abs(begun).max(axis=(0, 1)), 1e-300))
+
+    def _torques(self, values: FloatArray) -> FloatArray:
+        key = values.tobytes()
+        if key not in self._made:
+            self._made.clear()
+            e = self.twist(values[::2], values[1::2])
+            parts = (self.mass, _second(e, self.dt)), (self.drag, np.gradient(e, self.dt, axis=0)), (self.pull, e)
+            self._made[key] = -np.asarray(sum(np.einsum("tns,tsk->tnk", gradient, twist) for gradient, twist in parts))
+        return self._made[key]
 
 
 def swinging(arm: ArmModel, joint: int) -> Callable[[ArmRun], Swinging]:
@@ -252,6 +283,15 @@ class Ahead:
         half = 2 * float(values[1]) / self.dt  # trapezoidal rule
         behind = signal.lfilter([1.0, 1.0], [1 + half, 1 - half], self.bent, axis=0)
         return np.asarray(float(values[0]) * behind)
+
+    @property
+    def hidden(self) -> int:
+        """None: the link that swings was measured."""
+        return 0
+
+    def swings(self, values: FloatArray) -> FloatArray:
+        """Return no torque."""
+        return np.zeros((*self.bent.shape, 0 * len(values)))
 
 
 def ahead(arm: ArmModel, joint: int) -> Callable[[ArmRun], Ahead]:

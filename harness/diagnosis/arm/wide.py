@@ -18,7 +18,7 @@ from harness.diagnosis.arm.links import LINK, LinkSet, exchanged
 from harness.diagnosis.arm.motion import ArmRun, clear_factor, clear_runs, standstill
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.rotor import LINK_SIDE, MOTOR_SIDE, SPRINGS
-from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
+from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression, begun_swings
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.search.compare import compared, impossible
 from harness.diagnosis.search.fit import Fit
@@ -74,7 +74,9 @@ class WideResult:
             )
             for placed in (accepted.placed for accepted in self.accepted)
         ]
-        return np.asarray(run.rigid + torques_of(found, run.sharp))
+        more, swings = torques_of(found, run.sharp)
+        needed = run.rigid + more
+        return np.asarray(needed + begun_swings(run.sharp, needed, swings) if swings.shape[2] else needed)
 
 
 def wide_search(

@@ -22,6 +22,8 @@ ROTOR = "rotor"
 OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
 """Columns of each joint in :func:`own_columns`."""
 FRICTION = ("dry", "load")
+FADED = 1e-6
+"""Size of a swing of size 1 below which it has faded before the first row that is kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +75,34 @@ class LinearEquation:
                     moved = values.copy()
                     moved[k] = value * (1 + STEP)
                     slopes[:, :, place] = (bent.torque(moved, use, number) - torque) / (value * STEP)
+            for places, bent in self.bent:
+                if not bent.made[use][number].hidden:
+                    continue
+                residual, slopes = without_swings(residual, slopes, bent.swings(p[list(places)], use, number))
             found.append((residual, slopes))
         return found
+
+    @property
+    def hidden(self) -> int:
+        """See :class:`harness.diagnosis.arm.regression.Equation`."""
+        return sum(spring.hidden for _, bent in self.bent for spring in bent.made["estimation"])
+
+
+def without_swings(residual: FloatArray, slopes: FloatArray, swings: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a residual (rows, n) and its derivatives (rows, n, p) without what free swings (rows, n, k) explain.
+
+    A record may begin in the middle of a swing. One that has faded before the first row explains nothing.
+    """
+    columns = swings.reshape(-1, swings.shape[2])
+    size = np.linalg.norm(columns, axis=0)
+    alive = size > FADED
+    if not alive.any():
+        return residual, slopes
+    basis, _ = np.linalg.qr(columns[:, alive] / size[alive])
+    both = np.concatenate([residual[:, :, None], slopes], axis=2)
+    flat = both.reshape(len(basis), -1)
+    both = (flat - basis @ (basis.T @ flat)).reshape(both.shape)
+    return both[:, :, 0], both[:, :, 1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +116,10 @@ class Bent:
     def torque(self, values: FloatArray, use: str, number: int) -> FloatArray:
         """Return the torque (rows, n) that the joints need more along one record."""
         return self.runs[use][number].slim(self.made[use][number](values)[:, self.joints], self.joints)
+
+    def swings(self, values: FloatArray, use: str, number: int) -> FloatArray:
+        """Return the torques (rows, n, k) of the swings that the record may begin in."""
+        return self.runs[use][number].slim(self.made[use][number].swings(values)[:, self.joints], self.joints)
 
 
 class WideRegression:
@@ -119,8 +151,7 @@ class WideRegression:
         self.runs, self.joints = runs, list(joints)
         self._positions = [channel.name for channel in arm.positions]
         self.counts = {use: [moving_rows(run.motion)[:, self.joints] for run in runs[use]] for use in USES}
-        speeds = np.sqrt(np.mean(runs["estimation"][0].motion.v ** 2, axis=0))
-        level = np.maximum(policy.turning * speeds, 1e-6)
+        level = turning_level(runs["estimation"][0], policy)
         self._target = {use: [self._slim(run, run.motion.u - run.rigid) for run in runs[use]] for use in USES}
         self._base: dict[str, list[FloatArray]] = {}
         own_of = [
@@ -241,13 +272,40 @@ class WideRegression:
         """Return the torque of an effect over that of the dry friction at the joint where it weighs most."""
         own = np.array([fit.values[placed.name(parameter.name)] for parameter in placed.effect.parameters])
         effect = self.effects[str(placed)]
-        torque = np.concatenate([self._slim(run, torques_of([(effect, own)], run)) for run in self.runs["estimation"]])
+        torque = np.concatenate(
+            [self._slim(run, torques_of([(effect, own)], run)[0]) for run in self.runs["estimation"]]
+        )
         size = np.sqrt(np.mean(torque**2, axis=0))
         joint = int(np.argmax(size))
         places = [len(OWN) * joint + OWN.index(word) for word in FRICTION]
         values = np.array([fit.values[self.nominal.parameter_names[k]] for k in places])
         friction = np.concatenate(self._base["estimation"])[:, joint, places] @ values
         return float(size[joint] / max(np.sqrt(np.mean(friction**2)), 1e-300))
+
+
+def turning_level(run: ArmRun, policy: ArmPolicy = ARM_POLICY) -> FloatArray:
+    """Return the width (n,) of the sign of each joint's speed."""
+    return np.asarray(np.maximum(policy.turning * np.sqrt(np.mean(run.motion.v**2, axis=0)), 1e-6))
+
+
+def begun_swings(run: ArmRun, needed: FloatArray, swings: FloatArray) -> FloatArray:
+    """Return the torque (N, n) of the swings that a record begins in, beside what every joint could do by itself.
+
+    Parameters
+    ----------
+    run : ArmRun
+    needed : array (N, n)
+        Torque that the arm needs if it begins at rest.
+    swings : array (N, n, k)
+        From :func:`harness.diagnosis.arm.effects.torques_of`.
+    """
+    own = run.slim(own_columns(run, turning_level(run)))
+    columns = np.concatenate([own, run.slim(swings)], axis=2)
+    columns = columns.reshape(-1, columns.shape[2])
+    size = np.linalg.norm(columns, axis=0)
+    size[size <= FADED] = np.inf
+    values = np.linalg.lstsq(columns / size, run.slim(run.motion.u - needed).ravel(), rcond=1e-10)[0] / size
+    return np.asarray(swings @ values[own.shape[2] :])
 
 
 def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
