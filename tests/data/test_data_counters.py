@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from harness.data import load_dataset
 from harness.data.recipe.contents import contents_of
 from harness.data.tables.headers import clock_of, fraction_of
+from harness.data.tables.table import Table
 from harness.data.times.counts import dated, unwrapped
 from harness.errors import InputError
 from harness.signals import Dataset
@@ -155,3 +156,34 @@ def test_a_declared_unit_of_time_against_the_title_is_said(tmp_path: Path) -> No
     data = load_dataset(log(tmp_path, "time [msec]", [f"{k * 10}" for k in range(N)]), model="pendulum",
                         unit={"time": "ms"}).dataset  # fmt: skip
     assert not any("as declared" in note for note in data.warnings)
+
+
+@pytest.mark.parametrize(
+    ("title", "written"),
+    [
+        ("MESS_DATUM", "%Y%m%d%H%M"), ("MESS_DATUM", "%Y%m%d%H"), ("timestamp", "%Y%m%d%H%M%S"), ("row", "%Y%m%d%H%M"),
+        ("Time", "%b %d %H:%M:%S"), ("Zeit", "%d.%m. %H:%M:%S"),
+    ],
+)  # fmt: skip
+def test_dates_in_digits_alone_and_without_a_year_are_the_clock(tmp_path: Path, title: str, written: str) -> None:
+    """As weather services, system logs and cyclers write them."""
+    begin = datetime.datetime(2024, 4, 29, 22)
+    stamps = [(begin + datetime.timedelta(hours=k)).strftime(written) for k in range(80)]
+    rows = "".join(f"{stamp};{k % 7};{k % 5}\n" for k, stamp in enumerate(stamps))
+    (path := tmp_path / "log.csv").write_text(f"{title};u;y\n{rows}", encoding="utf-8")
+    table = Table(path)
+    assert table.clock() == title
+    assert table.read_time(title)[0] == pytest.approx(3600.0 * np.arange(80))
+
+
+def test_a_counter_is_no_date_though_it_begins_like_one(tmp_path: Path) -> None:
+    rows = "".join(f"{2024050100 + k},{k % 5}\n" for k in range(80))
+    (path := tmp_path / "log.csv").write_text(f"serial,y\n{rows}", encoding="utf-8")
+    assert Table(path).clock() is None
+
+
+def test_a_leap_day_without_its_year_is_refused(tmp_path: Path) -> None:
+    rows = "".join(f"Feb {day} 12:00:00,{day}\n" for day in (27, 28, 29))
+    (path := tmp_path / "log.csv").write_text(f"Time,y\n{rows}", encoding="utf-8")
+    with pytest.raises(InputError, match="Time"):
+        Table(path).read_time("Time")

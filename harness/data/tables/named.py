@@ -142,7 +142,9 @@ class Columns:
         for some in (dates, timed):
             if len(some) == 1 and self._rises(some[0]):
                 return some[0]
-        return None
+        digits = [] if texts is None else [title for title in free if dated(texts(title, 3)) is not None]
+        written = [title for title in digits if self._rises(title) and dated(texts(title)) is not None]
+        return written[0] if len(written) == 1 else None
 
     def _rises(self, title: str) -> bool:
         """Return True if every number of a column is above the one before."""

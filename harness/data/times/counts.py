@@ -20,11 +20,13 @@ FINER = (1e-3, 1e-6)
 WITHIN = 0.5
 """Part of a step within which the step over the end of a counter is as long as the others."""
 
-DIGITS = (1.9e13, 2.1e20)
-"""Between these lie numbers such as 20241231235959, also with three or six digits of a fraction behind them."""
+DIGITS = (1.9e7, 2.1e20)
+"""Between these lie numbers such as 20241231, 202412312359 and 20241231235959, with digits of a fraction behind them.
+A counter that runs does not stay among the days, hours and minutes that there are."""
 _DAY = r"(?P<day>(?:19|20)\d\d(?:0[1-9]|1[0-2])(?:0[1-9]|[12]\d|3[01]))"
-_TIME = r"(?P<time>(?:[01]\d|2[0-3])[0-5]\d[0-5]\d)"
-_DIGITS = re.compile(rf"{_DAY}{_TIME}(?:[.,]?(?P<part>\d{{3}}|\d{{6}})|[.,](?P<rest>\d+))?", re.ASCII)
+_PART = r"(?:[.,]?(?P<part>\d{3}|\d{6})|[.,](?P<rest>\d+))"
+_TIME = rf"(?P<hour>[01]\d|2[0-3])(?:(?P<minute>[0-5]\d)(?:(?P<second>[0-5]\d){_PART}?)?)?"
+_DIGITS = re.compile(rf"{_DAY}(?:{_TIME})?", re.ASCII)
 
 
 def unwrapped(counts: FloatArray, *, of_day: bool = False) -> tuple[FloatArray, float, int]:
@@ -79,19 +81,22 @@ def unwrapped(counts: FloatArray, *, of_day: bool = False) -> tuple[FloatArray, 
 
 
 def dated(cells: Sequence[str]) -> list[str] | None:
-    """Return stamps such as ``20241231235959.5`` or ``20241231235959500`` as ISO 8601; None if any is another number.
+    """Return stamps such as ``20241231235959.5``, ``202412312359`` or ``20241231`` as ISO 8601; None if one is none.
 
     Examples
     --------
     >>> dated(["20241231235959.5", "20250101000000"]), dated(["20241231235959500"]), dated(["1709640000000"])
     (['20241231T235959.5', '20250101T000000'], ['20241231T235959.500'], None)
+    >>> dated(["202412312359", "202501010000"]), dated(["2024123123", "2025010100"])
+    (['20241231T235900', '20250101T000000'], ['20241231T230000', '20250101T000000'])
     """
     found = [_DIGITS.fullmatch(cell.strip()) for cell in cells]
     if not found or None in found:
         return None
     parts = [one["part"] or one["rest"] for one in found if one is not None]
     return [
-        f"{one['day']}T{one['time']}" + (f".{part}" if part else "")
+        f"{one['day']}T{one['hour'] or '00'}{one['minute'] or '00'}{one['second'] or '00'}"
+        + (f".{part}" if part else "")
         for one, part in zip(found, parts, strict=True)
         if one is not None
     ]

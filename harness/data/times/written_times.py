@@ -51,6 +51,12 @@ _TWICE = re.compile(r"(?<=:\d\d\.\d{3}),(?=\d{3}\b)")
 _HOUR_MINUTE = re.compile(
     rf"(?P<date>.*\d(?:[T ]|, ?))(?P<time>{_TIME})(?P<rest>\s*(?:[AaPp]\.?[Mm]\.?)?\s*(?:Z|[+-]\d\d(?::?\d\d)?)?)"
 )
+_YEARLESS = re.compile(
+    rf"(?:(?P<month>{_WORD})\.?\s+(?P<day>\d{{1,2}}),?|(?P<first>\d{{1,2}})(?P<sign>[./-])(?P<second>\d{{1,2}})\.?)"
+    rf"\s+(?P<time>{_TIME}:\d\d(?:[.,]\d+)?)"
+)
+PLAIN_YEAR = 2001
+"""Stands where a log names none, as system logs do. It has no 29 February: one is refused, not counted a day short."""
 _PLACE = re.compile(r"(?P<ahead>Z|[+-]\d\d:?\d\d)\[[A-Za-z_+\-/\d]+\]$")
 _WEEK = re.compile(r"(?<!\d)(?P<year>\d{4})(?P<sign>-?)W(?P<week>\d\d)(?P=sign)(?P<day>[1-7])(?=[T ]|$)")
 _DAY_OF_YEAR = re.compile(
@@ -68,8 +74,8 @@ def plain_time(cell: str) -> str:
     """Return a date with a time as a day of a month, with points or slashes; what is none comes back as it is.
 
     Names of months and days, signs of East Asia, AM and PM before the time, days and months without a zero before
-    them, hours and minutes without seconds behind a date, fractions behind a colon, and names of a place behind an
-    offset.
+    them, hours and minutes without seconds behind a date, fractions behind a colon, names of a place behind an offset,
+    and dates without a year.
 
     Examples
     --------
@@ -79,6 +85,8 @@ def plain_time(cell: str) -> str:
     ('31.3.2024 00:30:00', '12:00:01.250', '12:00:01.250004')
     >>> plain_time("2024-W18-3T10:00:05"), plain_time("2024-122T10:00:05Z"), plain_time("2024:122:10:00:05")
     ('2024-05-01T10:00:05', '2024-05-01T10:00:05Z', '2024-05-01 10:00:05')
+    >>> plain_time("May  1 08:30:00"), plain_time("01.05. 08:30:00"), plain_time("05-01 08:30:00.125")
+    ('1.5.2001 08:30:00', '01.05.2001 08:30:00', '05-01-2001 08:30:00.125')
     """
     text = cell.strip()
     if not text.isascii():
@@ -89,6 +97,8 @@ def plain_time(cell: str) -> str:
                     text = f"{' '.join(text.replace(word, ' ').split())} {half}"
     text = _PLACE.sub(r"\g<ahead>", text.removesuffix(" Uhr"))
     text = _HALF.sub(r" \1\2", text.upper() if _SMALL.fullmatch(text) else text)
+    if (found := _YEARLESS.fullmatch(text)) is not None:
+        text = _with_year(found)
     text = _DAY_OF_YEAR.sub(_of_year, _WEEK.sub(_of_week, text, count=1), count=1)
     if re.search(_WORD, text):
         text = _with_month(text.replace(" at ", " "))
@@ -96,6 +106,15 @@ def plain_time(cell: str) -> str:
     text = _FOURTH.sub(r"\g<whole>.\g<part>", _TWICE.sub("", text))
     found = _HOUR_MINUTE.fullmatch(text)
     return text if found is None else f"{found['date']}{found['time']}:00{found['rest']}"
+
+
+def _with_year(found: re.Match[str]) -> str:
+    """Return a date without a year as one of a plain year; as it stands where its word is no month."""
+    if found["month"] is None:
+        sign = found["sign"]
+        return f"{found['first']}{sign}{found['second']}{sign}{PLAIN_YEAR} {found['time']}"
+    month = MONTHS.get(found["month"].lower())
+    return found[0] if month is None else f"{found['day']}.{month}.{PLAIN_YEAR} {found['time']}"
 
 
 def _of_week(found: re.Match[str]) -> str:
