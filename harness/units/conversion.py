@@ -101,8 +101,6 @@ WHOLE = {
     "r/min": "rpm",
     "rps": "turn/s",
     "dps": "degree/s",
-    "deg C": "degC",
-    "deg F": "degF",
     "Celsius": "degC",
     "celsius": "degC",
     "℃": "degC",
@@ -166,6 +164,11 @@ _RATE = re.compile(r"ms(?:\^|\*\*)?[-\u2212\u207b](?P<power>[1-3\u00b9\u00b2\u00
 _WORD = re.compile("[a-z]+|[a-z]?(?:[A-Z][a-z]{2,}|[A-Z]{3,})")
 _EXPONENT = re.compile(r"(?<=[A-Za-z°µμΩ])([-\u2212]?[1-4])(?![\w.])")
 _INERTIA = re.compile(r"\b(k?g)([cm]?m)(?:\^?2|²)")
+_SCALE = re.compile(
+    rf"(?<!\w)(?:(?i:deg(?:ree)?s?|grad)\.?|°|{'|'.join(DEGREES)})[ _]?"
+    r"(?P<scale>(?i:[CFK]|Celsius|Fahrenheit|Kelvin))(?!\w)"
+)
+"""A degree beside the letter of a scale is one of temperature: nobody measures an angle times a charge."""
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
 
 
@@ -203,6 +206,7 @@ def _parsed(text: str) -> Any:
         text = text.replace(sign, "*")
     for sign in "º˚∘":  # rings that keyboards and fonts give for a degree
         text = text.replace(sign, "°")
+    text = _SCALE.sub(lambda found: {"C": "degC", "F": "degF", "K": "K"}[found["scale"][0].upper()], text)
     plain = _INERTIA.sub(r"\1*\2^2", text.replace("\u2212", "-"))
     plain = _HYPHEN.sub("*", _EXPONENT.sub(r"^\1", plain))
     # a word of three letters or more is the same with capitals (RPM, Sec, mVolt); a short sign never is

@@ -200,3 +200,13 @@ def test_a_product_of_units_is_reckoned_and_one_alone_stays_as_it_was_written(
     parts: list[tuple[str, int]], text: str
 ) -> None:
     assert product(parts) == text
+
+
+@pytest.mark.parametrize("degree", ["Deg", "deg.", "degrees", "DEG", "°", "grad", "Degree"])
+@pytest.mark.parametrize(("scale", "meant"), [("C", "degC"), ("F", "degF"), ("K", "K")])
+def test_a_degree_beside_the_letter_of_a_scale_is_one_of_temperature(degree: str, scale: str, meant: str) -> None:
+    """Campbell's loggers write Deg C: as an angle times a charge it passed for a unit."""
+    for joint in (" ", "_"):
+        written = f"{degree}{joint}{scale}"
+        assert convert(np.array([20.0]), written, "K") == pytest.approx(convert(np.array([20.0]), meant, "K"))
+    assert convert(np.ones(1), f"W/{degree} {scale}", "W/K") == pytest.approx(convert(np.ones(1), f"W/{meant}", "W/K"))
