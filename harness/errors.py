@@ -18,6 +18,8 @@ from unicodedata import category
 
 ENDING = re.compile(r"\.[A-Za-z]\w{0,15}")
 """Ending of a file's name; ids of parts have none."""
+UNREADABLE = (OSError, ValueError, RecursionError)
+"""What a text that is to be JSON or TOML raises: no file, no such text, or brackets deeper than its reader goes."""
 
 
 def printable(text: str) -> str:

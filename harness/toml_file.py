@@ -30,7 +30,7 @@ def read_toml(path: Path, kind: type[Read]) -> Read:
     """
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError("not TOML", expected="a TOML file", got=str(error), remedy="repair it", file=path) from error
     try:
         return msgspec.convert(content, kind)

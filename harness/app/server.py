@@ -31,7 +31,7 @@ from harness.app.gate import HOST, Gate
 from harness.app.jobs import Job, Jobs
 from harness.app.logs import Logs
 from harness.app.reach import Reach
-from harness.errors import HarnessError, InputError
+from harness.errors import UNREADABLE, HarnessError, InputError
 from harness.trust import names_fmu
 
 STATIC = Path(__file__).with_name("static")
@@ -339,7 +339,7 @@ def _chosen(body: bytes) -> list[int]:
     """Return the runs that the page named."""
     try:
         found = json.loads(body)
-    except ValueError:
+    except UNREADABLE:
         found = None
     if not isinstance(found, list) or not found or not all(isinstance(number, int) for number in found):
         raise InputError("which run", expected="its number", got="something else", remedy="reload the page")

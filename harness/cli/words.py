@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from harness.errors import InputError
+from harness.errors import UNREADABLE, InputError
 
 if TYPE_CHECKING:
     pass
@@ -28,7 +28,7 @@ def option_value(text: str) -> Any:
     """Read an option's value as TOML (3, 0.5, true, [1, 2]); anything else is text."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except UNREADABLE:
         return text
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.errors import InputError, as_written
+from harness.errors import UNREADABLE, InputError, as_written
 from harness.units import behind
 
 FORMAT = "sysid-harness/close-loop/"
@@ -80,7 +80,7 @@ def is_report(path: str | Path) -> bool:
         return False
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except UNREADABLE:
         return False
     return isinstance(content, dict) and str(content.get("format", "")).startswith(FORMAT)
 

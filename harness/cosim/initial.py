@@ -2,12 +2,12 @@
 
 A master sets the inputs of an FMU from the outputs that they are connected to while all FMUs initialise (FMI 2.0.5
 sec. 4.2.4, Initialization Mode). Here a part is reset once more with what its inputs are then, for as long as that
-moves something: once for each part without a loop, by fixed-point iteration in one.
+moves something: once for each part without a loop, by fixed-point iteration in one. Where a loop has no fixed point
+that is reached so, the parts in it begin at their own start values.
 """
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
@@ -16,18 +16,18 @@ from harness.cosim.graph import PASSES
 from harness.cosim.wiring import Part
 from harness.signals import FloatArray
 
-log = logging.getLogger(__name__)
 TINY = np.finfo(float).tiny
+Reset = Callable[[Part, FloatArray], None]
 
 
 def start_from_inputs(
     parts: Sequence[Part],
     signals: list[float],
     resting: Collection[int],
-    reset: Callable[[Part, Mapping[str, float]], None],
+    reset: Reset,
     agree: Callable[[], None],
     tolerance: float,
-) -> None:
+) -> list[str]:
     """Reset the parts that tell the start values of their inputs (``input_starts``) with what drives them.
 
     Parameters
@@ -39,32 +39,56 @@ def start_from_inputs(
     resting : collection of int
         Places of inputs that rest at their own start values.
     reset : callable
-        ``reset(part, inputs)`` resets a part with the values of its inputs by name, in SI.
+        ``reset(part, u)`` resets a part with the values of its inputs (nu,), in SI.
     agree : callable
         Brings signals into agreement that act within the instant.
     tolerance : float
         Relative change of an input that counts as none.
+
+    Returns
+    -------
+    list of str
+        The parts that begin at their own start values, as nothing else agrees.
     """
-    before = {part.name: starts for part in parts if len(starts := _starts(part))}
-    gap = np.inf if before else 0.0
-    for count in range(PASSES):
-        last, gap = gap, 0.0
-        for part in parts:
-            if part.name in before:
-                old, new = before[part.name], part.read(signals)
-                places = range(part.inputs.start, part.inputs.stop)
-                new = np.where([place in resting for place in places], old, new)
-                moved = np.abs(new - old) / np.maximum(np.maximum(np.abs(new), np.abs(old)), TINY)
-                if moved.any():
-                    before[part.name] = new
-                    reset(part, {c.name: x for c, x in zip(part.plant.spec.inputs, new.tolist(), strict=True)})
-                gap = max(gap, float(moved.max()))
-        if gap <= tolerance:
-            return
+    own = {part.name: starts for part in parts if len(starts := _starts(part))}
+    takers, stuck = [part for part in parts if part.name in own], []
+    while moving := _settled(takers, own, signals, resting, reset, agree, tolerance):
+        for part in moving:
+            reset(part, own[part.name])
+            takers.remove(part)
+            stuck.append(part.name)
         agree()
-        if count >= len(parts) and gap >= last:  # a loop, and no way towards its solution
+    return stuck
+
+
+def _settled(
+    takers: Sequence[Part],
+    own: Mapping[str, FloatArray],
+    signals: list[float],
+    resting: Collection[int],
+    reset: Reset,
+    agree: Callable[[], None],
+    tolerance: float,
+) -> list[Part]:
+    """Reset parts with their inputs until nothing moves; returns those that still do where there is no end."""
+    before, gap, moving = dict(own), np.inf, list[Part]()
+    for count in range(PASSES):
+        last, gap, moving = gap, 0.0, []
+        for part in takers:
+            old, new = before[part.name], part.read(signals)
+            places = range(part.inputs.start, part.inputs.stop)
+            new = np.where([place in resting for place in places], old, new)
+            moved = float(np.max(np.abs(new - old) / np.maximum(np.maximum(np.abs(new), np.abs(old)), TINY)))
+            if moved > 0.0:
+                before[part.name] = new
+                reset(part, new)
+            if moved > tolerance:
+                moving.append(part)
+            gap = max(gap, moved)
+        if not moving or (count >= len(takers) and gap >= last):  # the latter: a loop, and no way to its solution
             break
-    log.warning("%s start from what depends on them, and do not agree: taken as they are", ", ".join(before))
+        agree()
+    return moving
 
 
 def _starts(part: Part) -> FloatArray:

@@ -21,6 +21,7 @@ from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import Channel, FloatArray, PlantSpec
 
 Order = Literal["jacobi", "gauss-seidel"]
+ASTRAY = "what they compute from their inputs at the start has no end in a loop: they begin at their own start values"
 
 
 def _check_asked(parts: Mapping[str, Plant], order: str) -> None:
@@ -264,10 +265,13 @@ class Coupled:
         self._agree_at_once()
         resting = {wire.target for wire in self._wires if wire.external and not self.input_starts}
 
-        def again(part: Part, inputs: Mapping[str, float]) -> None:
+        def again(part: Part, u: FloatArray) -> None:
+            inputs = {channel.name: value for channel, value in zip(part.plant.spec.inputs, u.tolist(), strict=True)}
             self._put(part, part.plant.reset(rng=streams[part.name], x0={**own[part.name], **inputs}))
 
-        start_from_inputs(self._parts, signals, resting, again, self._agree_at_once, self._tolerance)
+        stuck = start_from_inputs(self._parts, signals, resting, again, self._agree_at_once, self._tolerance)
+        if stuck and (said := f"{', '.join(stuck)}: {ASTRAY}") not in self.warnings:
+            self.warnings += (said,)
         for wire in self._late:
             wire.memory = deque([signals[wire.source]] * wire.delay)
         if self._texts is not None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from harness.errors import InputError, no_file
+from harness.errors import UNREADABLE, InputError, no_file
 from harness.export.c_model import description, model_source
 from harness.export.linear import Linear, linear_description, linear_source
 from harness.export.packed import packed
@@ -72,7 +72,7 @@ def _other_kind(source: str | Path, target: Path, fmi: str) -> Path | None:
         return None
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, UnicodeDecodeError):
+    except UNREADABLE:
         return None
     if not isinstance(content, dict) or content.get("kind") not in ("fmu", "arm"):
         return None

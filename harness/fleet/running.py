@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from harness.data.whole_files import write_text
-from harness.errors import InputError
+from harness.errors import UNREADABLE, InputError
 from harness.fleet.changes import Change, Odd, changes, odd_machines
 from harness.fleet.page import fleet_page, written
 from harness.fleet.records import find_records
@@ -211,7 +211,7 @@ def _report(path: Path) -> dict[str, Any]:
     try:
         data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         str(data["verdict"]), dict(data["errors"]["after"])  # what every demand asks for
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (*UNREADABLE, KeyError, TypeError) as error:
         raise InputError(
             "the report of a record",
             expected="report.json as sysid close-loop wrote it",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import numpy as np
 
-from harness.errors import InputError, unread
+from harness.errors import UNREADABLE, InputError, unread
 from harness.jobs.alone import alone_in
 from harness.physics.fitting.output_error import simulate_error
 from harness.physics.fitting.residual_force import LABEL
@@ -187,7 +187,7 @@ def _report(folder: Path) -> dict[str, Any]:
         if not str(content["format"]).startswith("sysid-harness/close-loop/"):
             raise KeyError("format")
         msgspec.convert(content, _Read)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, msgspec.ValidationError) as error:
+    except (*UNREADABLE, KeyError, TypeError, msgspec.ValidationError) as error:
         raise InputError(
             "not a finished closed loop",
             expected=f"a folder of sysid close-loop with {REPORT}",

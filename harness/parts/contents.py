@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from harness.errors import InputError, as_written
+from harness.errors import UNREADABLE, InputError, as_written
 
 if TYPE_CHECKING:
     pass
@@ -121,7 +121,7 @@ def _described_model(path: Path) -> dict[str, Any] | None:
 
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except UNREADABLE as error:
         raise InputError(
             "no model", expected="JSON that sysid wrote", got=str(error)[:120], remedy="check the file", file=path
         ) from error

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from harness import registry
-from harness.errors import InputError, no_file, unread
+from harness.errors import UNREADABLE, InputError, no_file, unread
 from harness.models.determined import bands_of
 from harness.protocols import Model
 from harness.trust import registered_only
@@ -45,7 +45,7 @@ def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read"
         raise InputError("no such file", expected=wanted, got=no_file(path), remedy="check the path", file=path)
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+    except UNREADABLE as error:
         from harness.data.tables.table import FORMATS
 
         raise InputError(

@@ -199,9 +199,12 @@ class FmuPlant(Beyond):
         self._check_open()
         self._one = idle
         given = dict(x0 or {})
-        values = {**self._start, **self._inputs_of(given), **encoded(self.file, given, "x0", None)}
+        inputs = self._inputs_of(given)
+        values = {**self._start, **inputs, **encoded(self.file, given, "x0", None)}
         if self.way_back is None and self._first is not None:
             self._find_way_back(self._first)
+            if self.way_back is None and inputs:  # initialised once more, and nobody knows what its reset is worth
+                self._instance.renew()
         self._begin(values)
         if self.way_back is None:
             self._first = FirstRun(self._engine, values)

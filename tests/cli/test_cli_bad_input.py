@@ -6,6 +6,7 @@ import re
 import shlex
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -314,3 +315,23 @@ def test_arguments_of_another_kind_are_refused_in_python(folder: Path, how: dict
     with pytest.raises(InputError) as caught:
         api.identify(folder / "estimation.csv", **{"input": "u", "output": "theta", "identifier": "arx", **how})
     assert remedy in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("deep.toml", ("bench", "deep.toml")),
+        ("deep.toml", ("simulate", "deep.toml")),
+        ("model.json", ("list", "model.json")),
+        ("report.json", ("compare", "report.json", "report.json")),
+        ("model.json", ("export", "model.json", "-o", "x.fmu")),
+    ],
+)
+def test_brackets_deeper_than_a_reader_goes_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sysid: Callable[..., Any], name: str, command: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(("a = " if name.endswith(".toml") else '{"kind": ') + "[" * 5000)
+    _, said = sysid(*command, status=2)
+    assert len(said.strip().splitlines()) == 1
+    assert name in said

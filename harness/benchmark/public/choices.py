@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from harness.benchmark.public.rules import RULES
-from harness.errors import InputError
+from harness.errors import UNREADABLE, InputError
 
 CHOICES = Path(__file__).with_name("choices.toml")
 
@@ -92,7 +92,7 @@ def read_choices(path: str | Path | None = None) -> Choices:
     file = CHOICES if path is None else Path(path)
     try:
         found = msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), Choices)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+    except (*UNREADABLE, msgspec.ValidationError) as error:
         raise InputError(
             "choices of the public table",
             expected="a TOML file of sets with black, grey and peers",

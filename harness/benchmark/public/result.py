@@ -13,7 +13,7 @@ import msgspec
 
 from harness.benchmark.public.rules import Rule, chosen_rules
 from harness.data.whole_files import whole_file
-from harness.errors import InputError
+from harness.errors import UNREADABLE, InputError
 
 RESULTS = "public.json"
 Status = Literal["ok", "missing", "not entered", "unfit", "failed"]
@@ -92,7 +92,7 @@ def read_public(folder: str | Path) -> PublicResult:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         cells = msgspec.convert(content["cells"], list[Cell])
-    except (OSError, ValueError, KeyError, msgspec.ValidationError) as error:
+    except (*UNREADABLE, KeyError, msgspec.ValidationError) as error:
         raise InputError(
             "a public table", expected=f"{RESULTS} that sysid wrote", got=" ".join(str(error).split())[:120],
             remedy="run sysid bench public first", file=path,
