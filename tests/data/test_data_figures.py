@@ -102,10 +102,8 @@ def test_a_sensor_that_stands_still_on_its_way_from_ten_rows_on(rests: int, foun
     said = stuck(THETA, y, 0.01)
     assert len(said) == found
     if found:
-        assert (
-            f"at {y[200]:g} rad for {rests} samples from sample 200 ({0.01 * rests:g} s) while elsewhere it does not for more than 1"
-            in said[0]
-        )
+        where = f"at {y[200]:g} rad for {rests} samples from sample 200 ({0.01 * rests:g} s)"
+        assert f"{where} while elsewhere it does not for more than 1" in said[0]
 
 
 def test_rest_before_and_after_the_motion_is_no_stuck_sensor() -> None:
