@@ -42,6 +42,8 @@ class ArmRun:
         Of the samples of the measured torques, before any filter.
     clear : float
         Up to where all accelerations are free of noise [Hz].
+    twist : array (N, n) or None
+        By how much links are behind their motors, where springs are known: gradients are taken half way.
     """
 
     motion: Motion
@@ -51,6 +53,7 @@ class ArmRun:
     corner: float
     noise: FloatArray
     clear: float
+    twist: FloatArray | None = None
 
     @property
     def sharp(self) -> ArmRun:

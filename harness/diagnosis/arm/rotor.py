@@ -243,14 +243,17 @@ def swinging(arm: ArmModel, joint: int) -> Callable[[ArmRun], Swinging]:
 
     The torque through the spring is what the bodies need along the measured motion: the measured torque holds the
     motor's friction and rotor, which no spring carries, and its noise, which is in the residual too, would always ask
-    for a spring.
+    for a spring. Gradients half way to the link, once its twist is known, leave an error of third order in it.
     """
     bodies = arm.arm.parameters
 
     def made(run: ArmRun) -> Swinging:
-        m = run.calm
+        m, half, dt = run.calm, run.calm, run.motion.sample_time
         torque = arm.torques(m.q, m.v, m.a, parameters=bodies)[:, [joint]]
-        mass, drag, pull = (torque_gradient(arm, m, joint, of, bodies)[:, :, None] for of in (2, 1, 0))
+        if run.twist is not None:
+            e = run.twist / 2
+            half = replace(m, q=m.q - e, v=m.v - np.gradient(e, dt, axis=0), a=m.a - _second(e, dt))
+        mass, drag, pull = (torque_gradient(arm, half, joint, of, bodies)[:, :, None] for of in (2, 1, 0))
         return Swinging((joint,), torque, mass, drag, pull, run.motion.sample_time)
 
     return made

@@ -134,6 +134,10 @@ def wide_search(
         springs = []
         form, outcome = searched(lean(None), *SPRINGS)
     regression = _wide(form)
+    if springs:
+        form = lean(None, regression.twisted(outcome.model))
+        halfway = form.fit(outcome.model.effects, [outcome.model.values], outcome.model)
+        outcome = replace(outcome, model=halfway or outcome.model)
     outcome, notes = _without_small(form, outcome, arm_policy)
     notes += hidden
     fixed = len(calibrated) or springs

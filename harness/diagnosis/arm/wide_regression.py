@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from harness.diagnosis.arm.effects import Wide, together, torques_of, wide_effects
 from harness.diagnosis.arm.motion import STEP, ArmRun, moving_rows
 from harness.diagnosis.arm.regression import USES, Change
-from harness.diagnosis.arm.rotor import Spring
+from harness.diagnosis.arm.rotor import Spring, Swinging
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
 from harness.diagnosis.search.fit import Fit
 from harness.effects.effect import Placed
@@ -237,6 +237,20 @@ class WideRegression:
             (places, Bent(self.runs, self.joints, {use: [parts[k] for parts in made[use]] for use in USES}))
             for k, places in enumerate(groups)
         ]
+
+    def twisted(self, fit: Fit) -> dict[str, tuple[ArmRun, ...]]:
+        """Return the records with the twists of the springs of a fit."""
+        equation = self.equation(fit.effects)
+        p = np.array([fit.values[name] for name in equation.system.parameter_names])
+        found = {use: [np.zeros_like(run.calm.q) for run in self.runs[use]] for use in USES}
+        for places, bent in equation.bent:
+            own = p[list(places)]
+            for spring, twist in ((one, e) for use in USES for one, e in zip(bent.made[use], found[use], strict=True)):
+                if isinstance(spring, Swinging):
+                    twist[:, list(spring.joints)] = spring.twist(own[::2], own[1::2])[:, :, 0]
+        return {
+            use: tuple(replace(run, twist=e) for run, e in zip(self.runs[use], found[use], strict=True)) for use in USES
+        }
 
     def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
         """Return the columns of candidates, and the whole of what is not in proportion at several choices."""
