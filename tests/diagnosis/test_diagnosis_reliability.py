@@ -15,12 +15,12 @@ from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.runs.closed_loop_bias import BiasTest, closed_loop_bias
 from harness.diagnosis.runs.compare import seen
 from harness.diagnosis.runs.form import FreeRunForm
-from harness.effects import builtin
-from harness.physics import fit_output_error, load_model
+from harness.effects import Placed, builtin
+from harness.physics import Ode, fit_output_error, load_model
 from harness.physics.fitting.likelihood import Likelihood
 from harness.rng import Streams
 from harness.rollout import perform
-from harness.signals import Dataset, Run
+from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
 # ---- convergence --------------------------------------------------------------------------------------------------
 
@@ -164,7 +164,6 @@ def test_the_experiment_of_the_report_breaks_the_tie(hidden, rival, first, noise
 
 def test_a_tilt_is_an_instruction_and_no_input() -> None:
     from harness.diagnosis.report.experiments import Bench, separate_with
-    from harness.effects import Placed
 
     data = records(("sensor_offset", "theta", {"offset": 0.05}), "multisine", {"duration": 5.0}, 1e-3, 1)
     system = load_model("pendulum")
@@ -177,6 +176,22 @@ def test_a_tilt_is_an_instruction_and_no_input() -> None:
     reached = api.simulate("pendulum-ode", scenario="chirp", scenario_options=swing["options"])
     assert np.degrees(np.abs(reached.y).max()) > 60
     assert separate_with(Bench(system, system, system.values(), data), tie[:1]) == []
+
+
+@pytest.mark.parametrize(("constant", "least", "most"), [(0.5, 20.0, 60.0), (400.0, 2000.0, 6000.0)])
+def test_an_experiment_lasts_until_the_plant_has_answered(constant: float, least: float, most: float) -> None:
+    from harness.diagnosis.report.experiments import Bench, separate_with
+
+    oven = Ode("oven", x="T", u="P", p="tau", units={"T": "K", "P": "W", "tau": "s"})
+    oven.rhs = [(oven.u[0] - oven.x[0]) / oven.p[0]]
+    system = oven.system().with_parameters({"tau": constant})
+    t = np.arange(600) * 0.002 * constant
+    u = np.sign(np.sin(0.8 * t / constant))[:, None]
+    spec = PlantSpec(system.inputs, system.outputs, 0.002 * constant)
+    data = Dataset("oven", (Run(Trajectory(t, u, 0.5 * u, spec), "estimation"),))
+    tie = [(Placed(builtin()[name], "P"),) for name in ("input_delay", "actuator_lag")]
+    (plan,) = separate_with(Bench(system, system, system.values(), data), tie)
+    assert least <= plan["options"]["duration"] <= most
 
 
 # ---- before the data ----------------------------------------------------------------------------------------------

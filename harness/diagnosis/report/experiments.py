@@ -15,10 +15,12 @@ from harness.effects.effect import Placed
 from harness.signals import Dataset, FloatArray
 from harness.units import base_units
 
-SHORTEST, LONGEST, ROWS = 20.0, 60.0, 500
-"""Seconds of an experiment at least and at most, and rows that it has at least, however slow the plant is."""
+SHORTEST, LONGEST, ROWS, SETTLED = 20.0, 60.0, 500, 5.0
+"""Seconds of an experiment at least and at most; where that is longer, so many rows, or so many of the plant's slowest
+time constants, after which it has answered (within 1 %), are the least, and three times as much the most."""
 PERIODS = 6
-
+_INTEGRATES = 1e-6
+"""A pole below this share of the largest is one at 0."""
 
 SPEEDS = ({"rad": 1.0, "s": -1.0}, {"m": 1.0, "s": -1.0})
 """Units of what may be the speed of a motion, in base units."""
@@ -77,8 +79,9 @@ class Bench:
         u = np.concatenate([run.u for run in self.dataset.estimation])
         return np.asarray(np.abs(u - u.mean(axis=0)).max(axis=0), dtype=float)
 
-    def resonance(self) -> float:
-        """Return the fastest oscillation of the nominal model, typical for where it was operated [Hz].
+    @functools.cached_property
+    def poles(self) -> list[FloatArray]:
+        """Return the poles of the nominal model [1/s] at some states along the data.
 
         Of the nominal model: dry friction near standstill hides the resonance.
         """
@@ -94,13 +97,26 @@ class Bench:
         states = states[np.isfinite(states).all(axis=1)]
         u = np.mean(np.concatenate([run.u for run in self.dataset.estimation]), axis=0)
         jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+        some = states[:: max(len(states) // 60, 1)]
+        return [np.linalg.eigvals(np.array(jacobian(point, u, p, 0.0), dtype=float)) for point in some]
+
+    def resonance(self) -> float:
+        """Return the fastest oscillation of the nominal model, typical for where it was operated [Hz]."""
         fastest = []
-        for point in states[:: max(len(states) // 60, 1)]:
-            poles = np.linalg.eigvals(np.array(jacobian(point, u, p, 0.0), dtype=float))
+        for poles in self.poles:
             swinging = np.abs(poles[np.abs(poles.imag) > 0.3 * np.abs(poles)])
             fastest.append(swinging.max() if swinging.size else np.abs(poles).max())
         rates = [rate for rate in fastest if 0 < rate < 0.5 * np.pi / self.sample_time]
         return float(np.median(rates)) / (2 * np.pi) if rates else 0.02 / self.sample_time
+
+    def slowest(self) -> float:
+        """Return the longest time constant of the nominal model, typical for where it was operated [s]; 0 if none.
+
+        What integrates has none: a pole of next to nothing.
+        """
+        sizes = [np.abs(poles) for poles in self.poles]
+        rates = [size[size > _INTEGRATES * size.max()].min() for size in sizes if size.max(initial=0.0) > 0]
+        return 1.0 / float(np.median(rates)) if rates else 0.0
 
     def moves(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the largest and the rms excursion of the coordinates, and of their rates, under an input (N, nu).
@@ -287,8 +303,8 @@ def _amplitude(bench: Bench, sizes: FloatArray) -> dict[str, Any]:
 
 
 def _duration(bench: Bench, seconds: float = 0.0) -> float:
-    """Return whole seconds, between the shortest and the longest of a plant that is sampled so fast."""
-    least = max(SHORTEST, float(np.ceil(ROWS * bench.sample_time)))
+    """Return whole seconds, between the shortest and the longest of a plant that is sampled and answers so fast."""
+    least = max(SHORTEST, float(np.ceil(max(ROWS * bench.sample_time, SETTLED * bench.slowest()))))
     return float(np.clip(np.ceil(seconds), least, max(LONGEST, 3 * least)))
 
 
