@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -176,6 +177,16 @@ def test_a_tilt_is_an_instruction_and_no_input() -> None:
     reached = api.simulate("pendulum-ode", scenario="chirp", scenario_options=swing["options"])
     assert np.degrees(np.abs(reached.y).max()) > 60
     assert separate_with(Bench(system, system, system.values(), data), tie[:1]) == []
+
+
+@pytest.mark.parametrize("held", [("J", "b", "mgl"), ("J", "mgl")])
+def test_a_model_of_which_nothing_is_fitted_is_said(held: tuple[str, ...]) -> None:
+    data = records(("sensor_offset", "theta", {"offset": 0.05}), "multisine", {"duration": 5.0}, 1e-3, 1)
+    parameters = {name: replace(load_model("pendulum").parameter(name), fixed=True) for name in held}
+    found = close_loop(data, "pendulum", parameters=parameters, dictionary=[builtin()["sensor_offset"]])
+    said = [one for one in found.data["warnings"] if "J, b, mgl" in one]
+    assert len(said) == (len(held) == 3)
+    assert [one["name"] for one in found.data["effects"]] == ["sensor_offset"]
 
 
 @pytest.mark.parametrize(("constant", "least", "most"), [(0.5, 20.0, 60.0), (400.0, 2000.0, 6000.0)])

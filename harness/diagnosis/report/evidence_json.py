@@ -99,6 +99,10 @@ AROUND = (
     "that needs an acceleration (a payload) or the base (a tilt)"
 )
 FREE = "a free swing tells ratios of inertia, damping and stiffness only: one of them must be known for the others"
+HELD = (
+    "no parameter of the nominal model was fitted: each is held at what is declared of it (in a dataset.toml b = 0.1 "
+    "holds b, b = {{ start = 0.1 }} leaves it free): {0}"
+)
 NO_FINDING = "the model does not fit these data: nothing is accepted"
 
 
@@ -194,6 +198,8 @@ def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
     said = [*found.warnings, *_taken_back(found)]
     if not found.dataset.test:
         said.append(SELECTED)
+    if not found.nominal.free and found.system.parameter_names:
+        said.append(HELD.format(", ".join(found.system.parameter_names)))
     if found.wanted.items:
         said.append(f"the dictionary of this run: {found.wanted}")
     if given := [str(one.placed) for one in found.outcome.accepted if one.given]:
