@@ -33,7 +33,12 @@ def print_parts(parts: Mapping[str, Sequence[Mapping[str, str]]]) -> None:
     console = wide_console()
     for kind, rows in parts.items():
         lines = [
-            (row["id"], row["summary"] + ("" if (own := row["distribution"]) == OWN else f" (from {own})"))
+            (
+                row["id"],
+                (f"(needs {row['needs']}, which is not installed) " if row["needs"] else "")
+                + row["summary"]
+                + ("" if (own := row["distribution"]) == OWN else f" (from {own})"),
+            )
             for row in rows
         ]
         console.print(kind)

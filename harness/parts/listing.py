@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import inspect
 import re
 from collections.abc import Mapping
@@ -17,11 +18,20 @@ DESCRIBED = ("plants", "identifiers", "scenarios", "effects", "models", "analyse
 """Kinds of parts that have a description of their own."""
 TOLD = ("", "Notes", "References")
 """Sections of a docstring that say what a part is; the empty name stands for what comes before the first heading."""
+ENGINES = {
+    "plants.bullet.": "pybullet",
+    "plants.mujoco.": "mujoco",
+    "plants.pymunk.": "pymunk",
+    "plants.gym:": "gymnasium",
+}
+"""The package without which a plant does not run, by the beginning of its entry point."""
 OF_CLASS = re.compile(r"; options as of \w+\.")  # How a factory says that its class tells the rest.
 
 
 def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
-    """Return the registered parts by kind: id, one line about it, and the distribution that brought it.
+    """Return the registered parts by kind: id, one line about it, the distribution that brought it, what it ``needs``.
+
+    That is the package of its engine where this Python has none, and empty elsewhere.
 
     Parameters
     ----------
@@ -53,11 +63,22 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
         )
     return {
         name: [
-            {"id": entry.id, "summary": OF_CLASS.sub(".", _plain(entry.summary)), "distribution": entry.distribution}
+            {
+                "id": entry.id,
+                "summary": OF_CLASS.sub(".", _plain(entry.summary)),
+                "distribution": entry.distribution,
+                "needs": _absent(entry.target),
+            }
             for entry in registry.entries(name)
         ]
         for name in ((kind,) if kind is not None else LISTED)
     }
+
+
+def _absent(target: str) -> str:
+    """Return the package that a part needs and this Python does not have; empty where nothing is missing."""
+    package = next((name for begin, name in ENGINES.items() if target.startswith(begin)), "")
+    return package if package and importlib.util.find_spec(package) is None else ""
 
 
 def describe_part(id: str, kind: str | None = None) -> dict[str, Any] | None:

@@ -191,4 +191,4 @@ def test_a_plant_of_another_size_is_judged_but_nothing_is_green_beside_the_doubt
     assert report.data["adequacy"] == "mostly_explained"
     assert "check the units and the order of the columns" in report.data["warnings"][0]
     assert {one["name"]: round(one["ratio"], -2) for one in report.data["far_from_declared"]}["mgl"] == 1000
-    assert "times the declared" in report.data["summary"], "the verdict says it"
+    assert "times its declared size" in report.data["summary"], "the verdict says it"

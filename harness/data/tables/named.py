@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -142,8 +142,12 @@ class Columns:
         for some in (dates, timed):
             if len(some) == 1 and self._rises(some[0]):
                 return some[0]
-        digits = [] if texts is None else [title for title in free if dated(texts(title, 3)) is not None]
-        written = [title for title in digits if self._rises(title) and dated(texts(title)) is not None]
+        return None if texts is None else self._clock_in_digits(free, texts)
+
+    def _clock_in_digits(self, titles: Sequence[str], texts: Callable[..., list[str]]) -> str | None:
+        """Return the one column of dates in digits alone that rises; None for none or several."""
+        begun = [title for title in titles if dated(texts(title, 3)) is not None]
+        written = [title for title in begun if self._rises(title) and dated(texts(title)) is not None]
         return written[0] if len(written) == 1 else None
 
     def _rises(self, title: str) -> bool:

@@ -69,13 +69,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.diagnosis.forms.fit_records import likelihood_detail
-from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.motion import motion_is_state
 from harness.diagnosis.report.estimates import effect_data, estimate, known, ratios, scaled_together
 from harness.diagnosis.report.experiments import Bench, separate_with, separating, undeclared_motion
 from harness.diagnosis.report.keys import blank, numbers
 from harness.diagnosis.report.refusals import refusal_text, refusals_text
-from harness.diagnosis.report.words import as_recorded, change_text, named, recorded_units, standing_in
+from harness.diagnosis.report.words import as_recorded, brief, grown, named, recorded_units, standing_in
 from harness.diagnosis.runs import residual_tests
 from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
 from harness.diagnosis.runs.equation_form import EquationForm
@@ -188,7 +187,8 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
     }  # fmt: skip
     cause = _cause(found) if found.verdict == "unexplained" else ""
     advice = undeclared_motion(found.system) if cause else ""
-    told = [_summary(data, found.policy.least, cause, _lasting(found)), advice, ", ".join(map(str, far))]
+    sizes = ", ".join(f"{one.name} is {one.ratio:.2g} times its declared size" for one in far)
+    told = [_summary(data, found.policy.least, cause, _lasting(found)), advice, sizes]
     data["summary"] = "; ".join(filter(None, told))
     return data
 
@@ -471,7 +471,7 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
     if data["verdict"] == "model_does_not_fit":
         return f"{data['model']} does not fit these data: {'; '.join(data['misfit'])}"
     change = ", ".join(
-        f"{name} {_short(before[name]['rms'])} -> {_short(after[name]['rms'])}{behind(before[name]['unit'])}"
+        f"{name} {brief(before[name]['rms'])} -> {brief(after[name]['rms'])}{behind(before[name]['unit'])}"
         for name in before
         if name in after
     )
@@ -487,8 +487,8 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
         else "the validation motion is explained but for noise"
     )
     forces = [
-        f"a force at {port} that nobody measured ({_short(math.hypot(force['s'], force['w']))} {force['unit']}, "
-        f"{_short(100 * force['share'])} % of what moves it)"
+        f"a force at {port} that nobody measured ({brief(math.hypot(force['s'], force['w']))} {force['unit']}, "
+        f"{brief(100 * force['share'])} % of what moves it)"
         for port, plain in data["noise"]["after"]["forces"].items()
         for force in [as_recorded(plain, port, data)]
         if force["share"] is not None and force["share"] > least
@@ -508,10 +508,10 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
             )
         else:
             text = f"{data['model']} lacks {named(data['effects'], data['tie_sets'])}"
-        if worse := _grown(before, after):
+        if worse := grown(before, after):
             return f"the validation simulation error grows ({worse}), although the likelihood rises: {text}; {words}"
         return f"{text}; validation simulation error {change}; {words}"
-    plain = ", ".join(f"{name} {_short(figure['rms'])}{behind(figure['unit'])}" for name, figure in before.items())
+    plain = ", ".join(f"{name} {brief(figure['rms'])}{behind(figure['unit'])}" for name, figure in before.items())
     if data["verdict"] == "nothing_missing":
         return f"nothing is missing in {data['model']}{beside}: validation simulation error {plain}; {words}"
     return (
@@ -525,12 +525,12 @@ def _lasting(found: Diagnosis) -> list[str]:
     if found.runs.worst is None or found.lasting <= found.policy.disturbed:
         return []
     output = found.dataset.spec.outputs[found.runs.worst].name
-    return [f"an error of free runs that lasts (of {output}, {_short(100 * found.lasting)} % of its motion)"]
+    return [f"an error of free runs that lasts (of {output}, {brief(100 * found.lasting)} % of its motion)"]
 
 
 def _step(step: Mapping[str, Any]) -> str:
     """Return the step in which a sensor rounds its readings."""
-    return f"{_short(step['value'])}{behind(step['unit'])}"
+    return f"{brief(step['value'])}{behind(step['unit'])}"
 
 
 def _cause(found: Diagnosis) -> str:
@@ -559,7 +559,7 @@ def _cause(found: Diagnosis) -> str:
     if not found.form.latent:
         return f"{' and '.join(_lasting(found))} is left"
     if found.runs.left > found.policy.misfit_nrmse**2:
-        return f"free runs leave {_short(100 * np.sqrt(found.runs.left))} % of what a straight line leaves"
+        return f"free runs leave {brief(100 * np.sqrt(found.runs.left))} % of what a straight line leaves"
     return "the force that nobody measured is too large for a disturbance"
 
 
@@ -590,21 +590,4 @@ def _still_left(forces: Mapping[str, Any]) -> str:
     if not shares:
         return ""
     port = max(shares, key=lambda name: shares[name])
-    return f", and leaves a force of {_short(100 * shares[port])} % of what moves {port}"
-
-
-def _short(value: float | None) -> str:
-    """Return a number in few digits."""
-    return "unknown" if value is None else f"{value:.3g}"
-
-
-def _grown(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
-    """Return in words by how much errors grew, if none of them fell; else nothing."""
-    both = {name: (before[name]["rms"], after[name]["rms"]) for name in before if name in after}
-    factors = {name: a / b for name, (a, b) in both.items() if a is not None and b}
-    if not factors or max(factors.values()) >= POLICY.changed or min(factors.values()) > 1 / POLICY.changed:
-        return ""
-    return ", ".join(
-        f"{name} {_short(both[name][0])} -> {_short(both[name][1])}{behind(before[name]['unit'])}, {change_text(times)}"
-        for name, times in factors.items()
-    )
+    return f", and leaves a force of {brief(100 * shares[port])} % of what moves {port}"

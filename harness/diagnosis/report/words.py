@@ -8,7 +8,7 @@ from typing import Any
 
 from harness.diagnosis.policy import POLICY
 from harness.signals import Dataset
-from harness.units import own_unit, told
+from harness.units import behind, own_unit, told
 
 SAID = 3
 """Rivals that a sentence names; a list below it names all."""
@@ -41,6 +41,23 @@ def digits(value: float, count: int = 4) -> str:
     ('1360', '12350', '0.00102', '3e+09')
     """
     return f"{float(f'{value:.{count}g}'):.0f}" if 10.0**count <= abs(value) < 1e7 else f"{value:.{count}g}"
+
+
+def brief(value: float | None) -> str:
+    """Return a number in three digits."""
+    return "unknown" if value is None else f"{value:.3g}"
+
+
+def grown(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Return in words by how much errors grew, if none of them fell; else nothing."""
+    both = {name: (before[name]["rms"], after[name]["rms"]) for name in before if name in after}
+    factors = {name: a / b for name, (a, b) in both.items() if a is not None and b}
+    if not factors or max(factors.values()) >= POLICY.changed or min(factors.values()) > 1 / POLICY.changed:
+        return ""
+    return ", ".join(
+        f"{name} {brief(both[name][0])} -> {brief(both[name][1])}{behind(before[name]['unit'])}, {change_text(times)}"
+        for name, times in factors.items()
+    )
 
 
 def named(effects: Sequence[Mapping[str, Any]], ties: Sequence[Sequence[Mapping[str, Any]]] = ()) -> str:
