@@ -1,14 +1,14 @@
 """The first instant: parts that compute something from their inputs while they initialise, and what drives these.
 
 A master sets the inputs of an FMU from the outputs that they are connected to while all FMUs initialise (FMI 2.0.5
-sec. 4.2.4, Initialization Mode). Here a part is reset once more with what its inputs are then, for as long as that
-moves something: once for each part without a loop, by fixed-point iteration in one. Where a loop has no fixed point
-that is reached so, the parts in it begin at their own start values.
+sec. 4.2.4, Initialization Mode): once for each part without a loop, by fixed-point iteration in one. Where a loop has
+no fixed point that is reached so, the parts in it begin at their own start values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -17,31 +17,31 @@ from harness.cosim.wiring import Part
 from harness.signals import FloatArray
 
 TINY = np.finfo(float).tiny
-Reset = Callable[[Part, FloatArray], None]
+Put = Callable[[Part, FloatArray], None]
 
 
-def start_from_inputs(
+def initialise(
     parts: Sequence[Part],
     signals: list[float],
-    resting: Collection[int],
-    reset: Reset,
+    wired: Collection[int],
+    put: Put,
     agree: Callable[[], None],
     tolerance: float,
 ) -> list[str]:
-    """Reset the parts that tell the start values of their inputs (``input_starts``) with what drives them.
+    """Drive parts that initialise with what their inputs are connected to, until nothing moves.
 
     Parameters
     ----------
     parts : sequence of Part
-        All parts, reset, with their outputs in the signals.
+        Those whose plants have ``drive`` and were entered.
     signals : list of float
-        The common list of signals, kept up to date by ``reset`` and ``agree``.
-    resting : collection of int
-        Places of inputs that rest at their own start values.
-    reset : callable
-        ``reset(part, u)`` resets a part with the values of its inputs (nu,), in SI.
+        The common list of signals, which holds the outputs of all others.
+    wired : collection of int
+        Places of inputs that do not rest at their own start values.
+    put : callable
+        ``put(part, y)`` stores outputs among the signals.
     agree : callable
-        Brings signals into agreement that act within the instant.
+        Brings the signals of other parts into agreement that act within the instant.
     tolerance : float
         Relative change of an input that counts as none.
 
@@ -50,48 +50,45 @@ def start_from_inputs(
     list of str
         The parts that begin at their own start values, as nothing else agrees.
     """
-    own = {part.name: starts for part in parts if len(starts := _starts(part))}
-    takers, stuck = [part for part in parts if part.name in own], []
-    while moving := _settled(takers, own, signals, resting, reset, agree, tolerance):
+    own = {part.name: np.asarray(cast(Any, part.plant).input_starts, dtype=np.float64) for part in parts}
+    for part in parts:
+        put(part, cast(Any, part.plant).drive(own[part.name]))
+    agree()
+    driven, stuck = list(parts), list[str]()
+    while moving := _settled(driven, own, signals, wired, put, agree, tolerance):
         for part in moving:
-            reset(part, own[part.name])
-            takers.remove(part)
+            put(part, cast(Any, part.plant).drive(own[part.name]))
+            driven.remove(part)
             stuck.append(part.name)
         agree()
     return stuck
 
 
 def _settled(
-    takers: Sequence[Part],
+    parts: Sequence[Part],
     own: Mapping[str, FloatArray],
     signals: list[float],
-    resting: Collection[int],
-    reset: Reset,
+    wired: Collection[int],
+    put: Put,
     agree: Callable[[], None],
     tolerance: float,
 ) -> list[Part]:
-    """Reset parts with their inputs until nothing moves; returns those that still do where there is no end."""
+    """Drive parts with their inputs until nothing moves; returns those that still do where there is no end."""
     before, gap, moving = dict(own), np.inf, list[Part]()
     for count in range(PASSES):
         last, gap, moving = gap, 0.0, []
-        for part in takers:
+        for part in parts:
             old, new = before[part.name], part.read(signals)
             places = range(part.inputs.start, part.inputs.stop)
-            new = np.where([place in resting for place in places], old, new)
+            new = np.where([place in wired for place in places], new, old)
             moved = float(np.max(np.abs(new - old) / np.maximum(np.maximum(np.abs(new), np.abs(old)), TINY)))
             if moved > 0.0:
                 before[part.name] = new
-                reset(part, new)
+                put(part, cast(Any, part.plant).drive(new))
             if moved > tolerance:
                 moving.append(part)
             gap = max(gap, moved)
-        if not moving or (count >= len(takers) and gap >= last):  # the latter: a loop, and no way to its solution
+        if not moving or (count >= len(parts) and gap >= last):  # the latter: a loop, and no way to its solution
             break
         agree()
     return moving
-
-
-def _starts(part: Part) -> FloatArray:
-    """Return the values (nu,) that a part's inputs have while it initialises; (0,) where it starts from none."""
-    starts = np.asarray(getattr(part.plant, "input_starts", ()), dtype=np.float64)
-    return starts if len(starts) == part.plant.spec.nu else np.zeros(0)

@@ -12,7 +12,7 @@ import numpy as np
 
 from harness.cosim.controlled import Controlled, Hold, Lines
 from harness.cosim.graph import followers, newton, reached_at_once, strong_components
-from harness.cosim.initial import start_from_inputs
+from harness.cosim.initial import initialise
 from harness.cosim.texts import split
 from harness.cosim.watched import watched
 from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower
@@ -244,34 +244,31 @@ class Coupled:
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
         """Reset every part, each with its own stream; initial states are named ``"part.state"``.
 
-        What an FMU computes from its inputs while it initialises (FMI 2.0.5 sec. 4.2.4), it computes from what drives
-        them then; ``x0`` may name external inputs too, for what they are at that time.
+        What an FMU computes from its inputs while it initialises, it computes from what drives them then.
         """
-        outside = {channel.name: 0.0 for channel in self._spec.inputs}
-        outside.update(zip(outside, self.input_starts, strict=False))
-        states = {**self._initial, **(x0 or {})}
-        outside.update({name: states.pop(name) for name in outside if name in states})
-        own = self._checked_states(states)
-        streams = {part.name: stream for part, stream in zip(self._parts, rng.spawn(len(self._parts)), strict=True)}
-        for part in self._parts:
-            self._put(part, part.plant.reset(rng=streams[part.name], x0=own[part.name] or None))
+        own = self._checked_states({**self._initial, **(x0 or {})})
+        outside = self.input_starts or (0.0,) * len(self._spec.inputs)
+        inside = {wire.target for wire in self._wires if not wire.external or self.input_starts}
+        led = [part for part in self._parts if inside & set(range(part.inputs.start, part.inputs.stop))]
+        initial = [part for part in led if getattr(part.plant, "drives", False)]
+        for part, stream in zip(self._parts, rng.spawn(len(self._parts)), strict=True):
+            if part in initial:
+                cast(Any, part.plant).enter(rng=stream, x0=own[part.name] or None)
+            else:
+                self._put(part, part.plant.reset(rng=stream, x0=own[part.name] or None))
         self._tick = 0
         if self._lines is not None:
             self._lines.forget()
         if self._controlled is not None:
             self._controlled.forget()
         signals = self._signals
-        signals[self._outside] = list(outside.values())
-        self._agree_at_once()
-        resting = {wire.target for wire in self._wires if wire.external and not self.input_starts}
-
-        def again(part: Part, u: FloatArray) -> None:
-            inputs = {channel.name: value for channel, value in zip(part.plant.spec.inputs, u.tolist(), strict=True)}
-            self._put(part, part.plant.reset(rng=streams[part.name], x0={**own[part.name], **inputs}))
-
-        stuck = start_from_inputs(self._parts, signals, resting, again, self._agree_at_once, self._tolerance)
-        if stuck and (said := f"{', '.join(stuck)}: {ASTRAY}") not in self.warnings:
-            self.warnings += (said,)
+        signals[self._outside] = list(outside)
+        if initial:
+            self._initialise(initial, inside)
+        for group in self._direct:  # a delay line starts with its source's first value
+            self._fill_lines()
+            self._evaluate([group])
+        self._fill_lines()
         for wire in self._late:
             wire.memory = deque([signals[wire.source]] * wire.delay)
         if self._texts is not None:
@@ -279,12 +276,21 @@ class Coupled:
         self._evaluate(self._direct)
         return self._shown_outputs()
 
-    def _agree_at_once(self) -> None:
-        """Bring the signals of the first instant into agreement; a delay line starts with its source's first value."""
-        for group in self._direct:
+    def _initialise(self, initial: Sequence[Part], inside: set[int]) -> None:
+        """Bring parts through their initialisation, with what drives their inputs, and parts that answer at once."""
+        static = [part for group in self._direct for part in group if part not in initial]
+
+        def agree() -> None:
             self._fill_lines()
-            self._evaluate([group])
-        self._fill_lines()
+            for part in static:
+                self._refresh(part)
+            self._fill_lines()
+
+        stuck = initialise(initial, self._signals, inside, self._put, agree, self._tolerance)
+        if stuck and (said := f"{', '.join(stuck)}: {ASTRAY}") not in self.warnings:
+            self.warnings += (said,)
+        for part in initial:
+            self._put(part, cast(Any, part.plant).leave())
 
     def preset(self, values: Mapping[str, Any]) -> None:
         """Set parameters and start values of parts (``"part.name"``, SI) for the resets to come, where they take any.

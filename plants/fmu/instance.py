@@ -207,8 +207,8 @@ class Instance:
         reason = "" if error is None else f": {error}"
         return PlantError(f"{self.file.path.name}: {what}{reason}{said}", status=status)
 
-    def initialise(self, values: Mapping[str, Any], t0: float, tolerance: float | None) -> None:
-        """Reset if needed, set start values and initialise.
+    def enter(self, values: Mapping[str, Any], t0: float, tolerance: float | None) -> None:
+        """Reset if needed, set start values and begin to initialise; FMI 1.0 ends it too.
 
         Parameters
         ----------
@@ -226,7 +226,7 @@ class Instance:
             self._reset()
         self.pristine = False
         try:
-            self._enter(dict(values), t0, tolerance)
+            self._enter(values, t0, tolerance)
         except (InputError, PlantError):
             raise
         except Exception as error:
@@ -248,7 +248,7 @@ class Instance:
         self._free_instance()
         self._instantiate()
 
-    def _enter(self, values: dict[str, Any], t0: float, tolerance: float | None) -> None:
+    def _enter(self, values: Mapping[str, Any], t0: float, tolerance: float | None) -> None:
         variables = self.file.variables
         fmu, early, late = self.fmu, {}, {}
         for name, value in values.items():
@@ -282,9 +282,18 @@ class Instance:
             self._set({n: x for n, x in early.items() if n not in structural}, variables)
             fmu.enterInitializationMode(tolerance=tolerance, startTime=t0)
         self._set(late, variables)
-        fmu.exitInitializationMode()
-        if self.version == 3 and self.kind == "cs" and self.event_mode:
-            self.handle_events()
+
+    def leave(self) -> None:
+        """End the initialisation."""
+        try:
+            if self.version > 1:
+                self.fmu.exitInitializationMode()
+            if self.version == 3 and self.kind == "cs" and self.event_mode:
+                self.handle_events()
+        except (InputError, PlantError):
+            raise
+        except Exception as error:
+            raise self.failure("the initialisation failed", error) from error
 
     def enter_events(self) -> None:
         """FMI 3.0 co-simulation: an event was met; handle it."""

@@ -29,7 +29,7 @@ from plants.fmu.options import (
     refused,
 )
 from plants.fmu.stops import finish, stopped
-from plants.fmu.trust import FirstRun
+from plants.fmu.trust import FirstRun, Start
 from plants.fmu.variables import Port, channels, choose, describe, feeds_through, resize, starts, states_of
 from plants.mockups import mockup
 
@@ -166,6 +166,7 @@ class FmuPlant(Beyond):
         except BaseException:
             self.close()
             raise
+        self._entered = Start()
         self._first: FirstRun | None = None  # the beginning of the first run, until the way back is known
         self.way_back: str | None = None  # "reset", "instance" or "process", known from the second reset on
         self._both: Engine | None = None  # reads outputs and states at once; made when it is needed
@@ -187,7 +188,7 @@ class FmuPlant(Beyond):
         return ExchangeEngine(self._instance, inputs, outputs, timing, solver=solver, tolerance=self.tolerance)
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
-        """Initialise the FMU anew; ``x0`` sets states and inputs at the start, by name, in SI; returns ``y[0]`` (ny,).
+        """Initialise the FMU anew; ``x0`` sets start values of states by name, in SI; returns ``y[0]`` (ny,).
 
         Raises
         ------
@@ -196,42 +197,61 @@ class FmuPlant(Beyond):
         PlantError
             If the FMU fails to initialise.
         """
+        self.enter(rng=rng, x0=x0)
+        return self.leave()
+
+    def enter(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> None:
+        """Begin a :meth:`reset`, which :meth:`leave` ends; between them :meth:`drive` is to be had."""
         self._check_open()
         self._one = idle
-        given = dict(x0 or {})
-        inputs = self._inputs_of(given)
-        values = {**self._start, **inputs, **encoded(self.file, given, "x0", None)}
+        values = dict(self._start)
+        values.update(encoded(self.file, x0 or {}, "x0", None))
         if self.way_back is None and self._first is not None:
             self._find_way_back(self._first)
-            if self.way_back is None and inputs:  # initialised once more, and nobody knows what its reset is worth
-                self._instance.renew()
-        self._begin(values)
+        self._entered = Start(values)
+        self._enter(values)
+
+    @property
+    def drives(self) -> bool:
+        """Whether :meth:`drive` is to be had: co-simulation of FMI 2.0 or 3.0 without event mode."""
+        return self.kind == "cs" and self.file.version > 1 and not self._instance.event_mode
+
+    def drive(self, u: FloatArray) -> FloatArray:
+        """Set inputs (nu,) while the FMU initialises (FMI 2.0.5 sec. 4.2.4); returns the outputs (ny,) that follow."""
+        self._engine.u[:] = u
+        if self._engine.peek():
+            raise stopped(self._engine)
+        self._entered = Start(self._entered.values, u.copy())
+        return self._engine.y.copy()
+
+    def leave(self) -> FloatArray:
+        """End what :meth:`enter` began; returns ``y[0]`` (ny,)."""
+        self._leave()
         if self.way_back is None:
-            self._first = FirstRun(self._engine, values)
+            self._first = FirstRun(self._engine, self._entered)
             self._one = self._first.step  # of that object: a method of this one would keep the plant alive
         else:
             self._one = self._engine.one
         return self._engine.y.copy()
 
-    def _inputs_of(self, given: dict[str, float]) -> dict[str, Any]:
-        """Take the channels of inputs out of values in SI; returns them by variable, in the FMU's types and units."""
-        if not given:
-            return {}
-        row = {channel.name: given.pop(channel.name, None) for channel in self.spec.inputs}
-        own, found = dict(zip(row, self.input_starts.tolist(), strict=True)), {}
-        for one in self._inputs:
-            names = [channel.name for channel in one.channels]
-            if any(row[name] is not None for name in names):
-                found[one.variable.name] = [own[name] if row[name] is None else row[name] for name in names]
-        scalars = {name: x if self.file.variables[name].shape else x[0] for name, x in found.items()}
-        return encoded(self.file, scalars, "start", ("input",))
+    def _begin(self, start: Start) -> None:
+        """Initialise the FMU anew and read the outputs."""
+        self._enter(start.values)
+        if start.driven is not None:
+            self._engine.u[:] = start.driven
+            self._engine.peek()
+        self._leave()
 
-    def _begin(self, values: Mapping[str, Any]) -> None:
-        """Initialise the FMU anew with these start values, in its own types and units, and read the outputs."""
+    def _enter(self, values: Mapping[str, Any]) -> None:
+        """Begin to initialise the FMU, with values in its own types and units."""
         hint = default(self.file, "tolerance") if self._tolerance is None else self._tolerance
-        self._instance.initialise(values, self._t0, hint)
+        self._instance.enter(values, self._t0, hint)
         for engine in (self._engine, self._observer, *(() if self._both is None else (self._both,))):
             engine.renew()
+
+    def _leave(self) -> None:
+        """End the initialisation and read the outputs."""
+        self._instance.leave()
         self._engine.loop.k = 0
         self._engine.loop.rollback = bool(self._instance.states)
         self._engine.loop.warnings = 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,17 @@ CONTINUED = 5  # Samples of a continuation that a kept state must repeat.
 NOISE = 1e-9  # Relative difference between two fresh instances that is rounding, and no reason for a fresh process.
 
 
+@dataclass(frozen=True)
+class Start:
+    """What a run begins from: values by variable name in the FMU's own types, and inputs (nu,) that drive it then."""
+
+    values: Mapping[str, Any] = field(default_factory=dict)
+    driven: FloatArray | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.values) or self.driven is not None
+
+
 class FirstRun:
     """The beginning of an FMU's first run, kept so that the second can be held against it.
 
@@ -29,12 +41,12 @@ class FirstRun:
     ----------
     engine : Engine
         What steps the instance.
-    values : mapping
-        Start values of the first run.
+    values : Start
+        What the first run began from.
     """
 
-    def __init__(self, engine: Engine, values: Mapping[str, Any]) -> None:
-        self._engine, self.values = engine, dict(values)
+    def __init__(self, engine: Engine, values: Start) -> None:
+        self._engine, self.values = engine, values
         self._first = engine.y.copy()
         self._u: list[FloatArray] = []
         self._y: list[FloatArray] = []
@@ -67,9 +79,7 @@ class FirstRun:
         self._y += [row.copy() for row in y[:room]]
         self._open = len(self._u) < ROWS and self._spent < LONGEST
 
-    def way_back(
-        self, begin: Callable[[Mapping[str, Any]], None], renew: Callable[[], None], *, once: bool
-    ) -> tuple[str, float]:
+    def way_back(self, begin: Callable[[Start], None], renew: Callable[[], None], *, once: bool) -> tuple[str, float]:
         """Return the way that brings the FMU back to its start, and the largest difference that its reset left.
 
         Parameters
@@ -100,18 +110,16 @@ class FirstRun:
             wanted = self._run(begin, self.values, rows)
         difference = _difference(wanted, found)
         if self._u and difference == 0.0 and self.values and not once:
-            plain = self._run(begin, {}, rows[:0])  # start values must not outlive a reset
+            plain = self._run(begin, Start(), rows[:0])  # start values must not outlive a reset
             renew()
-            difference = _difference(self._run(begin, {}, rows[:0]), plain)
+            difference = _difference(self._run(begin, Start(), rows[:0]), plain)
         if difference == 0.0:
             return "reset", 0.0
         renew()
         again = _difference(wanted, self._run(begin, self.values, rows))
         return "instance" if again <= NOISE else "process", difference
 
-    def _run(
-        self, begin: Callable[[Mapping[str, Any]], None], values: Mapping[str, Any], rows: FloatArray
-    ) -> FloatArray | None:
+    def _run(self, begin: Callable[[Start], None], values: Start, rows: FloatArray) -> FloatArray | None:
         """Return the outputs from a new beginning on, as far as they come; None if it cannot begin."""
         try:
             begin(values)

@@ -86,8 +86,3 @@ def test_parts_of_a_loop_without_an_end_begin_at_their_own_start_values_and_that
     assert levels(plant) == pytest.approx([40, 40, 80])
     (said,) = plant.warnings
     assert said.startswith("a, b: ")
-
-
-def test_a_part_in_a_process_of_its_own_starts_alike(settled: Made) -> None:
-    parts = {"b": settled("isolated"), "a": settled(inputs=[], start={"flow": ZERO + 6})}
-    assert levels(Coupled(parts, [("a.level", "b.flow")], outputs=["b.level"])) == pytest.approx([24])
