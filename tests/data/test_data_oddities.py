@@ -364,6 +364,7 @@ def test_stretches_of_ten_equal_readings_and_lines_between_others_are_no_reading
         "filled": (bridged, list(range(701, 714))),
         "filled, in a rhythm": (np.interp(np.arange(N), knots, y[knots]), np.setdiff1d(np.arange(N), knots).tolist()),
     }
+    assert [odd.kind for odd in found(u, np.clip(y, *np.quantile(y, [0.04, 0.96])))[1]] == ["rail", "rail"]
     for kind, (read, rows) in answers.items():
         record, oddities = found(u, read)
         assert [odd.kind for odd in oddities] == [kind.partition(",")[0]]

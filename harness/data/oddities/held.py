@@ -178,7 +178,7 @@ def filled_readings(y: FloatArray, u: FloatArray) -> Held | None:
         return Held(every, fresh)
     if scatters(slope):
         for first, length in stuck_rows(slope):
-            fresh[first + 1 : first + length] = False
+            fresh[first + 1 : first + length] = slope[first] == 0.0  # a reading that rests, at a rail or stuck
     return None if fresh.all() else Held(None, fresh)
 
 
