@@ -147,7 +147,9 @@ def diagnose(
             outcome, finer = rounded, run_freely(kind, form, rounded, dataset, simple, share)
             runs = runs if finer.worse(policy) else finer
         outcome = widened(form, outcome)
+        untried = tuple(form.left_out())
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)
+        misfit = () if untried and not wrong else misfit  # one of these may be all that it lacks
         apart = form.apart(outcome.model)
         alarms = _alarms(doubts, system, outcome)
         far = sizes_off(system, outcome.model, DATA_POLICY.far * DATA_POLICY.near)
@@ -160,14 +162,15 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*alarms, *cut, *beaten(rival), *faults, *form.left_out()],
+        [*alarms, *cut, *beaten(rival), *faults],
         time.monotonic() - began,
         apart,
-        doubtful=bool(doubts or far or form.left_out()),
+        doubtful=bool(doubts or far or untried),
         alarms=tuple(alarms),
         rival=rival,
         thinned=thinned,
         wanted=wanted or Wanted(),
+        untried=untried,
     )
     instead = None if asked is None else second_opinion(diagnosis, simple, asked)
     if instead is not None:

@@ -50,6 +50,8 @@ class Diagnosis:
     """The data at the rate at which the likelihood looks at them."""
     wanted: Wanted = field(default_factory=Wanted)
     """What the run gave of the dictionary, tried and left out."""
+    untried: tuple[str, ...] = ()
+    """Effects that were not tried to the end, alone or beside what was found, as that would have cost too much."""
 
     @property
     def nominal(self) -> Fit:
@@ -108,7 +110,7 @@ class Diagnosis:
         lasts = lasts or self.runs.left > self.policy.misfit_nrmse**2 >= self.runs.beyond_start
         refused = not self.found and (lasts or self.promised is not None)
         denied = bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
-        return left or refused or denied or self.shaken
+        return left or refused or denied or self.shaken or bool(self.untried and not self.found)
 
     @property
     def left(self) -> Axis | None:

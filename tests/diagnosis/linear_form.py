@@ -154,6 +154,9 @@ class LinearForm:
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
         return []
 
+    def left_out(self) -> list[str]:
+        return []
+
     def change(self, fit: Fit, placed: Placed) -> float:
         return float("inf")
 

@@ -29,7 +29,8 @@ class NoForm:
 
     laws = Dictionary.builtin()
 
-    def __init__(self, change: float = np.inf, distance: float = np.inf) -> None:
+    def __init__(self, change: float = np.inf, distance: float = np.inf, untried: Sequence[str] = ()) -> None:
+        self.left_out = lambda: list(untried)
         self.change = lambda fit, placed: change
         self.distance = lambda fit, other: distance
         self.damping = lambda fit, at: None
@@ -232,7 +233,9 @@ def test_what_did_not_converge_or_cannot_be_is_rejected() -> None:
     one = placed("quadratic_drag")
     values = {"a": 1.0, one.main(): -0.5}
     assert Kind.SIGN in verdict(50.0, GAIN, values=values)
-    assert not judged(FORM, [one], None, a_fit(), a_fit()).passed
+    assert [one.kind for one in judged(FORM, [one], None, a_fit(), a_fit()).refusals] == [Kind.NOT_SIMULATED]
+    dear: Any = NoForm(untried=[str(one)])
+    assert [one.kind for one in judged(dear, [one], None, a_fit(), a_fit()).refusals] == [Kind.COST]
 
 
 def test_a_value_on_its_bound_is_no_estimate() -> None:

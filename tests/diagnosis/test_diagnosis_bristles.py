@@ -80,6 +80,9 @@ class Told:
     def fit(self, effects: Sequence[Placed], starts: Sequence[dict[str, float]], base: Fit, rival: Fit) -> Fit:
         return self.finish(self.begin(effects, starts, base), base, rival)
 
+    def left_out(self) -> list[str]:
+        return []
+
     def change(self, fit: Fit, placed: Placed) -> float:
         return np.inf
 

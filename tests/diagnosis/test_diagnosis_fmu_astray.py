@@ -96,3 +96,7 @@ def test_a_search_that_costs_too_much_ends_and_says_what_it_did_not_try(monkeypa
     assert report.data["effects"] == []
     (said,) = [words for words in report.data["warnings"] if "not tried to the end" in words]
     assert "coulomb_friction@theta" in said
+    assert report.data["verdict"] == "unexplained"
+    assert "1 effect was not tried to the end" in report.data["summary"]
+    (row,) = report.data["candidates"]
+    assert "the search had cost what it may" in row["reason"]

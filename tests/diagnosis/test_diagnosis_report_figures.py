@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.report import evidence_json
+from harness.diagnosis.report import candidates, evidence_json
 from harness.diagnosis.report.estimates import effect_data
 from harness.diagnosis.report.html import environment
 from harness.diagnosis.search.compare import Comparison, Judged
@@ -57,13 +57,13 @@ def test_a_candidate_shows_why_it_was_rejected_or_what_it_ties_with() -> None:
     comparison = Comparison(30.0, 10.0, 4.0, 8.0)
     passed = Judged((DRAG,), a_fit(), comparison, ())
     rejected = Judged((DRAG,), a_fit(), comparison, (Refusal(Kind.UNCONVERGED),))
-    row = evidence_json._row(passed, 1, {passed.name}, set())
+    row = candidates._row(passed, 1, {passed.name}, set())
     assert (row["accepted"], row["reason"]) == (True, "")
     assert (row["evidence"], row["validation_gain"], row["validation_error"]) == (30.0, 10.0, 4.0)
     assert row["main"] == {DRAG.main(): [0.5, 0.4, 0.6]}
-    assert evidence_json._row(passed, 1, set(), {passed.name})["reason"] == "tied with the answer"
-    assert evidence_json._row(passed, 1, set(), set())["reason"] == "another candidate explains more"
-    row = evidence_json._row(rejected, 1, {rejected.name}, set())
+    assert candidates._row(passed, 1, set(), {passed.name})["reason"] == "tied with the answer"
+    assert candidates._row(passed, 1, set(), set())["reason"] == "another candidate explains more"
+    row = candidates._row(rejected, 1, {rejected.name}, set())
     assert (row["accepted"], row["reason"]) == (False, "its fit did not converge")
 
 
@@ -78,7 +78,7 @@ def test_a_candidate_shows_why_it_was_rejected_or_what_it_ties_with() -> None:
 def test_a_candidate_has_limits_where_a_parameter_has(more: dict[str, Any], words: str) -> None:
     """The table of candidates said 1e-9 to 1e9, or 0 to null, where the answer said null and null."""
     judged = Judged((DRAG,), a_fit(**more), None, (Refusal(Kind.NOT_SIMULATED),))
-    row = evidence_json._row(judged, 1, set(), set())
+    row = candidates._row(judged, 1, set(), set())
     assert row["main"] == {DRAG.main(): [0.5, None, None]}, words
     answer = effect_data(a_fit(**more), Accepted(DRAG, (), 1.0, 1.0))
     assert [answer["parameters"]["c"][key] for key in ("low", "high")] == [None, None]
@@ -91,10 +91,10 @@ def test_what_no_score_test_sees_stands_among_the_candidates_where_it_was_begun_
         candidates=[], test=SimpleNamespace(leads=[lead], hidden=[]), left=frozenset({str(DRAG), "elasticity@theta"})
     )
     found = SimpleNamespace(
-        outcome=SimpleNamespace(rounds=[step], accepted=[]), policy=POLICY, misfit=("no",), nominal=None,
+        outcome=SimpleNamespace(rounds=[step], accepted=[]), policy=POLICY, misfit=("no",), nominal=None, untried=(),
         runs=SimpleNamespace(before=None),
     )  # fmt: skip
-    seen, hidden = evidence_json._candidates(found, ())
+    seen, hidden = candidates.candidate_rows(found, ())
     assert [(row["name"], row["at"], row["promise"]) for row in (seen, hidden)] == [
         ("quadratic_drag", "theta", 12.5), ("elasticity", "theta", None),
     ]  # fmt: skip
@@ -202,6 +202,7 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
         ({"further": 6.84}, "free runs err 6.8 times as far on the validation records as on the others"),
         ({}, "the force that nobody measured is too large for a disturbance"),
         ({"runs_leave": 0.64}, "free runs leave 80 % of what a straight line leaves"),
+        ({"untried": ("backlash@theta",), "beaten": "drag@theta"}, "1 effect was not tried to the end"),
         ({"lasting": 0.4}, "an error of free runs that lasts (of theta, 40 % of its motion) is left"),
     ],
 )
@@ -215,6 +216,7 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
             withdrawn=[SimpleNamespace(placed=DRAG)] if "withdrawn" in more else [],
         ),
         policy=POLICY,
+        untried=more.get("untried", ()),
         rival=more.get("beaten", ""),
         disagree=more.get("disagree", False),
         shaken="jumps" in more,

@@ -324,6 +324,10 @@ class RegressionForm(InOneGo):
         changed = self._rms([a - b for a, b in zip(bare, regression_detail(fit).residual["estimation"], strict=True)])
         return float(np.max(changed / np.maximum(self.regression.size, 1e-300), initial=0.0))
 
+    def left_out(self) -> list[str]:
+        """Everything was tried."""
+        return []
+
     def distance(self, fit: Fit, other: Fit) -> float:
         """Return by how much the torques of two fits differ, at the joint where they do most: rms over torque's rms."""
         pairs = zip(*(regression_detail(one).residual["estimation"] for one in (fit, other)), strict=True)

@@ -56,13 +56,8 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         return True
 
     def left_out(self) -> list[str]:
-        """See :class:`harness.diagnosis.forms.form.WholeForm`."""
-        if not self._left:
-            return []
-        return [
-            f"the search around the FMU ended after {EFFORT.steps / 1e6:g} million of its steps, the most that it may "
-            f"cost: not tried to the end, alone or beside what was found, were {', '.join(self._left)}"
-        ]
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        return list(self._left)
 
     def judges(self, placed: Placed) -> bool:
         """Return True for an effect that can be put around an FMU."""

@@ -68,10 +68,6 @@ class WholeForm(Form, Protocol):
         """Take sizes from the nominal fit; True where it must be made anew within them."""
         ...
 
-    def left_out(self) -> list[str]:
-        """Return what is to be said of candidates that were not tried because that would have cost too much."""
-        ...
-
     def record(self, fit: Fit) -> dict[str, Any]:
         """Return a finished fit as plain numbers."""
         ...

@@ -268,7 +268,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         return False
 
     def left_out(self) -> list[str]:
-        """See :class:`harness.diagnosis.forms.form.WholeForm`: everything was tried."""
+        """See :class:`harness.diagnosis.search.fit.Form`: everything was tried."""
         return []
 
     def record(self, fit: Fit) -> dict[str, Any]:

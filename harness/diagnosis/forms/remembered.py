@@ -98,6 +98,10 @@ class Remembered(InOneGo):
         """Pass on."""
         return self.form.test_functions(fit)
 
+    def left_out(self) -> list[str]:
+        """Pass on."""
+        return self.form.left_out()
+
     def change(self, fit: Fit, placed: Placed) -> float:
         """Pass on."""
         return self.form.change(fit, placed)

@@ -63,13 +63,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.records.motion import motion_is_state
+from harness.diagnosis.report.candidates import answer_of, candidate_rows
 from harness.diagnosis.report.estimates import effect_data, estimate, known, ratios, scaled_together
 from harness.diagnosis.report.experiments import Bench, separate_with, separating, undeclared_motion
 from harness.diagnosis.report.keys import blank, numbers
@@ -80,10 +80,8 @@ from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
 from harness.diagnosis.runs.equation_form import EquationForm
 from harness.diagnosis.runs.errors import equation_error, figures, simulation_error
 from harness.diagnosis.runs.fitted import Fitted
-from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.refusal import Kind, Refusal
-from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import by_equations
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -102,23 +100,7 @@ HELD = (
     "no parameter of the nominal model was fitted: each is held at what is declared of it (in a dataset.toml b = 0.1 "
     "holds b, b = {{ start = 0.1 }} leaves it free): {0}"
 )
-NO_FINDING = "the model does not fit these data: nothing is accepted"
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What a diagnosis stands for: where the model does not fit, the nominal one and nothing beside it."""
-
-    accepted: tuple[Accepted, ...]
-    fit: Fit
-    runs: Fitted | None
-
-
-def answer_of(found: Diagnosis) -> Answer:
-    """Return what a diagnosis stands for."""
-    if found.misfit:
-        return Answer((), found.nominal, found.runs.before)
-    return Answer(tuple(found.outcome.accepted), found.final, found.runs.after)
+UNTRIED = "the search ended at what it may cost: not tried to the end, alone or beside what was found, were {0}"
 
 
 def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]] = ()) -> dict[str, Any]:
@@ -160,7 +142,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         },
         "ratios": ratios(answer.fit, together),
         "noise": {"before": _noise(found, found.nominal), "after": _noise(found, answer.fit)},
-        "candidates": _candidates(found, together),
+        "candidates": candidate_rows(found, together),
         "withdrawn": [_named([effect.placed]) for effect in found.outcome.withdrawn],
         "left_over": [axis.to_dict() for axis in found.leftover.axes],
         "tests": {"before": tests, "after": deepcopy(tests) if unchanged else _tests(found, answer.fit)},
@@ -188,7 +170,8 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
     cause = _cause(found) if found.verdict == "unexplained" else ""
     advice = undeclared_motion(found.system) if cause else ""
     sizes = ", ".join(f"{one.name} is {one.ratio:.2g} times its declared size" for one in far)
-    told = [_summary(data, found.policy.least, cause, _lasting(found)), advice, sizes]
+    untried = _untried(found) if found.untried and found.found else ""
+    told = [_summary(data, found.policy.least, cause, _lasting(found)), advice, sizes, untried]
     data["summary"] = "; ".join(filter(None, told))
     return data
 
@@ -198,6 +181,8 @@ def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
     said = [*found.warnings, *_taken_back(found)]
     if not found.dataset.test:
         said.append(SELECTED)
+    if found.untried:
+        said.append(UNTRIED.format(", ".join(found.untried)))
     if not found.nominal.free and found.system.parameter_names:
         said.append(HELD.format(", ".join(found.system.parameter_names)))
     if found.wanted.items:
@@ -333,83 +318,6 @@ def _other_horizons(found: Diagnosis) -> list[float]:
     seconds = found.runs.horizon.seconds
     wanted = [0.02 * shortest, 0.2 * shortest] if seconds is None else [0.1 * seconds, 5 * seconds]
     return [float(f"{horizon:.2g}") for horizon in wanted if 20 * dt <= horizon < shortest]
-
-
-def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any]]:
-    """Return one row for each refit of each round, then what the score test set aside."""
-    accepted = {str(effect.placed) for effect in answer_of(found).accepted}
-    tied = {str(p) for effect in answer_of(found).accepted for member in effect.tie for p in member} - accepted
-    rows = []
-    for number, step in enumerate(found.outcome.rounds, start=1):
-        ranked = sorted(
-            step.candidates, key=lambda judged: -np.inf if judged.comparison is None else -judged.comparison.total
-        )
-        rows += [_row(judged, number, accepted, tied, together, fits=not found.misfit) for judged in ranked]
-        refitted = {judged.name for judged in step.candidates}
-        for lead in [*step.test.leads, *step.test.hidden]:
-            if str(lead.placed) in refitted:
-                continue
-            if lead.share < found.policy.seen:
-                reason = "cannot be told from the nominal parameters"
-            elif str(lead.placed) in step.left:
-                reason = "the first steps of its refit gained too little"
-            else:
-                reason = "the score test promises less"
-            rows.append(_aside(str(lead.placed), number, reason, lead.gain))
-        tested = {str(lead.placed) for lead in (*step.test.leads, *step.test.hidden)}
-        rows += [  # what no first-order test sees, as play and hidden resonances, promises nothing
-            _aside(name, number, "the first steps of its refit gained too little")
-            for name in sorted(step.left - refitted - tested)
-        ]
-    return rows
-
-
-def _aside(name: str, number: int, reason: str, promise: float | None = None) -> dict[str, Any]:
-    """Return the row of a candidate that was not refitted to its end."""
-    effect, _, at = name.partition("@")
-    return {
-        "name": effect,
-        "at": at,
-        "round": number,
-        "refitted": False,
-        "accepted": False,
-        "reason": reason,
-        "promise": known(promise),
-        "evidence": None,
-    }
-
-
-def _row(
-    judged: Judged, number: int, accepted: set[str], tied: set[str], together: Sequence[str] = (), *, fits: bool = True
-) -> dict[str, Any]:
-    """Return the row of one refitted candidate."""
-    reason = refusals_text(judged.refusals)
-    if judged.passed and not fits:
-        reason = NO_FINDING
-    elif judged.passed and judged.name not in accepted:
-        reason = "tied with the answer" if judged.name in tied else "another candidate explains more"
-    compared = judged.comparison
-    return {
-        "name": " + ".join(p.effect.name for p in judged.added),
-        "at": ", ".join(p.at for p in judged.added),
-        "round": number,
-        "refitted": True,
-        "converged": bool(judged.fit is not None and judged.fit.converged),
-        "accepted": judged.name in accepted and judged.passed,
-        "passed": judged.passed,
-        "reason": reason,
-        "evidence": known(None if compared is None else compared.evidence),
-        "validation_gain": known(None if compared is None else compared.validation),
-        "validation_error": known(None if compared is None else compared.error),
-        "total_error": known(None if compared is None else compared.total_error),
-        "main": {}
-        if judged.fit is None
-        else {
-            name: [estimate(judged.fit, name, together)[key] for key in ("value", "low", "high")]
-            for name in (p.main() for p in judged.added)
-            if name is not None and name in judged.fit.free
-        },
-    }
 
 
 def _tests(found: Diagnosis, fit: Fit) -> dict[str, Any]:
@@ -548,6 +456,8 @@ def _cause(found: Diagnosis) -> str:
         if refused.comparison.validation < refused.comparison.error:
             return f"{gain}, and the validation records show nothing of it; excite it in both"
         return f"{gain}, but {refusals_text(refused.refusals)}"
+    if found.untried:
+        return _untried(found)
     if found.rival:
         return f"{found.rival.replace('_', ' ').replace('@', ' at ')} alone would in free runs, and is not accepted"
     if found.disagree:
@@ -561,6 +471,12 @@ def _cause(found: Diagnosis) -> str:
     if found.runs.left > found.policy.misfit_nrmse**2:
         return f"free runs leave {brief(100 * np.sqrt(found.runs.left))} % of what a straight line leaves"
     return "the force that nobody measured is too large for a disturbance"
+
+
+def _untried(found: Diagnosis) -> str:
+    """Return how many effects the cost of the search left out."""
+    count = len(found.untried)
+    return f"{count} {'effects were' if count > 1 else 'effect was'} not tried to the end"
 
 
 def _happened(found: Diagnosis) -> str:

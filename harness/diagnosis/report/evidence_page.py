@@ -10,7 +10,8 @@ import numpy as np
 
 from harness.diagnosis.forms.fit_records import likelihood_detail, reading_noise
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.report.evidence_json import FREE, answer_of, innovations
+from harness.diagnosis.report.candidates import answer_of
+from harness.diagnosis.report.evidence_json import FREE, innovations
 from harness.diagnosis.report.figures import Overlay, Pictures, ResidualView, draw
 from harness.diagnosis.report.html import environment, error_rows
 from harness.diagnosis.report.words import recorded_units, shown_in

@@ -138,7 +138,8 @@ def judged(
 ) -> Judged:
     """Apply the acceptance rule to effects that were added to a base; nothing is asked of those that are ``given``."""
     if fit is None:
-        return Judged(tuple(added), None, None, (Refusal(Kind.NOT_SIMULATED),))
+        dear = set(map(str, added)) & set(form.left_out())
+        return Judged(tuple(added), None, None, (Refusal(Kind.COST if dear else Kind.NOT_SIMULATED),))
     comparison = compared(fit, base, policy)
     names = {*given, *map(str, added)}
     reasons = [*_ended(fit), *unseen(fit), *_wanting(fit, base, nominal, comparison, policy)]

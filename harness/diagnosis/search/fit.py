@@ -315,6 +315,10 @@ class Form(Protocol):
         """Return the same for functions of position, speed and input that are no effect of a dictionary."""
         ...
 
+    def left_out(self) -> list[str]:
+        """Return the effects that were not tried to the end, alone or beside others, as that would cost too much."""
+        ...
+
     def change(self, fit: Fit, placed: Placed) -> float:
         """Return how much one of the effects of a fit changes of rates or readings, as a share of them.
 

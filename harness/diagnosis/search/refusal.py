@@ -12,6 +12,8 @@ class Kind(Enum):
 
     NOT_SIMULATED = "not simulated"
     """No start was found from which the model with it can be simulated along the records."""
+    COST = "cost"
+    """The search had cost what it may before it was tried to the end."""
     STOPPED = "stopped"
     """Its fit was left on its way: its steps did not bring it near the best rival, or to what its parameters cost."""
     UNCONVERGED = "unconverged"
