@@ -338,7 +338,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--room", nargs="+", default=list(ROOMS), choices=list(ROOMS))
     parser.add_argument("--count", type=int, default=20, help="faults of each room")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--strict", action="store_true", help=f"exit status 1 below {AIM:.0%} noticed")
+    parser.add_argument("--strict", action="store_true", help=f"exit status 1 below {AIM:.0%}% noticed")
     asked = parser.parse_args(arguments)
     known, met = known_results(asked.out), True
     for room in asked.room:

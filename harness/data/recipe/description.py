@@ -70,7 +70,7 @@ def parse_description(text: str, *, file: str | Path | None = None) -> Descripti
     """
     try:
         content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError("not TOML", expected="TOML", got=str(error), remedy="repair that line", file=file) from error
     _refuse_unknown(content, file)
     _refuse_open(content, "", file)
