@@ -322,7 +322,7 @@ def test_arguments_of_another_kind_are_refused_in_python(folder: Path, how: dict
     [
         ("deep.toml", ("bench", "deep.toml")),
         ("deep.toml", ("simulate", "deep.toml")),
-        ("deep.toml", ("close-loop", "deep.toml")),
+        ("deep.toml", ("close-loop", "deep.toml", "--out", "report")),
         ("deep.toml", ("check-data", "deep.toml")),
         ("model.json", ("list", "model.json")),
         ("report.json", ("compare", "report.json", "report.json")),
