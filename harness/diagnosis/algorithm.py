@@ -147,9 +147,7 @@ def diagnose(
             outcome, finer = rounded, run_freely(kind, form, rounded, dataset, simple, share)
             runs = runs if finer.worse(policy) else finer
         outcome = widened(form, outcome)
-        untried = tuple(form.left_out())
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)
-        misfit = () if untried and not wrong else misfit  # one of these may be all that it lacks
         apart = form.apart(outcome.model)
         alarms = _alarms(doubts, system, outcome)
         far = sizes_off(system, outcome.model, DATA_POLICY.far * DATA_POLICY.near)
@@ -165,12 +163,12 @@ def diagnose(
         [*alarms, *cut, *beaten(rival), *faults],
         time.monotonic() - began,
         apart,
-        doubtful=bool(doubts or far or untried),
+        doubtful=any((doubts, far, form.left_out())),
         alarms=tuple(alarms),
         rival=rival,
         thinned=thinned,
         wanted=wanted or Wanted(),
-        untried=untried,
+        untried=tuple(form.left_out()),
     )
     instead = None if asked is None else second_opinion(diagnosis, simple, asked)
     if instead is not None:

@@ -39,6 +39,8 @@ def misfit_reasons(
     """
     if wrong:  # it says what is to be done
         return tuple(wrong)
+    if form.left_out():  # one of these may be all that it lacks
+        return ()
     reasons = []
     if not runs.beyond_start <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy, factor):
         shares = runs.noise / np.maximum(runs.motion, 1e-300)

@@ -135,19 +135,12 @@ def wide_search(
         form, outcome = searched(lean(None), *SPRINGS)
     regression = _wide(form)
     if springs:
-        form = lean(None, regression.twisted(outcome.model))
-        halfway = form.fit(outcome.model.effects, [outcome.model.values], outcome.model)
-        outcome = replace(outcome, model=halfway or outcome.model)
+        form, outcome = _halfway(lean(None, regression.twisted(outcome.model)), outcome)
     outcome, notes = _without_small(form, outcome, arm_policy)
     notes += hidden
     fixed = len(calibrated) or springs
     outcome, beside = (outcome, None) if fixed else _as_a_set(form, outcome, lean, policy, own)
-    gains = {
-        accepted.placed.at: tuple(other for group in accepted.tie[1:] for other in group)
-        for accepted in outcome.accepted
-        if accepted.placed.effect.name == GAIN
-    }
-    kept = tuple(accepted for accepted in outcome.accepted if accepted.placed.effect.name != GAIN)
+    gains, kept = _gains(outcome)
     fit = outcome.model
     if beside is not None:
         rotors = {k: fit.values[regression.own_name(k, ROTOR)] for k in beside}
@@ -183,6 +176,22 @@ def _searched(
         return Outcome(form, nominal, nominal, (), ())
     own = replace(policy, least=arm_policy.spring) if springs else policy
     return search(form, nominal, candidates, policy=own, say=say)
+
+
+def _halfway(form: RegressionForm, outcome: Outcome) -> tuple[RegressionForm, Outcome]:
+    """Return the fit of an outcome in a form that takes the bodies' torques half way along the twist, and that form."""
+    model = outcome.model
+    return form, replace(outcome, model=form.fit(model.effects, [model.values], model) or model)
+
+
+def _gains(outcome: Outcome) -> tuple[dict[str, tuple[Placed, ...]], tuple[Accepted, ...]]:
+    """Return the gains of drives among what was accepted, each with what ties with it, and the rest."""
+    gains = {
+        accepted.placed.at: tuple(other for group in accepted.tie[1:] for other in group)
+        for accepted in outcome.accepted
+        if accepted.placed.effect.name == GAIN
+    }
+    return gains, tuple(accepted for accepted in outcome.accepted if accepted.placed.effect.name != GAIN)
 
 
 def _no_springs(

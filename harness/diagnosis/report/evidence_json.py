@@ -167,13 +167,18 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "warnings": _warnings(found, answer.fit, together),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
+    sizes = ", ".join(f"{one.name} is {one.ratio:.2g} times its declared size" for one in far)
+    data["summary"] = _head(found, data, sizes)
+    return data
+
+
+def _head(found: Diagnosis, data: dict[str, Any], sizes: str) -> str:
+    """Return the verdict in one line, with what must be known beside it."""
     cause = _cause(found) if found.verdict == "unexplained" else ""
     advice = undeclared_motion(found.system) if cause else ""
-    sizes = ", ".join(f"{one.name} is {one.ratio:.2g} times its declared size" for one in far)
     untried = _untried(found) if found.untried and found.found else ""
-    told = [_summary(data, found.policy.least, cause, _lasting(found)), advice, sizes, untried]
-    data["summary"] = "; ".join(filter(None, told))
-    return data
+    summary = _summary(data, found.policy.least, cause, _lasting(found))
+    return "; ".join(filter(None, (summary, advice, sizes, untried)))
 
 
 def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
