@@ -131,7 +131,7 @@ def new_dataset(
     sheet : str, optional
         Of Excel workbooks.
     input, output : str or sequence of str
-        Channels that are inputs and outputs, where no model names them; the others become comments.
+        Channels that are inputs and outputs, where their titles are no ports of the model.
     force : bool
         Overwrite it.
 

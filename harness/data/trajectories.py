@@ -1,5 +1,8 @@
 """A trajectory to a file and back, bit for bit: CSV and Parquet with units in the titles of the columns.
 
+What the columns are stands in the metadata of a Parquet file. A CSV file stays a plain table, and has it beside it in
+``NAME.csv-metadata.json``: W3C, *Model for Tabular Data and Metadata on the Web* (2015), section 5.3, names it so.
+
 True states go to columns of their own that start with ``truth:``; readers of measurements never look at them. What came
 from outside a control loop goes to columns that start with ``reference:``.
 """
@@ -17,11 +20,13 @@ import numpy as np
 from harness.data.tables.columns import columns_of
 from harness.data.tables.headers import REFERENCE, TRUTH, split_header
 from harness.data.tables.table import Table
-from harness.data.whole_files import whole_file
+from harness.data.whole_files import whole_file, write_json
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, stated_categories
 
-_KEY = b"sysid-harness/trajectory/1"
+_KEY = "sysid-harness/trajectory/1"
+BESIDE = "-metadata.json"
+"""What the name of a CSV file gets in the name of the file that says what its columns are."""
 
 
 def write_trajectory(
@@ -49,8 +54,9 @@ def write_trajectory(
 
     Notes
     -----
-    Numbers are written so that they read back bit for bit. A Parquet file also carries the whole
-    :class:`PlantSpec` (ranges, periods, kinds) as metadata; a CSV file is a plain table and does not.
+    Numbers are written so that they read back bit for bit. The whole :class:`PlantSpec` (inputs and outputs, ranges,
+    periods, kinds) goes into the metadata of a Parquet file; a CSV file is a plain table, and has it beside it in
+    ``NAME.csv-metadata.json``.
     """
     path = Path(path)
     columns = {
@@ -66,6 +72,7 @@ def write_trajectory(
         raise InputError(
             "output file", expected="a name that ends in .csv or .parquet", got=path.name, remedy="rename it", file=path
         )
+    content = {_KEY: _spec_to_dict(trajectory.spec)}
     with whole_file(path) as scratch:
         if suffix == ".csv":
             lines = [",".join(map(_quoted, columns))]
@@ -76,10 +83,16 @@ def write_trajectory(
             import pyarrow as pa
             import pyarrow.parquet as pq
 
-            content = json.dumps(_spec_to_dict(trajectory.spec))
             arrow = pa.table({title: np.ascontiguousarray(values) for title, values in columns.items()})
-            pq.write_table(arrow.replace_schema_metadata({_KEY: content.encode()}), scratch)
+            pq.write_table(arrow.replace_schema_metadata({_KEY: json.dumps(content[_KEY])}), scratch)
+    if suffix == ".csv":
+        write_json(_beside(path), {"url": path.name, "notes": [content]})
     return path
+
+
+def _beside(path: Path) -> Path:
+    """Return where it stands what the columns of a CSV file are."""
+    return path.with_name(path.name + BESIDE)
 
 
 def _quoted(title: str) -> str:
@@ -97,9 +110,10 @@ def read_trajectory(
     path : path
         A Parquet or CSV file.
     spec : PlantSpec, optional
-        What was recorded; a Parquet file knows it.
+        What was recorded; without it, what was written with the record counts.
     inputs : sequence of str, optional
-        For a CSV file without ``spec``: which columns are inputs; the others are outputs.
+        For a table of which nothing says it, or that is played otherwise: which columns are inputs; the others are
+        outputs.
 
     Returns
     -------
@@ -109,17 +123,20 @@ def read_trajectory(
     Raises
     ------
     InputError
-        If a column is missing, or a CSV file comes with neither ``spec`` nor ``inputs``.
+        If a column is missing, or nothing says which columns are inputs.
     """
     path = Path(path)
     table = Table(path)
-    spec = spec or stored_spec(path)
+    stored = stored_spec(path, table.titles)
+    if stored is not None and inputs is not None and {channel.name for channel in stored.inputs} != set(inputs):
+        stored = None
+    spec = spec or stored
     truth = [title for title in table.all_titles if title.startswith(TRUTH)]
     time = table.read_time("time")[0]
     if spec is None:
         if inputs is None:
             raise InputError(
-                "a CSV file does not say which columns are inputs",
+                "nothing says which columns are inputs",
                 expected="spec = ... or inputs = [...]",
                 got="neither",
                 remedy='call read_trajectory(path, inputs=["u"])',
@@ -133,27 +150,37 @@ def read_trajectory(
     return Trajectory(time, np.column_stack(u) if u else np.zeros((n, 0)), np.column_stack(y), spec, x)
 
 
-def stored_spec(path: str | Path) -> PlantSpec | None:
-    """Return the spec that a Parquet file carries; None for any other file."""
-    if Path(path).suffix.lower() != ".parquet":
-        return None
-    import pyarrow.parquet as pq
-
+def stored_spec(path: str | Path, titles: Sequence[str]) -> PlantSpec | None:
+    """Return what :func:`write_trajectory` said of a table with these titles; None where nothing is said of them."""
+    path = Path(path)
     try:
-        metadata = pq.read_schema(path).metadata or {}
-    except Exception:
-        return None  # the reader of the table words the refusal
-    if _KEY not in metadata:
-        return None
-    try:
-        return _spec_from_dict(json.loads(metadata[_KEY]))
+        found = [_spec_from_dict(content) for content in _stored(path)]
     except InputError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             "what the record says of its channels", expected="what sysid wrote", got=f"{type(error).__name__}: {error}",
-            remedy="take a copy that is whole", file=path,
+            remedy="take a copy that is whole", file=_beside(path) if path.suffix.lower() == ".csv" else path,
         ) from error  # fmt: skip
+    names = {split_header(title)[0] for title in titles}
+    known = [spec for spec in found if names >= {channel.name for channel in (*spec.inputs, *spec.outputs)}]
+    return known[0] if known else None  # the table may be another one by now
+
+
+def _stored(path: Path) -> list[Any]:
+    """Return the JSON in the metadata of a Parquet file, or beside a CSV file; nothing where there is none of ours."""
+    if path.suffix.lower() == ".csv" and _beside(path).is_file():
+        notes = json.loads(_beside(path).read_text(encoding="utf-8")).get("notes", [])  # other tools write it too
+        return [note[_KEY] for note in notes if isinstance(note, dict) and _KEY in note]
+    if path.suffix.lower() != ".parquet":
+        return []
+    import pyarrow.parquet as pq
+
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+    except Exception:
+        return []  # the reader of the table words the refusal
+    return [json.loads(text) for key, text in metadata.items() if key == _KEY.encode()]
 
 
 def _spec_from_titles(table: Table, inputs: list[str], truth: list[str], time: FloatArray) -> PlantSpec:

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from harness import registry
+from harness.data.trajectories import BESIDE
 from harness.errors import InputError
 
 COLUMNS = ("file", "machine", "date", "validation")  # Of a table of records; all but the first may be left out.
@@ -73,7 +74,8 @@ def find_records(source: str | Path) -> tuple[FleetRecord, ...]:
         return _named(_in_folder(path), source)
     if _is_table(path):
         return _in_table(path)
-    return _named([Path(name) for name in sorted(glob.glob(str(source), recursive=True))], source)
+    found = [Path(name) for name in sorted(glob.glob(str(source), recursive=True)) if not name.endswith(BESIDE)]
+    return _named(found, source)
 
 
 def _is_pattern(source: str | Path) -> bool:

@@ -179,3 +179,26 @@ def test_a_draft_takes_roles_from_the_caller(tmp_path: Path) -> None:
     shown = CliRunner().invoke(app, [*command, "--input", "w", "--force"])
     assert isinstance(shown.exception, InputError)
     assert "no column 'w'" in str(shown.exception)
+
+
+def test_a_draft_under_a_model_keeps_what_the_caller_says(tmp_path: Path) -> None:
+    titles = "time [s],motor1 [N m],motor2 [N m],arm1 [rad],arm2 [rad/s],heat [degC]"
+    log = table(tmp_path / "log.csv", titles, T, U, U, Y, Y, Y)
+    said = {"input": ["motor1", "motor2"], "output": ["arm1", "arm2 [rad/s]"]}
+    out = api.new_dataset([log], model="double-pendulum", out=tmp_path / "dataset.toml", **said)
+    draft = out.read_text()
+    assert [draft.count(f'role = "{role}"') for role in ("input", "output", "?")] == [2, 2, 0]
+    assert draft.count('port = "?"  # which port of double-pendulum? inputs of like unit: u1 [N m], u2 [N m]') == 2
+    assert "theta1 with derivative = 1, theta2 with derivative = 1" in draft
+    assert "is an input of double-pendulum that no column is called after" not in draft
+    with pytest.raises(InputError, match=r"signals\.motor1\.port: an open question"):
+        load_dataset(out)
+    for port in ("u1", "u2", "theta1"):
+        draft = draft.replace('port = "?"', f'port = "{port}"', 1)
+    out.write_text(draft.replace('port = "?"', 'port = "theta2"\nderivative = 1'))
+    assert load_dataset(out).measured == (("theta1", 0), ("theta2", 1))
+    only = api.new_dataset([log], model="double-pendulum", out=out, input="motor1", output=["arm1"], force=True)
+    assert "is an input of double-pendulum that no column is called after" in only.read_text()
+    with pytest.raises(InputError, match="--output: 'u' as an output: expected input, as the model has it"):
+        api.new_dataset([table(log, "time [s],u [N m],theta [rad]", T, U, Y)], model="pendulum", out=out, output="u",
+                        force=True)  # fmt: skip

@@ -96,4 +96,4 @@ def test_a_record_whose_description_is_damaged(tmp_path: Path, text: str) -> Non
     table = pa.table({"time [s]": [0.0, 1.0], "u [1]": [0.0, 1.0]}).replace_schema_metadata({trajectories._KEY: text})
     parquet.write_table(table, tmp_path / "run.parquet")
     with pytest.raises(InputError, match="what the record says of its channels"):
-        trajectories.stored_spec(tmp_path / "run.parquet")
+        trajectories.stored_spec(tmp_path / "run.parquet", ["u [1]"])

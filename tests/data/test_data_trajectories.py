@@ -9,7 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from harness.data import load_dataset, read_trajectory, write_trajectory
+from harness.data.recipe.draft import draft_dataset
 from harness.errors import InputError
+from harness.fleet.records import find_records
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import trajectories
 
@@ -25,7 +27,7 @@ def test_round_trip_to_the_last_bit(tmp_path: Path, trajectory: Trajectory) -> N
             if mine is not None:
                 assert mine.tobytes() == read.tobytes(), name
     assert read_trajectory(tmp_path / "run.parquet").spec == trajectory.spec
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.csv", "run.parquet"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.csv", "run.csv-metadata.json", "run.parquet"]
 
 
 def small(x: np.ndarray | None = None) -> Trajectory:
@@ -48,10 +50,32 @@ def test_a_csv_is_a_plain_table(tmp_path: Path) -> None:
         "theta [rad]",
         "theta [rad]",
     ]
-    with pytest.raises(InputError, match="which columns are inputs"):
-        read_trajectory(path)
+    assert read_trajectory(path).spec == small().spec  # it stands beside it, periods and ranges too
+    assert [c.name for c in read_trajectory(path, inputs=["theta"]).spec.inputs] == ["theta"]  # played otherwise
     with pytest.raises(InputError, match="no column 'force'"):
         read_trajectory(path, inputs=["force"])
+
+
+def test_a_csv_states_its_roles_beside_it(tmp_path: Path) -> None:
+    path = write_trajectory(small(), tmp_path / "run.csv")
+    assert [str(c) for c in load_dataset(path).dataset.spec.inputs] == ["u [N m]"]
+    assert [str(c) for c in load_dataset(path).dataset.spec.outputs] == ["theta [rad]"]
+    assert draft_dataset([path]).count('role = "input"') == draft_dataset([path]).count('role = "output"') == 1
+    assert [c.name for c in load_dataset(path, input="theta", output="u").dataset.spec.inputs] == ["theta"]
+    assert [one.file for one in find_records(str(tmp_path / "*"))] == [path]
+    beside = tmp_path / "run.csv-metadata.json"
+    whole = beside.read_text()
+    for other in ("{", '{"notes": [{"sysid-harness/trajectory/1": {}}]}'):
+        beside.write_text(other)
+        with pytest.raises(InputError, match=r"run\.csv-metadata\.json: what the record says of its channels"):
+            load_dataset(path)
+    for other in ('{"url": "run.csv"}', whole.replace('"theta"', '"phi"')):  # another tool's, and of another table
+        beside.write_text(other)
+        with pytest.raises(InputError, match="which columns are inputs"):
+            load_dataset(path)
+    beside.unlink()
+    with pytest.raises(InputError, match="which columns are inputs"):
+        read_trajectory(path)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

@@ -44,7 +44,7 @@ def describe_bare(
         If neither a model nor the caller says which columns are meant, or a column is not there.
     """
     table = open_table(path, tables, chosen.sheet)
-    known = _known_ports(path, model, ports)
+    known = _known_ports(table, model, ports, chosen)
     chosen = chosen.by_signal(table, known)
     if known is None or chosen.outputs is not None or chosen.inputs is not None:
         found, said = chosen.sections(table, known)
@@ -95,15 +95,16 @@ def _joined_records(table: Table, found: Found, chosen: Chosen) -> list[str]:
 
 
 def _known_ports(
-    path: Path, model: str | None, ports: tuple[Sequence[Channel], Sequence[Channel]] | None
+    table: Table, model: str | None, ports: tuple[Sequence[Channel], Sequence[Channel]] | None, chosen: Chosen
 ) -> Ports | None:
     """Return the ports that name the columns of a file; None where only the caller can."""
     if ports is not None:
         return Ports(tuple(ports[0]), tuple(ports[1]), model or "the model", rates=False)
     if model is not None and (found := ports_of(located_model(model, Path.cwd()), {})) is not None:
         return found
-    stored = stored_spec(path)
-    return None if stored is None else Ports(stored.inputs, stored.outputs, path.name, rates=False)
+    said = chosen.inputs is not None or chosen.outputs is not None  # which outranks what was written with the table
+    stored = None if said else stored_spec(table.path, table.titles)
+    return None if stored is None else Ports(stored.inputs, stored.outputs, table.path.name, rates=False)
 
 
 def _time(table: Table, found: Found, chosen: Chosen) -> TimeSection | None:

@@ -13,6 +13,7 @@ from harness.data.recipe.contents import ChannelContent, Contents, contents_of
 from harness.data.recipe.description import OPEN
 from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
 from harness.data.tables.headers import stated_unit
+from harness.data.trajectories import stored_spec
 from harness.errors import InputError
 from harness.signals import Channel, stated_categories
 from harness.units import fits
@@ -42,12 +43,13 @@ def draft_dataset(
     sheet : str, optional
         Of the workbooks.
     inputs, outputs : sequence of str
-        Names or columns of channels, where no model names them; the others become comments.
+        Names or columns of channels whose titles are no ports of the model; it is then asked which port each is. What
+        is neither said nor a port becomes a comment.
 
     Raises
     ------
     InputError
-        If a file cannot be read, or holds no such channel.
+        If a file cannot be read, holds no such channel, or one is said to be the input that is the model's output.
 
     Examples
     --------
@@ -63,33 +65,36 @@ def draft_dataset(
     found = [contents_of(path, sheet) for path in paths]
     first = found[0]
     ports = None if model is None else ports_of(located_model(model, Path.cwd()), {})
-    roles = _roles(first, inputs, outputs)
+    known = stored_spec(paths[0], [one.column for one in first.channels])
+    if known is not None and not (inputs or outputs):
+        inputs, outputs = [one.name for one in known.inputs], [one.name for one in known.outputs]
+    roles = _roles(first, ports, inputs, outputs)
     lines = [f"name = {_quoted(paths[0].stem)}", *_clock(first, ports), ""]
     lines += [] if model is None else ["[nominal]", f"model = {_quoted(model)}", ""]
     lines += [] if model is not None else ['# [nominal] model = "..." names the model that you believe in', ""]
     lines += _signals(first, ports, roles)
     if ports is not None:
-        lines += _lacking(first, ports)
+        lines += _lacking(first, ports, roles)
     for number, path in enumerate(paths):
         name = path if folder is None else _from(path, folder)
         lines += _runs(number, str(name), found, ports, sheet)
     return "\n".join(lines)
 
 
-def _roles(first: Contents, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, str]:
+def _roles(first: Contents, ports: Ports | None, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, str]:
     """Return by column the role that was said.
 
     Raises
     ------
     InputError
-        If there is no such channel, or it is said twice.
+        If there is no such channel, it is said twice, or has the name of a port of the other role.
     """
     roles: dict[str, str] = {}
     for role, names in (("input", inputs), ("output", outputs)):
         for name in names if list(names) != [NOTHING] else ():
-            found = [one.column for one in first.channels if name == one.column]
-            found = found or [one.column for one in first.channels if name == one.name]
-            if len(found) != 1 or found[0] in roles:
+            found = [one for one in first.channels if name == one.column]
+            found = found or [one for one in first.channels if name == one.name]
+            if len(found) != 1 or found[0].column in roles:
                 raise InputError(
                     f"no column {name!r}" if not found else f"{name!r} means two columns or is said twice",
                     expected=f"one of {', '.join(repr(one.column) for one in first.channels[:12])}, each once",
@@ -97,7 +102,13 @@ def _roles(first: Contents, inputs: Sequence[str], outputs: Sequence[str]) -> di
                     remedy="correct the name",
                     place=f"--{role}",
                 )
-            roles[found[0]] = role
+            match = None if ports is None else _port(found[0], ports)
+            if match is not None and match[1] != role:
+                raise InputError(
+                    f"{name!r} as an {role}", expected=f"{match[1]}, as the model has it", got=role,
+                    remedy="leave it out, or rename the column", place=f"--{role}",
+                )  # fmt: skip
+            roles[found[0].column] = role
     return roles
 
 
@@ -207,20 +218,22 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
         return [f"# {' '.join(channel.column.split())}: {channel.note}", ""]
     sizes = _sizes(channel)
     match = None if ports is None else _port(channel, ports)
-    if ports is not None and match is None:
+    said = roles.get(channel.column)
+    if ports is not None and match is None and not roles:
         near = _fitting(channel, ports)
         lines = [head, f'role = "{OPEN}"{sizes}', f"column = {_quoted(channel.column)}"]
-        lines.append(
-            f"# port of {ports.model}? of like unit: {', '.join(near) or 'none'}; remove the table if it is none"
-        )
+        lines.append(f"# port of {ports.model}? of like unit: {near}; remove the table if it is none")
         return [*("# " + line if not line.startswith("# ") else line for line in lines), ""]
     if match is not None and ports is not None:
         port, role, derivative = match
         lines = [head, f'role = "{role}"{sizes}', f"column = {_quoted(channel.column)}"]
         lines += [f"port = {_quoted(port.name)}"] if port.name != channel.name else []
         lines += [f"derivative = {derivative}"] if derivative else []
-    elif channel.column in roles:
-        lines = [head, f'role = "{roles[channel.column]}"{sizes}', f"column = {_quoted(channel.column)}"]
+    elif said is not None:
+        lines = [head, f'role = "{said}"{sizes}', f"column = {_quoted(channel.column)}"]
+        if ports is not None:
+            near = _fitting(channel, ports, said)
+            lines.append(f'port = "{OPEN}"  # which port of {ports.model}? {said}s of like unit: {near}')
     elif roles:
         return [f"# {channel.column}: to use it, say its role{sizes}", ""]
     else:
@@ -269,26 +282,29 @@ def _port(channel: ChannelContent, ports: Ports) -> tuple[Channel, str, int] | N
     return None
 
 
-def _fitting(channel: ChannelContent, ports: Ports) -> list[str]:
-    """Return the ports whose unit a channel's fits."""
+def _fitting(channel: ChannelContent, ports: Ports, role: str | None = None) -> str:
+    """Return the ports, of this role, whose unit a channel's fits, or none."""
     near = []
-    for port in (*ports.inputs, *ports.outputs):
-        try:
-            if channel.unit and fits(channel.unit, port.unit):
-                near.append(str(port))
-        except InputError:
-            continue
-    return near
+    for port in (*(ports.inputs if role != "output" else ()), *(ports.outputs if role != "input" else ())):
+        for derivative in (0, 1, 2) if port in ports.outputs else (0,):
+            try:
+                if channel.unit and fits(channel.unit, rate_unit(port.unit, derivative)):
+                    near.append(str(port) if derivative == 0 else f"{port.name} with derivative = {derivative}")
+            except InputError:
+                continue
+    return ", ".join(near) or "none"
 
 
-def _lacking(found: Contents, ports: Ports) -> list[str]:
-    """Return a question for each input of the model that no channel gives."""
-    given = {match[0].name for channel in found.channels if (match := _port(channel, ports)) is not None}
+def _lacking(found: Contents, ports: Ports, roles: Mapping[str, str]) -> list[str]:
+    """Return a question for each input of the model that no channel gives; none where as many are said to be inputs."""
+    matches = {channel.column: _port(channel, ports) for channel in found.channels}
+    given = {match[0].name for match in matches.values() if match is not None}
+    lacking = [port for port in ports.inputs if port.name not in given]
+    said = [column for column, role in roles.items() if role == "input" and matches[column] is None]
     return [
         f"# {port} is an input of {ports.model} that no column is called after: which is it? undriven = "
         f"[{_quoted(port.name)}] above the first table if nothing drove it"
-        for port in ports.inputs
-        if port.name not in given
+        for port in (lacking if len(said) < len(lacking) else ())
     ] + [""]
 
 
