@@ -130,7 +130,9 @@ def test_bad_options_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown initial state"):
         ReplayPlant(record).reset(rng=RNG(0), x0={"q": 1.0})
     file = write_trajectory(record, tmp_path / "run.csv")
-    with pytest.raises(InputError, match="inputs"):
+    assert ReplayPlant(file=file).spec.inputs == record.spec.inputs  # what was written with the record says it
+    (tmp_path / "run.csv-metadata.json").unlink()
+    with pytest.raises(InputError, match="nothing says which columns are inputs"):
         ReplayPlant(file=file)
 
 
