@@ -29,8 +29,8 @@ class ReplayPlant(BasePlant):
     file : str or Path, optional
         A CSV or Parquet file as ``sysid simulate`` writes it, or a ``dataset.toml``.
     inputs : str or sequence of str, optional
-        Names of the input columns of a CSV file (a string may list several, separated by commas); Parquet files and
-        data sets know theirs.
+        Names of the input columns of a CSV file (a string may list several, separated by commas); Parquet files, data
+        sets and what ``sysid simulate`` wrote know theirs.
     run : int
         Which run of a data set.
     mismatch : {"refuse", "warn"}
