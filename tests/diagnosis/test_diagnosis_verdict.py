@@ -171,6 +171,7 @@ def doubted(
     doubts: tuple[str, ...] = (),
     noise: float = 0.0,
     further: float = 1.0,
+    untried: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
     """Return the reasons for a model that leaves a share of the variance and needs a force of this share.
 
@@ -206,6 +207,7 @@ def doubted(
         on=other,
         noise_model=SimpleNamespace(force_scale=np.array([2.0])),
         latent=False,
+        left_out=lambda: list(untried),
     )
     deviation = np.maximum(noises.r, 1e-3)
     error = np.sqrt(left * y.var(axis=0)) / deviation * np.ones((len(y), 1))
@@ -239,6 +241,7 @@ def test_a_model_fits_that_predicts_most_of_the_motion_without_a_force_from_nowh
     assert "diverges" in doubted(np.nan, 0.0)[0]
     assert "80 % of what moves theta" in doubted(0.0, 0.8)[0]
     assert any("J ended on a bound" in text for text in doubted(0.5, 0.0, on_bound=("J", "s@theta")))
+    assert doubted(0.5, 0.8, untried=("coulomb_friction@theta",)) == (), "it may be all that the model lacks"
 
 
 def test_records_of_another_machine_are_told_from_a_wrong_model() -> None:
