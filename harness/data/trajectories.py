@@ -10,8 +10,8 @@ from outside a control loop goes to columns that start with ``reference:``.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from harness.data.tables.table import Table
 from harness.data.whole_files import whole_file, write_json
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, stated_categories
+from harness.specs import spec_from_dict, spec_to_dict
 
 _KEY = "sysid-harness/trajectory/1"
 BESIDE = "-metadata.json"
@@ -155,9 +156,7 @@ def stored_spec(path: str | Path, titles: Sequence[str]) -> PlantSpec | None:
     path = Path(path)
     try:
         found = [_spec_from_dict(content) for content in _stored(path)]
-    except InputError:
-        raise
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (InputError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             "what the record says of its channels", expected="what sysid wrote", got=f"{type(error).__name__}: {error}",
             remedy="take a copy that is whole", file=_beside(path) if path.suffix.lower() == ".csv" else path,
@@ -210,38 +209,11 @@ def _spec_from_titles(table: Table, inputs: list[str], truth: list[str], time: F
 
 
 def _spec_to_dict(spec: PlantSpec) -> dict[str, Any]:
-    """Return a spec as JSON has it (infinite limits are null)."""
-
-    def channel(described: Channel) -> dict[str, Any]:
-        finite = {
-            name: value if math.isfinite(value) else None
-            for name, value in (("minimum", described.minimum), ("maximum", described.maximum))
-        }
-        return {
-            "name": described.name,
-            "unit": described.unit,
-            "kind": described.kind,
-            "period": described.period,
-            **finite,
-        }
-
-    groups = {group: [channel(entry) for entry in getattr(spec, group)] for group in ("inputs", "outputs", "states")}
-    return {**groups, "sample_time": spec.sample_time, "feedthrough": spec.feedthrough}
+    """Return a spec with its states as JSON has it."""
+    return {**spec_to_dict(spec), "states": spec_to_dict(replace(spec, outputs=spec.states, states=()))["outputs"]}
 
 
 def _spec_from_dict(content: dict[str, Any]) -> PlantSpec:
     """Return the spec of its JSON form."""
-
-    def channel(entry: dict[str, Any]) -> Channel:
-        low, high = entry["minimum"], entry["maximum"]
-        return Channel(
-            entry["name"],
-            entry["unit"],
-            -math.inf if low is None else low,
-            math.inf if high is None else high,
-            entry["kind"],
-            entry["period"],
-        )
-
-    groups = [tuple(channel(entry) for entry in content[group]) for group in ("inputs", "outputs", "states")]
-    return PlantSpec(groups[0], groups[1], content["sample_time"], groups[2], content["feedthrough"])
+    states = spec_from_dict({**content, "outputs": content["states"]}).outputs
+    return replace(spec_from_dict(content), states=states)

@@ -163,12 +163,11 @@ def diagnose(
         [*alarms, *cut, *beaten(rival), *faults],
         time.monotonic() - began,
         apart,
-        doubtful=any((doubts, far, form.left_out())),
+        doubtful=bool(doubts or far),
         alarms=tuple(alarms),
         rival=rival,
         thinned=thinned,
         wanted=wanted or Wanted(),
-        untried=tuple(form.left_out()),
     )
     instead = None if asked is None else second_opinion(diagnosis, simple, asked)
     if instead is not None:

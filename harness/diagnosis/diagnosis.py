@@ -50,8 +50,6 @@ class Diagnosis:
     """The data at the rate at which the likelihood looks at them."""
     wanted: Wanted = field(default_factory=Wanted)
     """What the run gave of the dictionary, tried and left out."""
-    untried: tuple[str, ...] = ()
-    """Effects that were not tried to the end, alone or beside what was found, as that would have cost too much."""
 
     @property
     def nominal(self) -> Fit:
@@ -101,7 +99,17 @@ class Diagnosis:
         return any(accepted.placed.effect.sampled != "quantise" for accepted in self.outcome.accepted)
 
     @property
+    def untried(self) -> list[str]:
+        """Effects that were not tried to the end, alone or beside what was found, as that would have cost too much."""
+        return self.form.left_out()
+
+    @property
     def incomplete(self) -> bool:
+        """True where something is left, or effects were not tried and nothing was found."""
+        return self.lacking or bool(self.untried and not self.found)
+
+    @property
+    def lacking(self) -> bool:
         """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.left is not None or self.latent_share > self.policy.large
         # a process has no force that takes up what is left, and that a judge by free runs tells of
@@ -110,7 +118,7 @@ class Diagnosis:
         lasts = lasts or self.runs.left > self.policy.misfit_nrmse**2 >= self.runs.beyond_start
         refused = not self.found and (lasts or self.promised is not None)
         denied = bool(self.outcome.withdrawn) or self.disagree or bool(self.rival) or self.astray
-        return left or refused or denied or self.shaken or bool(self.untried and not self.found)
+        return left or refused or denied or self.shaken
 
     @property
     def left(self) -> Axis | None:
@@ -156,7 +164,9 @@ class Diagnosis:
         if self.incomplete or self.runs.left > self.policy.proxy:
             return "proxy_or_incomplete"
         quiet = max(self.latent_share, self.lasting) <= self.policy.disturbed and not self.runs.worse(self.policy)
-        good = quiet and self.runs.left <= self.policy.explained and not (self.stand_in or self.doubtful)
+        good = (
+            quiet and self.runs.left <= self.policy.explained and not (self.stand_in or self.doubtful or self.untried)
+        )
         return "explained" if good else "mostly_explained"
 
     @property

@@ -429,6 +429,11 @@ class PlanPolicy:
     stronger: float = number(
         32.0, "times by which an input is asked to grow over the data", "what a plant is known to bear"
     )
+    shortest: float = number(20.0, "seconds of a proposed experiment, at least", "some swings of a slow arm")
+    longest: float = number(60.0, "and at most, or three times the least that it must last", "patience")
+    rows: int = number(500, "rows of it, at least", "some for each of the parameters")
+    settled: float = number(5.0, "of the plant's slowest time constants in it, at least", "an answer is over to 1 %")
+    periods: int = number(6, "of a slow triangle", "two at each of three amplitudes")
 
 
 PLAN_POLICY = PlanPolicy()
@@ -473,6 +478,7 @@ class DataPolicy:
         "factor of its declared value within which every parameter must come by a repair of degrees alone",
         "degrees for radians are a factor of 57, which a plant may be off: closer than that is no accident",
     )
+    integrates: float = number(1e-6, "pole over the largest, below which it is one at 0", "rounding is far below")
     growth: float = number(
         20.0,
         "by how much an error of the initial state may grow within a window",

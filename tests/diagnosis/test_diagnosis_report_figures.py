@@ -202,7 +202,6 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
         ({"further": 6.84}, "free runs err 6.8 times as far on the validation records as on the others"),
         ({}, "the force that nobody measured is too large for a disturbance"),
         ({"runs_leave": 0.64}, "free runs leave 80 % of what a straight line leaves"),
-        ({"untried": ("backlash@theta",), "beaten": "drag@theta"}, "1 effect was not tried to the end"),
         ({"lasting": 0.4}, "an error of free runs that lasts (of theta, 40 % of its motion) is left"),
     ],
 )
@@ -216,7 +215,6 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
             withdrawn=[SimpleNamespace(placed=DRAG)] if "withdrawn" in more else [],
         ),
         policy=POLICY,
-        untried=more.get("untried", ()),
         rival=more.get("beaten", ""),
         disagree=more.get("disagree", False),
         shaken="jumps" in more,

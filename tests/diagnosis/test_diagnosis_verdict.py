@@ -56,6 +56,7 @@ def diagnosis(
     force: bool = True,
     further: float = 1.0,
     to_the_noise: bool = False,
+    untried: tuple[str, ...] = (),
 ) -> Diagnosis:
     """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
     noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
@@ -70,7 +71,7 @@ def diagnosis(
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
     scale = SimpleNamespace(force_scale=np.array([2.0]))
-    form: Any = SimpleNamespace(noise_model=scale, latent=force, jumps=lambda fit: [])
+    form: Any = SimpleNamespace(noise_model=scale, latent=force, jumps=lambda fit: [], left_out=lambda: list(untried))
     rest: dict[str, Any] = {
         "leftover": SimpleNamespace(best=best, missing=None if imitated else best),
         "runs": SimpleNamespace(
@@ -95,6 +96,14 @@ def test_what_is_left_of_a_found_law_is_missed_only_where_free_runs_leave_more_t
         assert found.grade == grade
         assert bool(found.stand_in) is not to_the_noise
     assert diagnosis(left_over=True, to_the_noise=True).verdict == "unexplained", "where nothing has a name it is said"
+
+
+def test_what_was_not_tried_leaves_open_whether_something_is_missing() -> None:
+    assert diagnosis().verdict == "nothing_missing"
+    assert diagnosis(untried=("backlash@theta",)).verdict == "unexplained"
+    assert not diagnosis(untried=("backlash@theta",)).lacking
+    assert diagnosis(accepted=True).grade == "explained"
+    assert diagnosis(accepted=True, untried=("backlash@theta",)).grade == "mostly_explained"
 
 
 @pytest.mark.parametrize(("size", "expected"), [(1.0, True), (1.06, False), (np.nan, False)])

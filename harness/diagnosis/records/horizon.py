@@ -45,7 +45,8 @@ def choose_horizon(system: System, values: Mapping[str, float], dataset: Dataset
     if not np.isfinite(centre).all():
         return Horizon(None, "the poles of the nominal model are not finite at its operating point")
     size = max(float(np.abs(centre).max(initial=0.0)), 1e-12)
-    integrating = bool((np.abs(centre) < 1e-6 * size).any())
+    least = DATA_POLICY.integrates * size
+    integrating = bool((np.abs(centre) < least).any())
     rates = []
     for point in points[:: max(len(points) // 60, 1)]:
         poles = _seen_poles(*jacobians(point, u, p, 0.0))
@@ -61,8 +62,8 @@ def choose_horizon(system: System, values: Mapping[str, float], dataset: Dataset
         if other.seconds is None:
             return other
     if integrating:
-        decaying = -centre.real[np.abs(centre) >= 1e-6 * size]
-        slow = 1 / decaying[decaying > 1e-6 * size].min() if (decaying > 1e-6 * size).any() else longest
+        decaying = -centre.real[np.abs(centre) >= least]
+        slow = 1 / decaying[decaying > least].min() if (decaying > least).any() else longest
         seconds = _round(float(np.clip(4 * slow, shortest, longest / 4)))
         return Horizon(seconds, "the nominal model integrates: an error of the force never leaves the position")
     return Horizon(None, "the nominal model is stable: whole records are simulated")

@@ -174,9 +174,9 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
 
 def _head(found: Diagnosis, data: dict[str, Any], sizes: str) -> str:
     """Return the verdict in one line, with what must be known beside it."""
-    cause = _cause(found) if found.verdict == "unexplained" else ""
+    cause = _cause(found) if found.verdict == "unexplained" and found.lacking else ""
     advice = undeclared_motion(found.system) if cause else ""
-    untried = _untried(found) if found.untried and found.found else ""
+    untried = _untried(found) if found.untried else ""
     summary = _summary(data, found.policy.least, cause, _lasting(found))
     return "; ".join(filter(None, (summary, advice, sizes, untried)))
 
@@ -427,6 +427,8 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
     plain = ", ".join(f"{name} {brief(figure['rms'])}{behind(figure['unit'])}" for name, figure in before.items())
     if data["verdict"] == "nothing_missing":
         return f"nothing is missing in {data['model']}{beside}: validation simulation error {plain}; {words}"
+    if not cause:
+        return f"whether something is missing in {data['model']} is not told ({plain}; {words})"
     return (
         f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
         f"({plain}; {words})"
@@ -461,8 +463,6 @@ def _cause(found: Diagnosis) -> str:
         if refused.comparison.validation < refused.comparison.error:
             return f"{gain}, and the validation records show nothing of it; excite it in both"
         return f"{gain}, but {refusals_text(refused.refusals)}"
-    if found.untried:
-        return _untried(found)
     if found.rival:
         return f"{found.rival.replace('_', ' ').replace('@', ' at ')} alone would in free runs, and is not accepted"
     if found.disagree:

@@ -9,18 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.policy import PLAN_POLICY
+from harness.diagnosis.policy import DATA_POLICY, PLAN_POLICY
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.effect import Placed
 from harness.signals import Dataset, FloatArray
 from harness.units import base_units
-
-SHORTEST, LONGEST, ROWS, SETTLED = 20.0, 60.0, 500, 5.0
-"""Seconds of an experiment at least and at most; where that is longer, so many rows, or so many of the plant's slowest
-time constants, after which it has answered (within 1 %), are the least, and three times as much the most."""
-PERIODS = 6
-_INTEGRATES = 1e-6
-"""A pole below this share of the largest is one at 0."""
 
 SPEEDS = ({"rad": 1.0, "s": -1.0}, {"m": 1.0, "s": -1.0})
 """Units of what may be the speed of a motion, in base units."""
@@ -115,7 +108,7 @@ class Bench:
         What integrates has none: a pole of next to nothing.
         """
         sizes = [np.abs(poles) for poles in self.poles]
-        rates = [size[size > _INTEGRATES * size.max()].min() for size in sizes if size.max(initial=0.0) > 0]
+        rates = [size[size > DATA_POLICY.integrates * size.max()].min() for size in sizes if size.max(initial=0.0) > 0]
         return 1.0 / float(np.median(rates)) if rates else 0.0
 
     def moves(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -202,14 +195,14 @@ def _slow_triangle(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[s
     angles = np.array([coordinate.unit == "rad" for coordinate in bench.system.coordinates], dtype=bool)
     most = np.where(angles, np.minimum(seen[0], PLAN_POLICY.upright), seen[0]) if angles.size else seen[0]
     frequency = bench.resonance() / 8
-    wave = _triangle(int(PERIODS / frequency / bench.sample_time), bench.sample_time, frequency)
+    wave = _triangle(int(PLAN_POLICY.periods / frequency / bench.sample_time), bench.sample_time, frequency)
     peaks = bench.peaks
     for _ in range(12):
         if np.all(bench.moves(wave * peaks)[0][0] <= most):
             break
         peaks = 0.75 * peaks
     options = {**_amplitude(bench, peaks), "frequency": _two(frequency), "levels": 3}
-    return "triangle", {**options, "duration": _duration(bench, PERIODS / frequency)}, None
+    return "triangle", {**options, "duration": _duration(bench, PLAN_POLICY.periods / frequency)}, None
 
 
 def _chirp(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
@@ -304,8 +297,10 @@ def _amplitude(bench: Bench, sizes: FloatArray) -> dict[str, Any]:
 
 def _duration(bench: Bench, seconds: float = 0.0) -> float:
     """Return whole seconds, between the shortest and the longest of a plant that is sampled and answers so fast."""
-    least = max(SHORTEST, float(np.ceil(max(ROWS * bench.sample_time, SETTLED * bench.slowest()))))
-    return float(np.clip(np.ceil(seconds), least, max(LONGEST, 3 * least)))
+    plan = PLAN_POLICY
+    needed = max(plan.rows * bench.sample_time, plan.settled * bench.slowest())
+    least = max(plan.shortest, float(np.ceil(needed)))
+    return float(np.clip(np.ceil(seconds), least, max(plan.longest, 3 * least)))
 
 
 def _two(value: float) -> float:
