@@ -164,9 +164,8 @@ class Diagnosis:
         if self.incomplete or self.runs.left > self.policy.proxy:
             return "proxy_or_incomplete"
         quiet = max(self.latent_share, self.lasting) <= self.policy.disturbed and not self.runs.worse(self.policy)
-        good = (
-            quiet and self.runs.left <= self.policy.explained and not (self.stand_in or self.doubtful or self.untried)
-        )
+        doubts = self.stand_in or self.doubtful or self.untried
+        good = quiet and self.runs.left <= self.policy.explained and not doubts
         return "explained" if good else "mostly_explained"
 
     @property

@@ -427,12 +427,14 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
     plain = ", ".join(f"{name} {brief(figure['rms'])}{behind(figure['unit'])}" for name, figure in before.items())
     if data["verdict"] == "nothing_missing":
         return f"nothing is missing in {data['model']}{beside}: validation simulation error {plain}; {words}"
+    return f"{_unnamed(data['model'], cause)} ({plain}; {words})"
+
+
+def _unnamed(model: str, cause: str) -> str:
+    """Return that something without a name is missing, or that nobody can tell whether something is."""
     if not cause:
-        return f"whether something is missing in {data['model']} is not told ({plain}; {words})"
-    return (
-        f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
-        f"({plain}; {words})"
-    )
+        return f"whether something is missing in {model} is not told"
+    return f"something is missing in {model}, and no effect of the dictionary explains it: {cause}"
 
 
 def _lasting(found: Diagnosis) -> list[str]:
