@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -9,6 +10,23 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import Channel, PlantSpec
+
+
+def channel_to_dict(one: Channel) -> dict[str, Any]:
+    """Return a JSON-ready description of a channel; infinite limits become null."""
+    content = asdict(one)
+    for name in ("minimum", "maximum"):
+        if not np.isfinite(content[name]):
+            content[name] = None
+    return content
+
+
+def channel_from_dict(content: Mapping[str, Any]) -> Channel:
+    """Return the channel of a description."""
+    fields = dict(content)
+    fields["minimum"] = -np.inf if fields.get("minimum") is None else float(fields["minimum"])
+    fields["maximum"] = np.inf if fields.get("maximum") is None else float(fields["maximum"])
+    return Channel(**fields)
 
 
 def spec_to_dict(spec: PlantSpec) -> dict[str, Any]:
@@ -20,17 +38,9 @@ def spec_to_dict(spec: PlantSpec) -> dict[str, Any]:
     >>> spec_from_dict(spec_to_dict(spec)) == spec
     True
     """
-
-    def channel(one: Channel) -> dict[str, Any]:
-        content = asdict(one)
-        for name in ("minimum", "maximum"):
-            if not np.isfinite(content[name]):
-                content[name] = None
-        return content
-
     return {
-        "inputs": [channel(one) for one in spec.inputs],
-        "outputs": [channel(one) for one in spec.outputs],
+        "inputs": [channel_to_dict(one) for one in spec.inputs],
+        "outputs": [channel_to_dict(one) for one in spec.outputs],
         "sample_time": spec.sample_time,
         "feedthrough": spec.feedthrough,
     }
@@ -44,17 +54,10 @@ def spec_from_dict(content: dict[str, Any]) -> PlantSpec:
     InputError
         If a key is missing or of the wrong type.
     """
-
-    def channel(one: dict[str, Any]) -> Channel:
-        fields = dict(one)
-        fields["minimum"] = -np.inf if fields.get("minimum") is None else float(fields["minimum"])
-        fields["maximum"] = np.inf if fields.get("maximum") is None else float(fields["maximum"])
-        return Channel(**fields)
-
     try:
         return PlantSpec(
-            tuple(channel(one) for one in content["inputs"]),
-            tuple(channel(one) for one in content["outputs"]),
+            tuple(channel_from_dict(one) for one in content["inputs"]),
+            tuple(channel_from_dict(one) for one in content["outputs"]),
             float(content["sample_time"]),
             feedthrough=bool(content.get("feedthrough", False)),
         )

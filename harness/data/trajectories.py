@@ -23,7 +23,7 @@ from harness.data.tables.table import Table
 from harness.data.whole_files import whole_file, write_json
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, stated_categories
-from harness.specs import spec_from_dict, spec_to_dict
+from harness.specs import channel_from_dict, channel_to_dict, spec_from_dict, spec_to_dict
 
 _KEY = "sysid-harness/trajectory/1"
 BESIDE = "-metadata.json"
@@ -210,10 +210,9 @@ def _spec_from_titles(table: Table, inputs: list[str], truth: list[str], time: F
 
 def _spec_to_dict(spec: PlantSpec) -> dict[str, Any]:
     """Return a spec with its states as JSON has it."""
-    return {**spec_to_dict(spec), "states": spec_to_dict(replace(spec, outputs=spec.states, states=()))["outputs"]}
+    return {**spec_to_dict(spec), "states": list(map(channel_to_dict, spec.states))}
 
 
 def _spec_from_dict(content: dict[str, Any]) -> PlantSpec:
     """Return the spec of its JSON form."""
-    states = spec_from_dict({**content, "outputs": content["states"]}).outputs
-    return replace(spec_from_dict(content), states=states)
+    return replace(spec_from_dict(content), states=tuple(map(channel_from_dict, content["states"])))
