@@ -103,7 +103,7 @@ class Jobs:
     def __init__(self, plain: Callable[[str], str] = str) -> None:
         self.plain = plain
         self.all: list[Job] = []
-        self._hearers: set[asyncio.Queue[Job]] = set()
+        self._hearers: set[asyncio.Queue[Job | None]] = set()
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
@@ -187,16 +187,25 @@ class Jobs:
 
     async def events(self) -> AsyncIterator[Job | None]:
         """Yield each command whenever there is news of it; None now and then, to see who still listens."""
-        queue: asyncio.Queue[Job] = asyncio.Queue()
+        queue: asyncio.Queue[Job | None] = asyncio.Queue()
         self._hearers.add(queue)
         try:
             while True:
                 try:
-                    yield await asyncio.wait_for(queue.get(), 2.0)
+                    news = await asyncio.wait_for(queue.get(), 2.0)
                 except TimeoutError:
                     yield None
+                    continue
+                if news is None:
+                    return
+                yield news
         finally:
             self._hearers.discard(queue)
+
+    def end_events(self) -> None:
+        """End all iterations over :meth:`events`."""
+        for queue in self._hearers:
+            queue.put_nowait(None)
 
     def _tell(self, job: Job) -> None:
         job.seconds = round(time.time() - job.begun, 1)

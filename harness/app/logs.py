@@ -79,6 +79,14 @@ class Logs:
         self._kept: OrderedDict[tuple[Path, int, int], _Log] = OrderedDict()
         self._lock = Lock()
 
+    def prepare(self) -> None:
+        """Load what reads logs and their units."""
+        from harness.data.tables.table import Table  # noqa: F401
+        from harness.units import is_unit
+
+        with self._lock:
+            is_unit("m")
+
     def describe(self, path: Path) -> dict[str, Any]:
         """Return what ``sysid list FILE`` knows of a log, and the name of each column without its unit.
 

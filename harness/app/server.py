@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib
 import json
+import logging
 import os
 import secrets
 import signal
@@ -57,7 +57,6 @@ class Session:
     pages: int = 0
     seen: bool = False
     """True once a page was open."""
-    closing: asyncio.Event = field(default_factory=asyncio.Event)
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.reach.plain)
@@ -302,8 +301,6 @@ class _Asked:
             try:
                 yield ": open\n\n"
                 async for job in session.jobs.events():
-                    if session.closing.is_set():
-                        return
                     yield ": \n\n" if job is None else f"data: {json.dumps(job.told())}\n\n"
             finally:
                 session.pages -= 1
@@ -446,7 +443,7 @@ def serve(
                     timeout_graceful_shutdown=1,
                 )
             )  # fmt: skip
-            threading.Thread(target=_warm, daemon=True).start()
+            threading.Thread(target=_warm, args=(session,), daemon=True).start()
             ending = asyncio.create_task(_end(server, session, first, closed))
             if ready is not None:
                 ready(address)
@@ -456,7 +453,6 @@ def serve(
             try:
                 await server.serve(sockets=[line])
             finally:
-                session.closing.set()
                 await session.jobs.close()
                 ending.cancel()
 
@@ -468,9 +464,14 @@ def _has_screen() -> bool:
     return sys.platform in ("win32", "darwin") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")))
 
 
-def _warm() -> None:
-    """Import what reads logs while the browser draws the page."""
-    importlib.import_module("harness.data")
+def _warm(session: Session) -> None:
+    """Read the log that the page will open first, while the browser draws the page; where there is none, be ready."""
+    logs = session.reach.names()["logs"]
+    with contextlib.suppress(HarnessError, OSError):  # the page asks for it again and is told
+        if len(logs) == 1 and not logs[0].endswith(".toml"):
+            session.logs.describe(session.reach.path(logs[0]))
+        else:
+            session.logs.prepare()
 
 
 async def _end(server: uvicorn.Server, session: Session, first: float, closed: float) -> None:
@@ -483,7 +484,8 @@ async def _end(server: uvicorn.Server, session: Session, first: float, closed: f
             since = clock()
         elif clock() - since > (closed if session.seen else first):
             server.should_exit = True
-    session.closing.set()
+    logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # a request that is cut off now is no fault
+    session.jobs.end_events()
 
 
 def _socket(port: int) -> socket.socket:

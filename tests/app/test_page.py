@@ -170,7 +170,11 @@ def test_the_command_serves_on_loopback_and_ctrl_c_ends_it(folder: Path) -> None
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{32}/", address)
         assert httpx.get(f"{address}session").json()["logs"] == ["log.csv"]
         assert httpx.get(address.rsplit("/", 2)[0] + "/").status_code == 403
-        process.send_signal(signal.SIGINT)
+        with httpx.stream("GET", f"{address}events", timeout=30) as page:  # also while the page is open
+            lines = page.iter_lines()
+            assert next(lines) == ": open"
+            process.send_signal(signal.SIGINT)
+            assert all(line.strip() in ("", ":") for line in lines)
         _, err = process.communicate(timeout=60)
         assert (process.returncode, err) == (0, "")
 
