@@ -316,21 +316,13 @@ class OnlinePredictive(Protocol):
 
 @dataclass(frozen=True)
 class Growth:
-    """How theory lets the regret of an online identifier grow with the samples n.
-
-    Parameters
-    ----------
-    law : {"log", "root", "linear", "bounded"}
-        As ln n, as the root of n, as n, or not at all.
-    factor : float, optional
-        What multiplies it, in losses of the minimiser for a sample; None where only the law is known.
-    source : str
-        Whose theorem, and what it asks of the stream.
-    """
+    """How theory lets the regret of an online identifier grow with the samples n."""
 
     law: Literal["log", "root", "linear", "bounded"]
+    """{"log", "root", "linear", "bounded"}: As ln n, as the root of n, as n, or not at all."""
     factor: float | None = None
-    source: str = ""
+    """What multiplies it, in losses of the minimiser for a sample; None where only the law is known."""
+    source: str = ""  # Whose theorem, and what it asks of the stream
 
     def of(self, n: FloatArray) -> FloatArray:
         """Return the law at numbers of samples (P,), each at least 1."""
@@ -359,24 +351,14 @@ class Growth:
 
 @dataclass(frozen=True, eq=False)
 class Hindsight:
-    """The batch minimiser that regret is measured against.
-
-    Parameters
-    ----------
-    losses : array (M,)
-        Loss of the minimiser at each predicted sample of the stream, records in order, ``sum(N_i - 1)`` of them.
-    per_output : array (M, ny), optional
-        The same, output by output, where the loss is a sum over outputs; regret can then scale each by its size.
-    exact : bool
-        True where the minimiser is global (convex loss); False reads "best found".
-    details : dict
-        Anything a report may show (coefficients, condition number).
-    growth : Growth, optional
-        How theory lets the regret against it grow; None where no theorem says.
-    """
+    """The batch minimiser that regret is measured against."""
 
     losses: FloatArray
-    exact: bool
-    details: dict[str, Any] = field(default_factory=dict)
+    """(M,): Loss of the minimiser at each predicted sample of the stream, records in order, ``sum(N_i - 1)`` of
+    them."""
+    exact: bool  # True where the minimiser is global (convex loss); False reads "best found"
+    details: dict[str, Any] = field(default_factory=dict)  # Anything a report may show (coefficients, condition number)
     per_output: FloatArray | None = None
-    growth: Growth | None = None
+    """(M, ny): The same, output by output, where the loss is a sum over outputs; regret can then scale each by its
+    size."""
+    growth: Growth | None = None  # How theory lets the regret against it grow; None where no theorem says

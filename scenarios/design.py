@@ -27,19 +27,12 @@ PROMISING = 4  # Starts that are searched from before one is chosen.
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """What a reference must keep: positions within [low, high] and rates within -+ rate; each an array (n,).
+    """What a reference must keep: positions within [low, high] and rates within -+ rate; each an array (n,)."""
 
-    Parameters
-    ----------
-    low, high : array (n,)
-        rad.
-    rate : array (n,)
-        rad/s.
-    """
-
+    # (n,): rad
     low: FloatArray
     high: FloatArray
-    rate: FloatArray
+    rate: FloatArray  # (n,): rad/s
 
     def __post_init__(self) -> None:
         if not (np.all(self.low < self.high) and np.all(self.rate > 0) and np.all(np.isfinite(self.high - self.low))):

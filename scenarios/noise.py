@@ -71,21 +71,14 @@ def per_channel(
 class Sensor:
     """What the sensors make of the outputs of one run: noise is added first, then the value is rounded.
 
-    Parameters
-    ----------
-    noise : array (N, ny)
-        Drawn beforehand, so that measuring a sample twice gives the same value.
-    resolution : array (ny,)
-        Width of a quantisation step; 0 where there is none.
-
     Examples
     --------
     >>> Sensor(np.zeros((1, 2)), np.array([0.0, 0.5]))(0, np.array([1.3, 1.3])).tolist()
     [1.3, 1.5]
     """
 
-    noise: FloatArray
-    resolution: FloatArray
+    noise: FloatArray  # (N, ny): Drawn beforehand, so that measuring a sample twice gives the same value
+    resolution: FloatArray  # (ny,): Width of a quantisation step; 0 where there is none
 
     def __call__(self, k: int, y: FloatArray) -> FloatArray:
         """Return the measured output (ny,) at sample k."""

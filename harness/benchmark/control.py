@@ -29,25 +29,14 @@ CAREFUL = 0.8  # Share of the optimal gain that an unstable plant begins with: i
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Where the plant is to be held, and the plant there.
+    """Where the plant is to be held, and the plant there."""
 
-    Parameters
-    ----------
-    around : LinearPlantModel
-        The plant linearised there.
-    centre : mapping
-        States by name.
-    target, hold : array (ny,), (nu,)
-        Outputs and inputs.
-    spread : array (nx + nu,)
-        Sizes of states and inputs in the records.
-    """
-
-    around: LinearPlantModel
-    centre: dict[str, float]
+    around: LinearPlantModel  # The plant linearised there
+    centre: dict[str, float]  # States by name
+    # (ny,), (nu,): Outputs and inputs
     target: FloatArray
     hold: FloatArray
-    spread: FloatArray
+    spread: FloatArray  # (nx + nu,): Sizes of states and inputs in the records
 
 
 def score_control(

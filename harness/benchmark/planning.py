@@ -22,31 +22,16 @@ Shared = TypeVar("Shared")
 
 @dataclass(frozen=True)
 class Plan:
-    """What would run.
+    """What would run."""
 
-    Parameters
-    ----------
-    cells : dict
-        (plant, scenario, identifier) to the number of cells that are still to do.
-    found : int
-        Cells that the folder already has.
-    seconds : float, optional
-        Estimated wall time, from the times of the rows that the folder, or one beside it, has of these kinds; None
-        where none has any.
-    known : int
-        Cells whose kind has been timed; the others are taken to last as long as the mean of these.
-    limit : float
-        Wall time [s] if every cell took its whole time limit.
-    declared : float, optional
-        Wall time [s] by the mean that the suite declares, where it does.
-    """
-
-    cells: dict[tuple[str, str, str], int]
-    found: int
+    cells: dict[tuple[str, str, str], int]  # (plant, scenario, identifier) to the number of cells that are still to do
+    found: int  # Cells that the folder already has
     seconds: float | None
-    known: int
-    limit: float
-    declared: float | None = None
+    """Estimated wall time, from the times of the rows that the folder, or one beside it, has of these kinds; None where
+    none has any."""
+    known: int  # Cells whose kind has been timed; the others are taken to last as long as the mean of these
+    limit: float  # Wall time [s] if every cell took its whole time limit
+    declared: float | None = None  # Wall time [s] by the mean that the suite declares, where it does
 
     @property
     def todo(self) -> int:

@@ -26,29 +26,17 @@ Seed = TypeVar("Seed", bound=Hashable)
 
 @dataclass(frozen=True)
 class Standing:
-    """How a name stands against the one with the least median.
-
-    Parameters
-    ----------
-    state : {"best", "tied", "worse", "undecided"}
-        ``tied``: there are enough pairs to tell a difference, none is told, and the interval of the median ratio
-        excludes :data:`MARGIN`. ``undecided``: neither told apart nor tied.
-    chance : float
-        Two-sided level at which it is told from the best, adjusted by Holm; 1 for the best.
-    ratio : (float, float)
-        Ends of the interval of the median ratio to the best, from the order statistics of the pairs, 95 % or more;
-        0 and infinity where there are too few pairs for one.
-    pairs : int
-        Pairs compared.
-    others : int
-        Names that the group compares with its best.
-    """
+    """How a name stands against the one with the least median."""
 
     state: Literal["best", "tied", "worse", "undecided"]
-    chance: float
+    """{"best", "tied", "worse", "undecided"}: ``tied``: there are enough pairs to tell a difference, none is told, and
+    the interval of the median ratio excludes :data:`MARGIN`. ``undecided``: neither told apart nor tied."""
+    chance: float  # Two-sided level at which it is told from the best, adjusted by Holm; 1 for the best
     ratio: tuple[float, float]
-    pairs: int
-    others: int
+    """(float, float): Ends of the interval of the median ratio to the best, from the order statistics of the pairs, 95
+    % or more; 0 and infinity where there are too few pairs for one."""
+    pairs: int  # Pairs compared
+    others: int  # Names that the group compares with its best
 
     @property
     def marked(self) -> bool:
@@ -190,27 +178,13 @@ def _median_ratio(values: FloatArray, best: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Average ranks of identifiers over blocks (1 is best).
+    """Average ranks of identifiers over blocks (1 is best)."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        From the best to the worst.
-    ranks : tuple of float
-        Average ranks.
-    blocks : int
-        Plant x scenario x seed over which they are averaged.
-    critical : float
-        Difference of average ranks beyond which two differ (Nemenyi, 5 %).
-    places : tuple of str
-        Plant x scenario that the blocks come from.
-    """
-
-    names: tuple[str, ...]
-    ranks: tuple[float, ...]
-    blocks: int
-    critical: float
-    places: tuple[str, ...] = ()
+    names: tuple[str, ...]  # From the best to the worst
+    ranks: tuple[float, ...]  # Average ranks
+    blocks: int  # Plant x scenario x seed over which they are averaged
+    critical: float  # Difference of average ranks beyond which two differ (Nemenyi, 5 %)
+    places: tuple[str, ...] = ()  # Plant x scenario that the blocks come from
 
     def groups(self) -> list[tuple[int, int]]:
         """Return the longest runs (first, last) of names that are not told apart; runs of one are left out."""

@@ -40,17 +40,11 @@ STRETCHES = 500
 
 @dataclass(frozen=True)
 class CellBatch:
-    """The cells of a task as jobs; see :class:`harness.jobs.Batch`.
-
-    Parameters
-    ----------
-    task : Task
-    trace : bool
-        Keep what the overlay of a cell is drawn from: its first held-out record and the free run of its model.
-    """
+    """The cells of a task as jobs; see :class:`harness.jobs.Batch`."""
 
     task: Task
     trace: bool = False
+    """Keep what the overlay of a cell is drawn from: its first held-out record and the free run of its model."""
 
     @property
     def title(self) -> str:

@@ -44,59 +44,31 @@ class FmuCoordinate:
 
 @dataclass(frozen=True, eq=False)
 class FmuSystem(Dimensions):
-    """An FMU with effects around it: read by ``fmu_system``, surrounded by :func:`harness.blackbox.effects.surround`.
+    """An FMU with effects around it: read by ``fmu_system``, surrounded by :func:`.effects.surround`."""
 
-    Attributes
-    ----------
-    path : Path
-        The FMU.
-    name : str
-        Of its model.
-    inputs, outputs : tuple of Channel
-        As the data have them.
-    inner_states : tuple of Channel
-        States whose start values the FMU lets us set.
-    parameters : tuple of Parameter
-        Tunable parameters of the FMU, then those of effects, called ``effect@port.name``.
-    coordinates : tuple of FmuCoordinate
-    shown : dict
-        Outputs that show a state of another name, and that name.
-    hidden : tuple of Channel
-        Hidden states of effects.
-    sampled : tuple of SampledBlock
-        Delays and quantisers.
-    effects : tuple of Placed
-    step, tolerance : float or None
-        Longest communication step [s] and relative tolerance that it is run with; None: the records' step, its own.
-    exchanges : int
-        How often in a sample effects around it tell it their force: those of dry friction, which jumps (of the nominal
-        one: how often they would have to).
-    notes : tuple of str
-        What is to be said about how it is run.
-    around : Around or None
-        The effects as functions.
-    nominal : FmuSystem or None
-        The FMU alone.
-    """
-
-    path: Path
-    name: str
+    path: Path  # The FMU
+    name: str  # Of its model
     digest: str
+    # As the data have them
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
-    inner_states: tuple[Channel, ...]
+    inner_states: tuple[Channel, ...]  # States whose start values the FMU lets us set
     parameters: tuple[Parameter, ...]
+    """Tunable parameters of the FMU, then those of effects, called ``effect@port.name``."""
     coordinates: tuple[FmuCoordinate, ...]
-    shown: Mapping[str, str] = field(default_factory=dict)
-    hidden: tuple[Channel, ...] = ()
-    sampled: tuple[SampledBlock, ...] = ()
+    shown: Mapping[str, str] = field(default_factory=dict)  # Outputs that show a state of another name, and that name
+    hidden: tuple[Channel, ...] = ()  # Hidden states of effects
+    sampled: tuple[SampledBlock, ...] = ()  # Delays and quantisers
     effects: tuple[Placed, ...] = ()
+    # Longest communication step [s] and relative tolerance that it is run with; None: the records' step, its own
     step: float | None = None
     tolerance: float | None = None
     exchanges: int = 1
-    notes: tuple[str, ...] = ()
-    around: Around | None = field(default=None, repr=False)
-    nominal: FmuSystem | None = field(default=None, repr=False)
+    """How often in a sample effects around it tell it their force: those of dry friction, which jumps (of the nominal
+    one: how often they would have to)."""
+    notes: tuple[str, ...] = ()  # What is to be said about how it is run
+    around: Around | None = field(default=None, repr=False)  # The effects as functions
+    nominal: FmuSystem | None = field(default=None, repr=False)  # The FMU alone
 
     loads = None
     h = None

@@ -41,26 +41,15 @@ class Preset(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FreeModel(Dimensions):
-    """A model with free parameters and the states whose starts are estimated in every record.
-
-    Attributes
-    ----------
-    name : str
-    inputs, outputs : tuple of Channel
-        Of the records.
-    states : tuple of Channel
-        Named as the plant names them.
-    parameters : tuple of Parameter
-    keys : dict
-        How the plant calls the parameters.
-    """
+    """A model with free parameters and the states whose starts are estimated in every record."""
 
     name: str
+    # Of the records
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
-    states: tuple[Channel, ...]
+    states: tuple[Channel, ...]  # Named as the plant names them
     parameters: tuple[Parameter, ...]
-    keys: Mapping[str, str]
+    keys: Mapping[str, str]  # How the plant calls the parameters
     sampled: tuple[()] = ()
     nominal: None = field(default=None)
 

@@ -19,36 +19,18 @@ PARAMETERS = ("parameter", "structuralParameter")
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of an FMU, in SI.
+    """A variable of an FMU, in SI."""
 
-    Parameters
-    ----------
-    name : str
-        ``p``, in a system ``component.p``.
-    key : str
-        How the plant calls it.
-    unit : str
-    start : float or None
-        None where it has none, or is no real scalar.
-    minimum, maximum : float
-        As declared.
-    parameter : bool
-        A parameter; otherwise a state or another variable.
-    settable : bool
-        Whether it may be set before a run.
-    integrated : bool
-        Whether it looks like a state: continuous, starting exactly where it says.
-    """
-
-    name: str
-    key: str
+    name: str  # ``p``, in a system ``component.p``
+    key: str  # How the plant calls it
     unit: str
-    start: float | None
+    start: float | None  # None where it has none, or is no real scalar
+    # As declared
     minimum: float
     maximum: float
-    parameter: bool
-    settable: bool
-    integrated: bool
+    parameter: bool  # A parameter; otherwise a state or another variable
+    settable: bool  # Whether it may be set before a run
+    integrated: bool  # Whether it looks like a state: continuous, starting exactly where it says
 
 
 @dataclass(frozen=True)

@@ -31,26 +31,16 @@ ROUNDING = 1e-6  # NRMSE below which two orders are equal: what is left of exact
 
 @dataclass(frozen=True, eq=False)
 class OrderError:
-    """What one identifier reaches with one order on data that it did not see.
-
-    Parameters
-    ----------
-    identifier : str
-    order : int
-    one_step, free_run : float
-        NRMSE over all outputs and judged records; inf where the free run diverged.
-    blocks : dict
-        ``one_step`` and ``free_run``: mean squared error of each stretch, relative to the outputs' variance.
-    refused : str
-        Why there is no model of this order; empty where there is one.
-    """
+    """What one identifier reaches with one order on data that it did not see."""
 
     identifier: str
     order: int
+    # NRMSE over all outputs and judged records; inf where the free run diverged
     one_step: float
     free_run: float
     blocks: Mapping[str, FloatArray]
-    refused: str = ""
+    """``one_step`` and ``free_run``: mean squared error of each stretch, relative to the outputs' variance."""
+    refused: str = ""  # Why there is no model of this order; empty where there is one
 
 
 @dataclass(frozen=True, eq=False)

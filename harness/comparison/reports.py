@@ -17,24 +17,14 @@ SAME = 1e-3  # Relative difference of two figures below which nobody looks: the 
 
 @dataclass(frozen=True)
 class Difference:
-    """One thing that differs.
+    """One thing that differs."""
 
-    Parameters
-    ----------
-    side : {"input", "answer"}
-        What went in (data, model, dictionary, thresholds, version), or what came out.
-    what : str
-    first, second : str
-        As the reports say it.
-    meaning : str
-        Whether the difference is within the intervals, where there are some.
-    """
-
-    side: str
+    side: str  # {"input", "answer"}: What went in (data, model, dictionary, thresholds, version), or what came out
     what: str
+    # As the reports say it
     first: str
     second: str
-    meaning: str = ""
+    meaning: str = ""  # Whether the difference is within the intervals, where there are some
 
 
 @dataclass(frozen=True)

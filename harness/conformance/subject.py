@@ -26,21 +26,11 @@ def shown(workload: Workload) -> list[Trajectory]:
 
 @dataclass(eq=False)
 class Subject:
-    """An identifier under check.
+    """An identifier under check."""
 
-    Parameters
-    ----------
-    factory : callable
-        Returns a fresh identifier each time.
-    among : tuple of str
-        Kinds of data to try.
-    examples : int
-        Systems for each check.
-    """
-
-    factory: Factory
-    among: tuple[str, ...]
-    examples: int
+    factory: Factory  # Returns a fresh identifier each time
+    among: tuple[str, ...]  # Kinds of data to try
+    examples: int  # Systems for each check
     kinds: tuple[str, ...] = ()
     models: dict[Workload, Any] = field(default_factory=dict)
     predictions: dict[Workload, FloatArray] = field(default_factory=dict)

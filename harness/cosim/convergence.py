@@ -16,27 +16,14 @@ EXACT = 1e-12  # Share of an output's range below which a change is rounding, an
 
 @dataclass(frozen=True)
 class Convergence:
-    """Runs of one system at ever finer steps.
+    """Runs of one system at ever finer steps."""
 
-    Parameters
-    ----------
-    steps : array (n + 1,)
-        Communication steps [s], each half of the one before.
-    outputs : tuple of str
-        Names (ny).
-    changes : array (n, ny)
-        Largest difference of each output between a step and its half, at the instants of the coarsest.
-    ranges : array (ny,)
-        Greatest less smallest value of each output at the finest step.
-    finest : Trajectory
-        The record at the finest step.
-    """
-
-    steps: FloatArray
-    outputs: tuple[str, ...]
+    steps: FloatArray  # (n + 1,): Communication steps [s], each half of the one before
+    outputs: tuple[str, ...]  # Names (ny)
     changes: FloatArray
-    ranges: FloatArray
-    finest: Trajectory
+    """(n, ny): Largest difference of each output between a step and its half, at the instants of the coarsest."""
+    ranges: FloatArray  # (ny,): Greatest less smallest value of each output at the finest step
+    finest: Trajectory  # The record at the finest step
 
     @property
     def shares(self) -> FloatArray:

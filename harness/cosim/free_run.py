@@ -37,27 +37,14 @@ class Window:
 
 @dataclass(frozen=True)
 class FreeRun:
-    """What a run brought.
+    """What a run brought."""
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Up to the end, or up to where the plant ended it; its time column is the plant's own.
-    notes : tuple of str
-        What was taken where the file suggests nothing, and what is odd.
-    ended : PlantError or None
-        Why the run is shorter than asked for.
-    beyond : tuple of str
-        Parameters that were given values outside their bounds.
-    moved : float
-        Share of its range by which a tolerance 100 times smaller moves an output; 0 where that was not tried.
-    """
-
-    trajectory: Trajectory
-    notes: tuple[str, ...]
-    ended: PlantError | None
-    beyond: tuple[str, ...] = ()
+    trajectory: Trajectory  # Up to the end, or up to where the plant ended it; its time column is the plant's own
+    notes: tuple[str, ...]  # What was taken where the file suggests nothing, and what is odd
+    ended: PlantError | None  # Why the run is shorter than asked for
+    beyond: tuple[str, ...] = ()  # Parameters that were given values outside their bounds
     moved: float = 0.0
+    """Share of its range by which a tolerance 100 times smaller moves an output; 0 where that was not tried."""
 
     @property
     def start(self) -> float:

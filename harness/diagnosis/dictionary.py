@@ -21,20 +21,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Laws:
-    """The laws of a run.
-
-    Attributes
-    ----------
-    dictionary : Dictionary
-    outside : dict
-        The entry points of those that plug-ins brought, by name.
-    faults : tuple of str
-        One sentence for each plug-in that could not be used: which entry point it is and what failed.
-    """
+    """The laws of a run."""
 
     dictionary: Dictionary
     outside: Mapping[str, registry.Entry] = field(default_factory=dict)
+    """The entry points of those that plug-ins brought, by name."""
     faults: tuple[str, ...] = ()
+    """One sentence for each plug-in that could not be used: which entry point it is and what failed."""
 
 
 def with_effects_of(given: Sequence[str | Effect]) -> list[Effect] | None:

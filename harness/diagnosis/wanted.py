@@ -18,18 +18,12 @@ _ITEM = re.compile(
 
 @dataclass(frozen=True)
 class Item:
-    """One entry of a run's dictionary.
+    """One entry of a run's dictionary."""
 
-    Attributes
-    ----------
-    name, place : str
-        Patterns of the effect and of its port; ``*`` stands for any letters.
-    use : {"given", "tried", "left out"}
-    """
-
+    # Patterns of the effect and of its port; ``*`` stands for any letters
     name: str
     place: str
-    use: str
+    use: str  # {"given", "tried", "left out"}
 
     def names(self, placed: Placed) -> bool:
         """Return True for an effect that this entry means."""

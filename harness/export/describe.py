@@ -20,20 +20,12 @@ RIGHTS = (
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of an FMU.
-
-    Attributes
-    ----------
-    name : str
-    role : {"input", "output", "state", "parameter"}
-        A state's start value can be set before the first step; a parameter at any time.
-    unit : str
-    start : float
-    minimum, maximum : float
-    """
+    """One variable of an FMU."""
 
     name: str
     role: Literal["input", "output", "state", "parameter"]
+    """{"input", "output", "state", "parameter"}: A state's start value can be set before the first step; a parameter at
+    any time."""
     unit: str
     start: float = 0.0
     minimum: float = -math.inf

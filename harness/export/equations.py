@@ -28,46 +28,25 @@ LONG = 5000  # Operations beyond which an equation, written out, is not read, bu
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A function of a model as CasADi computes it.
-
-    Attributes
-    ----------
-    name : str
-    arguments : tuple of str
-        Names of the columns that it takes.
-    function : casadi.Function
-        Of dense columns, to one dense column.
-    rows : tuple of str
-        What each entry of the result is.
-    """
+    """A function of a model as CasADi computes it."""
 
     name: str
-    arguments: tuple[str, ...]
-    function: Any
-    rows: tuple[str, ...]
+    arguments: tuple[str, ...]  # Names of the columns that it takes
+    function: Any  # Of dense columns, to one dense column
+    rows: tuple[str, ...]  # What each entry of the result is
 
 
 @dataclass(frozen=True, eq=False)
 class WrittenModel:
-    """A model ready to be written.
-
-    Attributes
-    ----------
-    system : System
-    values : dict
-        Of its parameters.
-    quantities : tuple of Quantity
-        ``derivative`` and ``output``; of mechanical models also ``energy`` (kinetic, potential), and of those without
-        effects ``lumped`` (the lumped parameters), ``regressor`` (row by row) and ``known``, so that
-        ``regressor @ lumped = known``.
-    lumps : tuple of (str, str)
-        Lumped parameters and their units.
-    """
+    """A model ready to be written."""
 
     system: System
-    values: Mapping[str, float]
+    values: Mapping[str, float]  # Of its parameters
     quantities: tuple[Quantity, ...]
-    lumps: tuple[tuple[str, str], ...]
+    """``derivative`` and ``output``; of mechanical models also ``energy`` (kinetic, potential), and of those without
+    effects ``lumped`` (the lumped parameters), ``regressor`` (row by row) and ``known``, so that ``regressor @ lumped =
+    known``."""
+    lumps: tuple[tuple[str, str], ...]  # tuple of (str, str): Lumped parameters and their units
 
     def write(self, form: Form = "text") -> str:
         """Return the equations in a form.

@@ -28,29 +28,18 @@ MAD = 1.4826  # Median absolute deviation to standard deviation, of a normal dis
 
 @dataclass(frozen=True)
 class Change:
-    """A size that did not stay the same on one machine.
-
-    Parameters
-    ----------
-    machine : str
-    series : Series
-    shape : {"step", "drift", "outlier"}
-    row : Row
-        The first record after a step, the last of a drift, the one that stands out.
-    before, after : float
-        Levels before and after a step, at the ends of the line of a drift; all others and the one that stands out.
-    p : float
-        Probability of so much in a machine that stays the same, times the number of places, shapes, machines and sizes
-        that were tried (Bonferroni).
-    """
+    """A size that did not stay the same on one machine."""
 
     machine: str
     series: Series
-    shape: str
-    row: Row
+    shape: str  # {"step", "drift", "outlier"}
+    row: Row  # The first record after a step, the last of a drift, the one that stands out
+    # Levels before and after a step, at the ends of the line of a drift; all others and the one that stands out
     before: float
     after: float
     p: float
+    """Probability of so much in a machine that stays the same, times the number of places, shapes, machines and sizes
+    that were tried (Bonferroni)."""
 
     def __str__(self) -> str:
         unit = behind(self.series.unit)
@@ -66,23 +55,12 @@ class Change:
 
 @dataclass(frozen=True)
 class Odd:
-    """A machine that is not as the others.
-
-    Parameters
-    ----------
-    machine : str
-    effect : str
-        ``effect@place``.
-    what : str
-        The size and that of the others, or in how many records the effect is.
-    p : float
-        As of :class:`Change`.
-    """
+    """A machine that is not as the others."""
 
     machine: str
-    effect: str
-    what: str
-    p: float
+    effect: str  # ``effect@place``
+    what: str  # The size and that of the others, or in how many records the effect is
+    p: float  # As of :class:`Change`
 
     def __str__(self) -> str:
         return f"{self.machine} is not as the others: {self.effect} {self.what}, p {chance(self.p)}"

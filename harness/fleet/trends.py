@@ -17,21 +17,13 @@ NORMAL = 1.959964  # Half width of a 95 % interval in standard deviations.
 
 @dataclass(frozen=True)
 class Series:
-    """The sizes of one effect over the records that have it.
+    """The sizes of one effect over the records that have it."""
 
-    Parameters
-    ----------
-    effect : str
-        ``effect@place``.
-    parameter, unit : str
-    rows : tuple of (Row, Found)
-        By date, those without one last, in the order of the records.
-    """
-
-    effect: str
+    effect: str  # ``effect@place``
     parameter: str
     unit: str
     rows: tuple[tuple[Row, Found], ...]
+    """Tuple of (Row, Found): By date, those without one last, in the order of the records."""
 
 
 @dataclass(frozen=True)

@@ -20,25 +20,16 @@ RULES = ("plug", "bus", "sequence")  # Matching rules of the standard; any other
 
 @dataclass(frozen=True)
 class Terminal:
-    """A terminal of an FMU.
-
-    Attributes
-    ----------
-    name : str
-    rule : str
-        ``plug`` (the members of both ends have the same names), ``bus`` (those that both have are connected),
-        ``sequence`` (in their order), or a rule of its author's.
-    kind : str or None
-        ``terminalKind``; ends of different kinds do not fit.
-    members : tuple of (str, str, str)
-        Names of the member and of its variable, and ``signal``, ``inflow`` or ``outflow``; a stream is ``stream``.
-    inner : tuple of Terminal
-    """
+    """A terminal of an FMU."""
 
     name: str
     rule: str
-    kind: str | None
+    """``plug`` (the members of both ends have the same names), ``bus`` (those that both have are connected),
+    ``sequence`` (in their order), or a rule of its author's."""
+    kind: str | None  # ``terminalKind``; ends of different kinds do not fit
     members: tuple[tuple[str, str, str], ...]
+    """Tuple of (str, str, str): Names of the member and of its variable, and ``signal``, ``inflow`` or ``outflow``; a
+    stream is ``stream``."""
     inner: tuple[Terminal, ...] = ()
 
 

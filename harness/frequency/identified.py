@@ -14,13 +14,7 @@ WELL, POOR = 1.5, 3.0  # Mean square of the residuals over their variance up to 
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedResponse:
-    """What :func:`harness.api.identify_response` returns.
-
-    Parameters
-    ----------
-    data : FrequencyResponse
-    model : TransferFunction
-    """
+    """What :func:`harness.api.identify_response` returns."""
 
     data: FrequencyResponse
     model: Any

@@ -33,22 +33,13 @@ def duration(seconds: float) -> str:
 
 @dataclass
 class Progress:
-    """Counts rows as they come, writes them to a log, and tells a reporter.
+    """Counts rows as they come, writes them to a log, and tells a reporter."""
 
-    Parameters
-    ----------
-    log : Path
-        One line for each row.
-    total, done : int
-        Rows that were asked for, and those that were there before.
-    report : callable, optional
-        Called as ``report(done, total, text)``.
-    """
-
-    log: Path
+    log: Path  # One line for each row
+    # Rows that were asked for, and those that were there before
     total: int
     done: int
-    report: Report | None = None
+    report: Report | None = None  # Called as ``report(done, total, text)``
     statuses: Counter[str] = field(default_factory=Counter)
     started: float = field(default_factory=time.monotonic)
     fresh: int = 0

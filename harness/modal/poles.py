@@ -53,22 +53,13 @@ class Pole:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """What every stretch of data adds to A and C to first order, from which follow covariances.
+    """What every stretch of data adds to A and C to first order, from which follow covariances."""
 
-    Parameters
-    ----------
-    a_shifts, c_shifts : array (M, nx, nx), (M, ny, nx)
-        Their sums over the stretches are 0.
-    factor : float
-        The covariance of a quantity is this times the sum of the squares of its shifts.
-    freedom : float
-        Degrees of freedom of that sum.
-    """
-
+    # (M, nx, nx), (M, ny, nx): Their sums over the stretches are 0
     a_shifts: FloatArray
     c_shifts: FloatArray
-    factor: float
-    freedom: float
+    factor: float  # The covariance of a quantity is this times the sum of the squares of its shifts
+    freedom: float  # Degrees of freedom of that sum
 
 
 @dataclass(frozen=True, eq=False)

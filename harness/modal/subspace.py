@@ -48,33 +48,16 @@ class _Scaling:
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """The decomposed matrix of data: poles of every order follow from it.
+    """The decomposed matrix of data: poles of every order follow from it."""
 
-    Parameters
-    ----------
-    left : array (m, m)
-        Left singular vectors.
-    values : array (m,)
-        Singular values, zeros behind the last.
-    back : array (m, m)
-        Takes weighted directions to those of the outputs over their sizes.
-    shifted : array (M, m, m)
-        ``U' dH V`` of every stretch; their sum is 0.
-    scaling : _Scaling
-        How the rows were made.
-    ny, window : int
-    sample_time : float
-        [s].
-    """
-
-    left: FloatArray
-    values: FloatArray
-    back: FloatArray
-    shifted: FloatArray
-    scaling: _Scaling
+    left: FloatArray  # (m, m): Left singular vectors
+    values: FloatArray  # (m,): Singular values, zeros behind the last
+    back: FloatArray  # (m, m): Takes weighted directions to those of the outputs over their sizes
+    shifted: FloatArray  # (M, m, m): ``U' dH V`` of every stretch; their sum is 0
+    scaling: _Scaling  # How the rows were made
     ny: int
     window: int
-    sample_time: float
+    sample_time: float  # [s]
 
     @property
     def most(self) -> int:

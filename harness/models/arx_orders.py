@@ -28,15 +28,9 @@ class LagTriangle:
 
     Every regression of the outputs on some of the columns follows from R alone: ``|X_S theta - y| = |R_S theta - R_y|``
     (Ljung 1999, sec. 10.1). Rows with a missing reading are left out, and none reaches across a seam.
-
-    Parameters
-    ----------
-    triangle : array (p + ny, p + ny)
-    rows : int
-    ny, nu, na, low, high : int
     """
 
-    triangle: FloatArray
+    triangle: FloatArray  # (p + ny, p + ny)
     rows: int
     ny: int
     nu: int
@@ -80,22 +74,13 @@ class LagTriangle:
 
 @dataclass(frozen=True)
 class Delay:
-    """Samples that an input takes to reach an output, and how sure that is.
+    """Samples that an input takes to reach an output, and how sure that is."""
 
-    Parameters
-    ----------
-    samples : int
-        The likeliest.
-    low, high : int
-        Of the likeliest delays that hold 95 % together.
-    probability : float
-        Of ``samples``.
-    """
-
-    samples: int
+    samples: int  # The likeliest
+    # Of the likeliest delays that hold 95 % together
     low: int
     high: int
-    probability: float
+    probability: float  # Of ``samples``
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -104,32 +89,20 @@ class Delay:
 
 @dataclass(frozen=True, eq=False)
 class ArxGrid:
-    """Losses of ARX models of every order of a grid, all on the same rows.
+    """Losses of ARX models of every order of a grid, all on the same rows."""
 
-    Parameters
-    ----------
-    na, nb, nk : tuple of int
-        Orders that were tried, for all channels: past outputs, coefficients of each input, delay.
-    losses : array (A, B, K, ny)
-        Sums of squared one-step errors; NaN where there are fewer rows than coefficients.
-    held_out : array (A, B, K, ny)
-        The same of the fitted models on the rows of other records; NaN where there are none.
-    rows, held_rows : int
-    size : array (ny,)
-        Mean squares of the outputs about their mean, over the rows that losses are summed over.
-    parameters : array of int (A, B, K)
-        Coefficients of each output.
-    """
-
+    # Orders that were tried, for all channels: past outputs, coefficients of each input, delay
     na: tuple[int, ...]
     nb: tuple[int, ...]
     nk: tuple[int, ...]
     losses: FloatArray
+    """(A, B, K, ny): Sums of squared one-step errors; NaN where there are fewer rows than coefficients."""
     held_out: FloatArray
+    """(A, B, K, ny): The same of the fitted models on the rows of other records; NaN where there are none."""
     rows: int
     held_rows: int
-    size: FloatArray
-    parameters: Any
+    size: FloatArray  # (ny,): Mean squares of the outputs about their mean, over the rows that losses are summed over
+    parameters: Any  # array of int (A, B, K): Coefficients of each output
 
     def values(self, criterion: Criterion) -> FloatArray:
         """Return a criterion of every order (A, B, K): less is better.

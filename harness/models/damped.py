@@ -12,34 +12,17 @@ System = TypeVar("System")
 
 @dataclass(frozen=True)
 class Damping:
-    """How a descent is damped, and when it ends.
+    """How a descent is damped, and when it ends."""
 
-    Parameters
-    ----------
-    start : float
-        Marquardt's lambda of the first step.
-    growth : float
-        Factor after a step that lowers nothing.
-    fall : float
-        Factor after one that does.
-    least, most : float
-        Least lambda, and the one from which on no step is tried.
-    trials : int
-        Steps that are tried from one point.
-    enough : float
-        Relative decrease of the cost below which the descent ends.
-    rounds : int
-        Points from which a step is taken, at most.
-    """
-
-    start: float = 1e-3
-    growth: float = 10.0
-    fall: float = 0.1
+    start: float = 1e-3  # Marquardt's lambda of the first step
+    growth: float = 10.0  # Factor after a step that lowers nothing
+    fall: float = 0.1  # Factor after one that does
+    # Least lambda, and the one from which on no step is tried
     least: float = 1e-12
     most: float = 1e8
-    trials: int = 1000
-    enough: float = 1e-6
-    rounds: int = 50
+    trials: int = 1000  # Steps that are tried from one point
+    enough: float = 1e-6  # Relative decrease of the cost below which the descent ends
+    rounds: int = 50  # Points from which a step is taken, at most
 
 
 def damped_descent(

@@ -23,11 +23,6 @@ _BISECTIONS = 60  # Halvings of a bracket for a quantile: to the last digits of 
 class Categories:
     """Probabilities of the categories of each output.
 
-    Parameters
-    ----------
-    tables : tuple of array (..., K_i)
-        One for each output; the last axis sums to 1.
-
     Raises
     ------
     InputError
@@ -42,7 +37,7 @@ class Categories:
     [0.8]
     """
 
-    tables: tuple[FloatArray, ...]
+    tables: tuple[FloatArray, ...]  # tuple of array (..., K_i): One for each output; the last axis sums to 1
 
     def __post_init__(self) -> None:
         for number, table in enumerate(self.tables):
@@ -89,13 +84,6 @@ class Categories:
 class NormalMixture:
     """Equal mixture of M normal distributions for each output; the outputs are judged one by one.
 
-    Parameters
-    ----------
-    means, stds : array (..., M, ny)
-        In the units of the outputs; standard deviations > 0.
-    outputs : sequence of Channel
-        Periodic ones are wrapped.
-
     Examples
     --------
     >>> y = normal(np.array([1.0]), np.array([2.0]), [Channel("y")])
@@ -103,9 +91,10 @@ class NormalMixture:
     ([-1.6121], [-2.29, 4.29])
     """
 
+    # (..., M, ny): In the units of the outputs; standard deviations > 0
     means: FloatArray
     stds: FloatArray
-    outputs: Sequence[Channel]
+    outputs: Sequence[Channel]  # Periodic ones are wrapped
 
     def __post_init__(self) -> None:
         if np.size(self.stds) and not np.nanmin(self.stds) > 0:

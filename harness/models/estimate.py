@@ -26,28 +26,19 @@ SHOWN = 3  # Null directions that are printed; all are kept.
 class RankDecision:
     """How many directions of the parameters the data determine, and which they do not.
 
-    Parameters
-    ----------
-    rank, columns : int
-        Directions determined, of how many parameters.
-    null_directions : tuple of str
-        In words: what can change together without anything that the data could show.
-    undetermined : tuple of str
-        Names of the parameters that have a part in one.
-    rule : str
-        What decided: ``"1.5 times the noise in the regressor"``.
-
     Examples
     --------
     >>> print(RankDecision(2, 3, ("I grows by 0.0153 for each 1 of r",), ("I", "r"), "1.5 times the noise"))
     rank 2 of 3 (1.5 times the noise); not determined: I grows by 0.0153 for each 1 of r
     """
 
+    # Directions determined, of how many parameters
     rank: int
     columns: int
     null_directions: tuple[str, ...] = ()
-    undetermined: tuple[str, ...] = ()
-    rule: str = ""
+    """In words: what can change together without anything that the data could show."""
+    undetermined: tuple[str, ...] = ()  # Names of the parameters that have a part in one
+    rule: str = ""  # What decided: ``"1.5 times the noise in the regressor"``
 
     @property
     def full(self) -> bool:
@@ -67,30 +58,6 @@ class RankDecision:
 class Estimate:
     """Parameters that were estimated, and how far they can be believed.
 
-    Parameters
-    ----------
-    names, units : tuple of str
-        One for each parameter.
-    values : array (k,)
-        In these units.
-    covariance : array (k, k), optional
-        None where none was computed; infinite variances of what is not determined.
-    intervals : array (k, 2), optional
-        Low and high of each parameter; NaN where there is none. None: no interval is claimed.
-    level : float
-        Probability with which an interval holds the truth.
-    method : str
-        How the intervals were computed, or why there is none.
-    rank : RankDecision, optional
-    condition : float
-        Condition number of the regressor, columns at unit length; NaN where there is no regressor.
-    converged : bool
-        False if the search did not end at a minimum inside the bounds.
-    message : str
-        One line on how it went.
-    on_bound : tuple of str
-        Parameters that ended on a bound.
-
     Raises
     ------
     InputError
@@ -105,18 +72,22 @@ class Estimate:
     (1.8, 2.2)
     """
 
+    # One for each parameter
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: FloatArray
+    values: FloatArray  # (k,): In these units
     covariance: FloatArray | None = None
+    """(k, k): None where none was computed; infinite variances of what is not determined."""
     intervals: FloatArray | None = None
-    level: float = 0.95
-    method: str = ""
+    """(k, 2): Low and high of each parameter; NaN where there is none. None: no interval is claimed."""
+    level: float = 0.95  # Probability with which an interval holds the truth
+    method: str = ""  # How the intervals were computed, or why there is none
     rank: RankDecision | None = None
     condition: float = math.nan
-    converged: bool = True
-    message: str = ""
-    on_bound: tuple[str, ...] = field(default=())
+    """Condition number of the regressor, columns at unit length; NaN where there is no regressor."""
+    converged: bool = True  # False if the search did not end at a minimum inside the bounds
+    message: str = ""  # One line on how it went
+    on_bound: tuple[str, ...] = field(default=())  # Parameters that ended on a bound
 
     def __post_init__(self) -> None:
         k = len(self.names)

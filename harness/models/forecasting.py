@@ -15,26 +15,13 @@ FEW = 10  # Innovations below which their size is not known.
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Outputs after the end of a record.
+    """Outputs after the end of a record."""
 
-    Parameters
-    ----------
-    t : array (M,)
-        [s], on the record's clock.
-    y : array (M, ny)
-    deviation : array (M, ny)
-        Standard deviation of what will be measured, from the noise alone.
-    level : float
-    reach : float
-        Deviations to either side of a band.
-    spec : PlantSpec
-    """
-
-    t: FloatArray
-    y: FloatArray
-    deviation: FloatArray
+    t: FloatArray  # (M,): [s], on the record's clock
+    y: FloatArray  # (M, ny)
+    deviation: FloatArray  # (M, ny): Standard deviation of what will be measured, from the noise alone
     level: float
-    reach: float
+    reach: float  # Deviations to either side of a band
     spec: PlantSpec
 
     @property

@@ -212,19 +212,10 @@ def lifted_mpc(
 
 @dataclass(frozen=True, eq=False)
 class Eigenfunctions:
-    """Functions of the outputs that the model multiplies by one number each sample.
+    """Functions of the outputs that the model multiplies by one number each sample."""
 
-    Parameters
-    ----------
-    values : array (M,)
-        Eigenvalues, complex, the slowest first.
-    functions : array (M, nz)
-        Rows that turn a lifted state into the values of the functions.
-    model : Lifted
-    """
-
-    values: npt.NDArray[np.complex128]
-    functions: npt.NDArray[np.complex128]
+    values: npt.NDArray[np.complex128]  # (M,): Eigenvalues, complex, the slowest first
+    functions: npt.NDArray[np.complex128]  # (M, nz): Rows that turn a lifted state into the values of the functions
     model: Lifted
 
     def at(self, y: FloatArray) -> npt.NDArray[np.complex128]:

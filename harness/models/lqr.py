@@ -13,20 +13,11 @@ from harness.signals import FloatArray
 
 @dataclass(frozen=True)
 class CostRatio:
-    """Closed-loop cost of a design on the true plant over the least possible.
+    """Closed-loop cost of a design on the true plant over the least possible."""
 
-    Parameters
-    ----------
-    ratio : float
-        At least 1; infinite where the design does not stabilise the plant or cannot be made.
-    status : {"ok", "unstable", "no design"}
-    spectral_radius : float
-        Of the true closed loop; NaN without a design.
-    """
-
-    ratio: float
-    status: str
-    spectral_radius: float
+    ratio: float  # At least 1; infinite where the design does not stabilise the plant or cannot be made
+    status: str  # {"ok", "unstable", "no design"}
+    spectral_radius: float  # Of the true closed loop; NaN without a design
 
 
 def lqr_cost_ratio(

@@ -19,20 +19,11 @@ POINTS = 300  # Frequencies that are looked at.
 
 @dataclass(frozen=True, eq=False)
 class Regulator:
-    """``u = -K x``, x the model's filtered state.
+    """``u = -K x``, x the model's filtered state."""
 
-    Parameters
-    ----------
-    gain : array (nu, nx)
-        K.
-    warnings : tuple of str
-        What the design relies on though the data do not determine it.
-    controllable, observable : int
-        States that the inputs reach, and that the outputs show.
-    """
-
-    gain: FloatArray
-    warnings: tuple[str, ...]
+    gain: FloatArray  # (nu, nx): K
+    warnings: tuple[str, ...]  # What the design relies on though the data do not determine it
+    # States that the inputs reach, and that the outputs show
     controllable: int
     observable: int
 

@@ -23,17 +23,6 @@ class Spread:
     neighbours are the fits without one stretch of the records each (delete-a-group jackknife, factor (G - 1) / G; Kott
     2001, J. Official Statistics 17:521), or steps along the directions of a covariance.
 
-    Parameters
-    ----------
-    a, b, c, d : array (G, nx, nx), (G, nx, nu), (G, ny, nx), (G, ny, nu)
-    factor : float
-    freedom : float
-        Degrees of freedom of the covariance, for Student's quantile.
-    method : str
-        Where the neighbours come from, in words.
-    warning : str
-        Why the spread says too little, where it does: a bias is not in it.
-
     Examples
     --------
     >>> one = np.ones((2, 1, 1))
@@ -42,14 +31,15 @@ class Spread:
     2
     """
 
+    # (G, nx, nx), (G, nx, nu), (G, ny, nx), (G, ny, nu)
     a: FloatArray
     b: FloatArray
     c: FloatArray
     d: FloatArray
     factor: float
-    freedom: float
-    method: str
-    warning: str = ""
+    freedom: float  # Degrees of freedom of the covariance, for Student's quantile
+    method: str  # Where the neighbours come from, in words
+    warning: str = ""  # Why the spread says too little, where it does: a bias is not in it
 
     @property
     def count(self) -> int:

@@ -107,26 +107,14 @@ def discrete(matrices: Matrices, sample_time: float, method: Hold = "zoh") -> Ma
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """A model with fewer states, by the same projection as its neighbours.
+    """A model with fewer states, by the same projection as its neighbours."""
 
-    Parameters
-    ----------
-    left, right : array (n, nx), (nx, n)
-        ``A_r = left A right``.
-    values : array
-        That decided: Hankel singular values, or what each mode does at most, largest first.
-    bound : float
-        The error of the frequency response is nowhere larger (its largest singular value).
-    error : float
-        What it is at most on a grid of frequencies.
-    method : str
-    """
-
+    # (n, nx), (nx, n): ``A_r = left A right``
     left: FloatArray
     right: FloatArray
-    values: FloatArray
-    bound: float
-    error: float
+    values: FloatArray  # That decided: Hankel singular values, or what each mode does at most, largest first
+    bound: float  # The error of the frequency response is nowhere larger (its largest singular value)
+    error: float  # What it is at most on a grid of frequencies
     method: str
 
     def of(self, matrices: Matrices) -> Matrices:

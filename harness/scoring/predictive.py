@@ -28,35 +28,21 @@ _FIRST = 50  # Samples from which the initial state is estimated, as for the equ
 
 @dataclass(frozen=True, eq=False)
 class ProbabilityScore:
-    """How good predicted distributions are.
-
-    Parameters
-    ----------
-    log_score : array (ny,)
-        Mean log density (real outputs; it depends on the unit) or log probability (categories), in nats. -inf if
-        something happened that the model had called impossible.
-    skill : array (ny,)
-        ``log_score`` minus that of the record's own marginal distribution (a normal one, or its frequencies), which
-        knows nothing but the record's spread; more than 0 is worth something.
-    levels : array (L,)
-    coverage : array (L, ny)
-        Share of the samples in the sets that should hold ``levels`` of them.
-    horizon : int
-        Steps ahead.
-    burn_in, samples : int
-        Samples left out at the start, and scored.
-    impossible : int
-        Outcomes that the model had given the probability 0.
-    """
+    """How good predicted distributions are."""
 
     log_score: FloatArray
+    """(ny,): Mean log density (real outputs; it depends on the unit) or log probability (categories), in nats. -inf if
+    something happened that the model had called impossible."""
     skill: FloatArray
-    levels: FloatArray
-    coverage: FloatArray
-    horizon: int
+    """(ny,): ``log_score`` minus that of the record's own marginal distribution (a normal one, or its frequencies),
+    which knows nothing but the record's spread; more than 0 is worth something."""
+    levels: FloatArray  # (L,)
+    coverage: FloatArray  # (L, ny): Share of the samples in the sets that should hold ``levels`` of them
+    horizon: int  # Steps ahead
+    # Samples left out at the start, and scored
     burn_in: int
     samples: int
-    impossible: int
+    impossible: int  # Outcomes that the model had given the probability 0
 
     def __str__(self) -> str:
         shares = ", ".join(
@@ -69,19 +55,12 @@ class ProbabilityScore:
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """A reliability diagram: of all events forecast with about the same probability, the share that happened.
+    """A reliability diagram: of all events forecast with about the same probability, the share that happened."""
 
-    Parameters
-    ----------
-    forecast, happened : array (B,)
-        Mean probability of the events of each bin, and the share of them that happened.
-    count : array (B,)
-        Events of each bin; empty bins are left out.
-    """
-
+    # (B,): Mean probability of the events of each bin, and the share of them that happened
     forecast: FloatArray
     happened: FloatArray
-    count: FloatArray
+    count: FloatArray  # (B,): Events of each bin; empty bins are left out
 
     @property
     def calibration_error(self) -> float:

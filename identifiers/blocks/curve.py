@@ -16,13 +16,6 @@ _DEGREE = 3
 class Knots:
     """Where a curve is bent: ``count`` cubic B-splines (de Boor 1978, ch. IX) from ``low`` to ``high``.
 
-    Parameters
-    ----------
-    low, high : float
-        Beyond them a curve goes on straight.
-    count : int
-        Basis functions, at least 4.
-
     Examples
     --------
     >>> knots = Knots(-1.0, 1.0, 6)
@@ -31,9 +24,10 @@ class Knots:
     array([-6.,  1.,  4.])
     """
 
+    # Beyond them a curve goes on straight
     low: float
     high: float
-    count: int
+    count: int  # Basis functions, at least 4
 
     @property
     def places(self) -> FloatArray:

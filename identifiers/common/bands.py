@@ -51,25 +51,15 @@ _STEEPEST = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """Held-out samples so many steps after the last output that was seen.
-
-    Parameters
-    ----------
-    steps : int
-    windows : int
-        Windows of this length that do not overlap: what the samples are worth.
-    x, u, y : array (n, nx), (n, nu), (n, ny)
-        Predicted states, and inputs and outputs of the samples.
-    which : array of int (n,), optional
-        Number of the record of each.
-    """
+    """Held-out samples so many steps after the last output that was seen."""
 
     steps: int
-    windows: int
+    windows: int  # Windows of this length that do not overlap: what the samples are worth
+    # (n, nx), (n, nu), (n, ny): Predicted states, and inputs and outputs of the samples
     x: FloatArray
     u: FloatArray
     y: FloatArray
-    which: npt.NDArray[np.intp] | None = None
+    which: npt.NDArray[np.intp] | None = None  # array of int (n,): Number of the record of each
 
     @property
     def level(self) -> float:
@@ -88,20 +78,13 @@ class Bands:
     more. Nothing is said of data of another kind. What follows each other in time is not exchangeable, so n counts
     windows and not samples. From fit to fit the share that lies within has a standard deviation of about
     ``0.3 / sqrt(n)``, or that of the records' own shares over the root of their number where they are unlike.
-
-    Parameters
-    ----------
-    steps : array (H,)
-        Increasing.
-    spread : array (H, ny)
-        In the units of the outputs, or without unit where it is a factor.
-    error : float, optional
-        Standard error of the share that lies within, by the scatter between the held-out records; NaN of fewer than 5.
     """
 
-    steps: FloatArray
-    spread: FloatArray
+    steps: FloatArray  # (H,): Increasing
+    spread: FloatArray  # (H, ny): In the units of the outputs, or without unit where it is a factor
     error: float = math.nan
+    """Standard error of the share that lies within, by the scatter between the held-out records; NaN of fewer than
+    5."""
 
     @classmethod
     def of(

@@ -145,18 +145,10 @@ def _weak_law(solution: Solution, columns: Columns, least: float, ridge: float) 
 
 @dataclass(frozen=True)
 class Dependence:
-    """A combination of states and inputs that moves by no more than noise, and what else tells it.
+    """A combination of states and inputs that moves by no more than noise, and what else tells it."""
 
-    Parameters
-    ----------
-    text : str
-        ``v = 2 q``.
-    strong : bool
-        Earlier samples tell it so well that instrumental variables are nearly free of bias.
-    """
-
-    text: str
-    strong: bool
+    text: str  # ``v = 2 q``
+    strong: bool  # Earlier samples tell it so well that instrumental variables are nearly free of bias
 
 
 def nearly_dependent(

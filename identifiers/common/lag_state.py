@@ -23,16 +23,12 @@ _FAR = 100.0  # A free run so many scales away from the data has diverged, as in
 
 @dataclass(frozen=True, eq=False)
 class Scaling(Described):
-    """Mean and size of regressors and targets, so that learners see numbers about 1.
+    """Mean and size of regressors and targets, so that learners see numbers about 1."""
 
-    Parameters
-    ----------
-    x_mean, x_std : array (p,)
-    y_mean, y_std : array (ny,)
-    """
-
+    # (p,)
     x_mean: FloatArray
     x_std: FloatArray
+    # (ny,)
     y_mean: FloatArray
     y_std: FloatArray
 
@@ -61,22 +57,13 @@ class LagModel(Described, ABC):
     once it was measured, that of the one-step error one step later; further ahead the variances of the steps are added,
     as if an error stayed what it is. ``steps`` counts those since an output was measured: where held-out data have told
     how far that sum is off so many steps ahead, the deviation is multiplied by it. A subclass says :meth:`ahead` only.
-
-    Parameters
-    ----------
-    spec : PlantSpec
-    lags : int
-        L, at least 1.
-    scaling : Scaling
-        Of the regressors ``[y lags, u lags]``, and of what is learned: the next output, or its change.
-    bands : Bands, optional
-        Factor of the standard deviation by the steps since an output was measured; 1 where there are none.
     """
 
     spec: PlantSpec
-    lags: int
-    scaling: Scaling
+    lags: int  # L, at least 1
+    scaling: Scaling  # Of the regressors ``[y lags, u lags]``, and of what is learned: the next output, or its change
     bands: Bands | None = field(default=None, kw_only=True)
+    """Factor of the standard deviation by the steps since an output was measured; 1 where there are none."""
     notes: dict[str, Any] = field(default_factory=dict, kw_only=True)
 
     @abstractmethod

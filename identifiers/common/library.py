@@ -19,21 +19,6 @@ from identifiers.common.described import Described
 class Library(Described):
     """Monomials of the arguments up to a degree, optionally with sines and cosines of some of them.
 
-    Parameters
-    ----------
-    arguments : tuple of str
-        Names of the columns that are given to it.
-    degree : int
-        Monomials up to this total degree, at least 1.
-    angles : tuple of int
-        Columns that are angles: in the monomials their sine and cosine stand in place of the angle itself.
-    harmonics : int
-        Sine and cosine of ``1 .. harmonics`` times every angle.
-    constant : bool
-        The constant function too.
-    products : bool
-        With False only powers of single arguments, no products of two.
-
     Examples
     --------
     >>> Library(("x", "u"), degree=2).names
@@ -42,12 +27,13 @@ class Library(Described):
     ('1', 'sin(q)', 'cos(q)')
     """
 
-    arguments: tuple[str, ...]
-    degree: int = 2
+    arguments: tuple[str, ...]  # Names of the columns that are given to it
+    degree: int = 2  # Monomials up to this total degree, at least 1
     angles: tuple[int, ...] = ()
-    harmonics: int = 1
-    constant: bool = True
-    products: bool = True
+    """Columns that are angles: in the monomials their sine and cosine stand in place of the angle itself."""
+    harmonics: int = 1  # Sine and cosine of ``1 .. harmonics`` times every angle.
+    constant: bool = True  # The constant function too
+    products: bool = True  # With False only powers of single arguments, no products of two
 
     @property
     def names(self) -> tuple[str, ...]:

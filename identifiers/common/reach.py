@@ -39,20 +39,13 @@ class Reach(Described):
     from the inner half of the data and predicts the rest; how its error grows with the distance is taken for how the
     learned function's error will grow beyond all data, which is as far again. Nothing guarantees it: a plant may do
     something outside (a stop, a wall) of which the data show no sign.
-
-    Parameters
-    ----------
-    centres : array (m, p)
-        Rows that stand for the data, scaled to sizes about 1.
-    inside : float
-        Distance to the nearest centre up to which a row counts as inside.
-    growth : array (ny,)
-        Standard deviation of the error for each unit of distance beyond ``inside``, in the units of the targets.
     """
 
-    centres: FloatArray
-    inside: float
+    centres: FloatArray  # (m, p): Rows that stand for the data, scaled to sizes about 1
+    inside: float  # Distance to the nearest centre up to which a row counts as inside
     growth: FloatArray
+    """(ny,): Standard deviation of the error for each unit of distance beyond ``inside``, in the units of the
+    targets."""
 
     @classmethod
     def of(cls, rows: FloatArray, targets: FloatArray, *, rng: np.random.Generator) -> Reach:

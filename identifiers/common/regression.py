@@ -19,30 +19,15 @@ Blocks = Callable[[], Iterable[tuple[FloatArray, FloatArray]]]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a regression found, and what a decision on rank needs.
+    """What a regression found, and what a decision on rank needs."""
 
-    Parameters
-    ----------
-    coefficients : array (p, m)
-    singular_values : array (p,)
-        Of the regressors with columns scaled to unit length.
-    residual_rms : array (m,)
-    rows : int
-    method : str
-        How it was solved.
-    factor : array (p, p)
-        R with ``R' R`` the Gram matrix of the scaled columns.
-    scale : array (p,)
-        Length of each column.
-    """
-
-    coefficients: FloatArray
-    singular_values: FloatArray
-    residual_rms: FloatArray
+    coefficients: FloatArray  # (p, m)
+    singular_values: FloatArray  # (p,): Of the regressors with columns scaled to unit length
+    residual_rms: FloatArray  # (m,)
     rows: int
-    method: str
-    factor: FloatArray
-    scale: FloatArray
+    method: str  # How it was solved
+    factor: FloatArray  # (p, p): R with ``R' R`` the Gram matrix of the scaled columns
+    scale: FloatArray  # (p,): Length of each column
 
     @property
     def condition(self) -> float:

@@ -28,21 +28,14 @@ _BATCH, _FIRST = 4096, 8  # Cells that are bounded together, and in how many par
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """``x' = f(x, u)``, ``u = -K (x + d e)``: a feedback that reads the state with an error d in the direction e.
+    """``x' = f(x, u)``, ``u = -K (x + d e)``: a feedback that reads the state with an error d in the direction e."""
 
-    Parameters
-    ----------
-    x, u, rate : casadi.SX
-        Symbols (nx,), (nu,) of departures from the target, and f (nx,), affine in u.
-    gain : array (nu, nx)
-    error : array (nx,)
-    """
-
+    # Symbols (nx,), (nu,) of departures from the target, and f (nx,), affine in u
     x: Any
     u: Any
     rate: Any
-    gain: FloatArray
-    error: FloatArray
+    gain: FloatArray  # (nu, nx)
+    error: FloatArray  # (nx,)
 
     @property
     def nx(self) -> int:
@@ -101,19 +94,11 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """``|L'(x - c)| <= 1``, which no disturbance d between two numbers makes x leave.
+    """``|L'(x - c)| <= 1``, which no disturbance d between two numbers makes x leave."""
 
-    Parameters
-    ----------
-    lower : array (nx, nx)
-        L, triangular.
-    centre : array (nx,)
-    low, high : float
-        Least and largest d.
-    """
-
-    lower: FloatArray
-    centre: FloatArray
+    lower: FloatArray  # (nx, nx): L, triangular
+    centre: FloatArray  # (nx,)
+    # Least and largest d
     low: float
     high: float
 
@@ -192,18 +177,10 @@ def widened(
 
 @dataclass(frozen=True)
 class Certificate:
-    """What intervals prove of an ellipsoid.
+    """What intervals prove of an ellipsoid."""
 
-    Parameters
-    ----------
-    holds : bool
-        Whether ``V' < 0`` on all of its boundary.
-    cells : int
-        Pieces of the boundary that were looked at.
-    """
-
-    holds: bool
-    cells: int
+    holds: bool  # Whether ``V' < 0`` on all of its boundary
+    cells: int  # Pieces of the boundary that were looked at
 
 
 def certified(loop: Loop, ellipsoid: Ellipsoid, *, most: int = 2_000_000) -> Certificate:

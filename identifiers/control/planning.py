@@ -17,19 +17,12 @@ _BALANCED = 10.0  # The penalty is changed where one residual is so many times t
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What an actuator can do, as departures from the input at the operating point.
+    """What an actuator can do, as departures from the input at the operating point."""
 
-    Parameters
-    ----------
-    low, high : array (nu,)
-        Least and largest input, in its unit; infinite where there is no limit.
-    change : array (nu,)
-        Largest change from one sample to the next, in its unit.
-    """
-
+    # (nu,): Least and largest input, in its unit; infinite where there is no limit
     low: FloatArray
     high: FloatArray
-    change: FloatArray
+    change: FloatArray  # (nu,): Largest change from one sample to the next, in its unit
 
     @property
     def any(self) -> bool:
@@ -60,19 +53,11 @@ def within(inputs: FloatArray, limits: Limits) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """``sum (y - y*)' q (y - y*) + u' r u`` of a run of N samples.
+    """``sum (y - y*)' q (y - y*) + u' r u`` of a run of N samples."""
 
-    Parameters
-    ----------
-    reference : array (N, ny)
-    q : array (ny,)
-    r : array (nu,)
-        Diagonals of the weights.
-    """
-
-    reference: FloatArray
-    q: FloatArray
-    r: FloatArray
+    reference: FloatArray  # (N, ny)
+    q: FloatArray  # (ny,)
+    r: FloatArray  # (nu,): Diagonals of the weights
 
     def cost(self, y: FloatArray, u: FloatArray) -> float:
         """Return the cost of outputs (N, ny) and inputs (N, nu); infinite where an output is not finite."""
@@ -93,14 +78,9 @@ class Quadratic:
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """What a change of the feed-forward does under feedback, so that nothing grows without bound.
+    """What a change of the feed-forward does under feedback, so that nothing grows without bound."""
 
-    Parameters
-    ----------
-    outputs, inputs : array (N ny, M), (N nu, M)
-        To all outputs and to all inputs; M = N nu.
-    """
-
+    # (N ny, M), (N nu, M): To all outputs and to all inputs; M = N nu
     outputs: FloatArray
     inputs: FloatArray
 

@@ -60,40 +60,22 @@ class Observer:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Inputs and outputs of a motion, and the feedback that holds it.
+    """Inputs and outputs of a motion, and the feedback that holds it."""
 
-    Parameters
-    ----------
-    inputs, outputs : array (N, nu), (N, ny)
-        Departures from the operating point.
-    gains : array (N, nu, nx)
-        Of the departure that the observer sees.
-    observer : Observer
-    """
-
+    # (N, nu), (N, ny): Departures from the operating point
     inputs: FloatArray
     outputs: FloatArray
-    gains: FloatArray
+    gains: FloatArray  # (N, nu, nx): Of the departure that the observer sees
     observer: Observer
 
 
 @dataclass(frozen=True, eq=False)
 class Repetition:
-    """One repetition; all departures from the operating point.
+    """One repetition; all departures from the operating point."""
 
-    Parameters
-    ----------
-    record : Trajectory
-        What the sensors saw and the actuators did.
-    outputs : array (N, ny)
-        Without noise; infinite from where it left.
-    asked : array (N, nu)
-        What the controller asked of the actuators.
-    """
-
-    record: Trajectory
-    outputs: FloatArray
-    asked: FloatArray
+    record: Trajectory  # What the sensors saw and the actuators did
+    outputs: FloatArray  # (N, ny): Without noise; infinite from where it left
+    asked: FloatArray  # (N, nu): What the controller asked of the actuators
 
     @property
     def stayed(self) -> bool:

@@ -199,28 +199,16 @@ def bisimulation_metric(
 
 @dataclass(frozen=True)
 class InformationGap:
-    """What a compression of the state loses.
+    """What a compression of the state loses."""
 
-    Parameters
-    ----------
-    epsilon : float
-        Largest error of the reward.
-    delta : float
-        Largest total variation between the true distribution of the next class and that of the small process.
-    bound : float
-        On ``realised``: ``(epsilon + discount delta span(V)) / (1 - discount)``, with the values V of the small
-        process (Subramanian et al. 2022, *JMLR* 23(12), with total variation as the metric).
-    realised : float
-        Largest difference between optimal values of the true and of the small process.
-    loss : float
-        What the small process's policy loses on the true one, at the worst state; at most twice ``bound``.
-    """
-
-    epsilon: float
+    epsilon: float  # Largest error of the reward
     delta: float
+    """Largest total variation between the true distribution of the next class and that of the small process."""
     bound: float
-    realised: float
-    loss: float
+    """On ``realised``: ``(epsilon + discount delta span(V)) / (1 - discount)``, with the values V of the small process
+    (Subramanian et al. 2022, *JMLR* 23(12), with total variation as the metric)."""
+    realised: float  # Largest difference between optimal values of the true and of the small process
+    loss: float  # What the small process's policy loses on the true one, at the worst state; at most twice ``bound``
 
 
 def information_gap(transition: FloatArray, reward: FloatArray, labels: Labels, discount: float) -> InformationGap:

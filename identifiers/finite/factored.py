@@ -20,21 +20,11 @@ from identifiers.common.records import usable
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """How one output moves.
+    """How one output moves."""
 
-    Parameters
-    ----------
-    parents : tuple of int
-        Numbers of the channels it depends on, outputs first, then inputs.
-    table : array (K_parent, ..., K)
-        Probability of the next category, given those of the parents in order.
-    visits : array (K_parent, ...)
-        Samples behind each row; unvisited rows are the prior (uniform).
-    """
-
-    parents: tuple[int, ...]
-    table: FloatArray
-    visits: FloatArray
+    parents: tuple[int, ...]  # Numbers of the channels it depends on, outputs first, then inputs
+    table: FloatArray  # (K_parent, ..., K): Probability of the next category, given those of the parents in order
+    visits: FloatArray  # (K_parent, ...): Samples behind each row; unvisited rows are the prior (uniform)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,21 +20,12 @@ Record = tuple[npt.NDArray[np.intc], npt.NDArray[np.intc]]
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """Expected counts under a model.
+    """Expected counts under a model."""
 
-    Parameters
-    ----------
-    log_likelihood : float
-        Of all records.
-    transition : array (S, A, S)
-    emission : array (S, O)
-    first : array (S,)
-    """
-
-    log_likelihood: float
-    transition: FloatArray
-    emission: FloatArray
-    first: FloatArray
+    log_likelihood: float  # Of all records
+    transition: FloatArray  # (S, A, S)
+    emission: FloatArray  # (S, O)
+    first: FloatArray  # (S,)
 
 
 @functools.cache

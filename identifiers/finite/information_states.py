@@ -24,31 +24,16 @@ _MOST = 40  # Windows of the past at most: the metric compares every two of them
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """The last few actions and observations as the state of a decision process, counted from records.
-
-    Parameters
-    ----------
-    memory : int
-    keys : array (W, 2 memory)
-        Actions and observations of each window, ``[a[k-1], y[k], a[k-2], y[k-1], ...]``.
-    count : array (W, A)
-        Visits.
-    transition : array (W, A, W)
-    reward : array (W, A)
-        Means.
-    heard : array (W, A, O)
-        Distribution of the next observation.
-    missing : float
-        Share of the steps that led to windows or left by actions too rare to keep.
-    """
+    """The last few actions and observations as the state of a decision process, counted from records."""
 
     memory: int
     keys: npt.NDArray[np.int64]
-    count: FloatArray
-    transition: FloatArray
-    reward: FloatArray
-    heard: FloatArray
-    missing: float
+    """(W, 2 memory): Actions and observations of each window, ``[a[k-1], y[k], a[k-2], y[k-1], ...]``."""
+    count: FloatArray  # (W, A): Visits
+    transition: FloatArray  # (W, A, W)
+    reward: FloatArray  # (W, A): Means
+    heard: FloatArray  # (W, A, O): Distribution of the next observation
+    missing: float  # Share of the steps that led to windows or left by actions too rare to keep
 
     def number(self, past: Sequence[int]) -> int:
         """Return the window of a past ``[a[k-1], y[k], ...]``; the most visited one where it was too rare."""

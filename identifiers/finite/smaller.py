@@ -28,21 +28,11 @@ _SETTLED = 1e-7  # Relative gain of the divergence in an iteration below which i
 
 @dataclass(frozen=True, eq=False)
 class BeliefCompression:
-    """Beliefs (N, S) as mixtures: ``weights @ basis``.
+    """Beliefs (N, S) as mixtures: ``weights @ basis``."""
 
-    Parameters
-    ----------
-    basis : array (K, S)
-        Typical beliefs; each sums to 1.
-    weights : array (N, K)
-        Each row sums to 1.
-    divergence : float
-        Mean Kullback-Leibler divergence of the mixtures from the beliefs, in nats.
-    """
-
-    basis: FloatArray
-    weights: FloatArray
-    divergence: float
+    basis: FloatArray  # (K, S): Typical beliefs; each sums to 1
+    weights: FloatArray  # (N, K): Each row sums to 1
+    divergence: float  # Mean Kullback-Leibler divergence of the mixtures from the beliefs, in nats
 
     @property
     def beliefs(self) -> FloatArray:

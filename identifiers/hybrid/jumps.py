@@ -17,21 +17,13 @@ _INSTANTS = 201  # Instants within a sample at which both sides are compared bef
 
 @dataclass(frozen=True, eq=False)
 class Jump:
-    """One jump between two samples.
+    """One jump between two samples."""
 
-    Parameters
-    ----------
-    record, sample : int
-        It lies between ``sample`` and ``sample + 1`` of this record.
-    instant : float
-        In samples after ``sample``, 0 to 1.
-    before, after : array (ny,)
-        Outputs on both sides.
-    """
-
+    # It lies between ``sample`` and ``sample + 1`` of this record
     record: int
     sample: int
-    instant: float
+    instant: float  # In samples after ``sample``, 0 to 1
+    # (ny,): Outputs on both sides
     before: FloatArray
     after: FloatArray
 

@@ -31,18 +31,12 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Learned:
-    """What a search found.
-
-    Parameters
-    ----------
-    units : tuple of tuple of float
-        A row ``[b, w]`` for each function ``tanh(b + w' z)``; none where they do not pay.
-    before, after : float
-        Error of free runs over the horizon on held-out stretches, root mean square over the scaled outputs, without
-        and with the functions.
-    """
+    """What a search found."""
 
     units: tuple[tuple[float, ...], ...]
+    """A row ``[b, w]`` for each function ``tanh(b + w' z)``; none where they do not pay."""
+    # Error of free runs over the horizon on held-out stretches, root mean square over the scaled outputs, without and
+    # with the functions
     before: float
     after: float
 

@@ -49,16 +49,12 @@ class Ensemble(Described, ABC):
     The output is their mean; the predicted distribution is the equal mixture of theirs (Lakshminarayanan, Pritzel and
     Blundell 2017, *NeurIPS*, sec. 2.4), wide where they disagree. A subclass names its ``kind`` and the class of its
     members.
-
-    Parameters
-    ----------
-    members : tuple of models
-        With as many states each. ``band_factor(x)`` says by what held-out data scaled their deviations; where it is
-        below 1 their disagreement shrinks by it too, as it was wider than the errors.
     """
 
     spec: PlantSpec
     members: tuple[Any, ...]
+    """With as many states each. ``band_factor(x)`` says by what held-out data scaled their deviations; where it is
+    below 1 their disagreement shrinks by it too, as it was wider than the errors."""
     notes: dict[str, Any] = field(default_factory=dict)
 
     member: ClassVar[type[Any]]

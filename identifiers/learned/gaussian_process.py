@@ -32,20 +32,13 @@ class Kernel:
     """Squared exponential with a length for each regressor, and a line: ``sf^2 exp(-r^2/2) + sl^2 (1 + x x')``.
 
     Rasmussen and Williams 2006, *Gaussian Processes for Machine Learning*, eq. 5.1 and, for the line, sec. 4.2.2.
-
-    Parameters
-    ----------
-    lengths : array (p,)
-    signal, slope : float
-        sf and sl.
-    noise : float
-        Standard deviation of the noise of the targets.
     """
 
-    lengths: FloatArray
+    lengths: FloatArray  # (p,)
+    # sf and sl
     signal: float
     slope: float
-    noise: float
+    noise: float  # Standard deviation of the noise of the targets
 
     @classmethod
     def of(cls, logs: FloatArray) -> Kernel:
@@ -73,24 +66,15 @@ class Posterior:
     """One output: mean ``q target``, variance ``k(x, x) - |q|^2 + |q extra|^2`` plus noise, with q = k(x, Z) R.
 
     Sums of squares of whitened numbers: nothing large cancels however small the noise is.
-
-    Parameters
-    ----------
-    kernel : Kernel
-    points : array (M, p)
-        Z: the samples, or inducing points.
-    root : array (M, M)
-        R, with ``R R'`` the inverse of the covariance of the samples, noise included, or of the inducing points.
-    target : array (M,)
-    extra : array (M, K)
-        What inducing points leave open; K = 0 for the exact process.
     """
 
     kernel: Kernel
-    points: FloatArray
+    points: FloatArray  # (M, p): Z: the samples, or inducing points
     root: FloatArray
-    target: FloatArray
-    extra: FloatArray
+    """(M, M): R, with ``R R'`` the inverse of the covariance of the samples, noise included, or of the inducing
+    points."""
+    target: FloatArray  # (M,)
+    extra: FloatArray  # (M, K): What inducing points leave open; K = 0 for the exact process
 
     def __call__(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (n,) of the noisy target at rows (n, p)."""

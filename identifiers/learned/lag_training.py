@@ -24,20 +24,11 @@ class LagNetwork(LagModel):
     """The change of the output is an affine function of lagged outputs and inputs plus a network of them; abstract.
 
     A subclass says :meth:`change`, ``kind`` and how its tables are stored.
-
-    Parameters
-    ----------
-    affine : array (p + 1, ny)
-        In scaled numbers.
-    variance : array (ny,)
-        Of the one-step error on held-out samples.
-    reach : Reach or None
-        Where the data lie, in scaled rows: beyond them the variance grows.
     """
 
-    affine: FloatArray
-    variance: FloatArray
-    reach: Reach | None
+    affine: FloatArray  # (p + 1, ny): In scaled numbers
+    variance: FloatArray  # (ny,): Of the one-step error on held-out samples
+    reach: Reach | None  # Where the data lie, in scaled rows: beyond them the variance grows
 
     @abstractmethod
     def change(self, x: FloatArray) -> FloatArray:
@@ -64,42 +55,24 @@ _LEAST_STD = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class LagTask:
-    """What a network learns: the part of the next output's change that an affine function of the rows leaves.
-
-    Parameters
-    ----------
-    spec : PlantSpec
-    order : int
-        Lags.
-    scaling : Scaling
-    x, wanted : array (n, p), (n, ny)
-        Scaled rows, and the leftover over its size.
-    held_x, held_wanted : array
-        The same of the held-out last fifth of every record.
-    affine : array (p + 1, ny)
-        In scaled numbers.
-    size : array (ny,)
-        Of the leftover, in scaled numbers.
-    kept, kept_later : array
-        Held-out rows and next outputs in their units.
-    records : sequence of Trajectory
-    cuts : sequence of int
-        First held-out sample of each.
-    """
+    """What a network learns: the part of the next output's change that an affine function of the rows leaves."""
 
     spec: PlantSpec
-    order: int
+    order: int  # Lags
     scaling: Scaling
+    # (n, p), (n, ny): Scaled rows, and the leftover over its size
     x: FloatArray
     wanted: FloatArray
+    # The same of the held-out last fifth of every record
     held_x: FloatArray
     held_wanted: FloatArray
-    affine: FloatArray
-    size: FloatArray
+    affine: FloatArray  # (p + 1, ny): In scaled numbers
+    size: FloatArray  # (ny,): Of the leftover, in scaled numbers
+    # Held-out rows and next outputs in their units
     kept: FloatArray
     kept_later: FloatArray
     records: Sequence[Trajectory]
-    cuts: Sequence[int]
+    cuts: Sequence[int]  # First held-out sample of each
 
     def train(
         self,

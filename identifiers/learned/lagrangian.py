@@ -29,27 +29,13 @@ _FAR = 1e3  # A state so many sizes away from the data has diverged.
 
 @dataclass(frozen=True)
 class Form:
-    """What the equations look like: fixed, known before the fit.
+    """What the equations look like: fixed, known before the fit."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        Coordinates.
-    periodic : tuple of bool
-        Angles, which the energies see by sine and cosine.
-    size : tuple of float
-        Size of each coordinate in the data; 1 for angles.
-    actuated : tuple of int
-        Coordinate that each input is the generalised force of.
-    mass : tuple of float
-        Size of each diagonal entry of the mass matrix.
-    """
-
-    names: tuple[str, ...]
-    periodic: tuple[bool, ...]
-    size: tuple[float, ...]
-    actuated: tuple[int, ...]
-    mass: tuple[float, ...]
+    names: tuple[str, ...]  # Coordinates
+    periodic: tuple[bool, ...]  # Angles, which the energies see by sine and cosine
+    size: tuple[float, ...]  # Size of each coordinate in the data; 1 for angles
+    actuated: tuple[int, ...]  # Coordinate that each input is the generalised force of
+    mass: tuple[float, ...]  # Size of each diagonal entry of the mass matrix
 
     def features(self, library: Any, q: Any) -> tuple[Any, Any]:
         """Return the features (..., 2 n) of q (..., n), and their derivatives by each coordinate (..., 2 n)."""

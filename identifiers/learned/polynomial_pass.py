@@ -59,26 +59,17 @@ class Polynomials:
     """``x+ = x + p(x, u) W``, ``y = q(x, u) V``: p and q are all monomials up to a degree, W and V in one vector.
 
     The form of Paduart et al. 2010 (Automatica 46, eq. 2), with constants, for signals that are scaled about a mean.
-
-    Parameters
-    ----------
-    nx, nu, ny : int
-        States, inputs, outputs.
-    degree, outside : int
-        Of the polynomials of the state, and of those of the output; 1 is linear.
-    direct : bool
-        The output depends on the input of the same sample.
-    crossed : bool
-        Inputs enter the monomials of degree 2 and more.
     """
 
+    # States, inputs, outputs
     nx: int
     nu: int
     ny: int
+    # Of the polynomials of the state, and of those of the output; 1 is linear
     degree: int
     outside: int
-    direct: bool = False
-    crossed: bool = True
+    direct: bool = False  # The output depends on the input of the same sample
+    crossed: bool = True  # Inputs enter the monomials of degree 2 and more
 
     @property
     def inner(self) -> Counts:

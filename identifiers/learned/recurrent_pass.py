@@ -175,16 +175,10 @@ class Integrating:
 
     Neither f nor g knows y: wherever the plant stands it moves alike (Forgione & Piga 2021, *European Journal of
     Control* 59, 69-81, sec. 2.3). The states are those of the network, then y.
-
-    Parameters
-    ----------
-    inner : Layout
-    size : tuple of float
-        Of an increment of each scaled output in a sample.
     """
 
     inner: Layout
-    size: tuple[float, ...]
+    size: tuple[float, ...]  # Of an increment of each scaled output in a sample
 
     @property
     def nx(self) -> int:

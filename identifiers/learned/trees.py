@@ -24,24 +24,14 @@ FEW = 64  # Rows up to which all trees are walked at once: below it the calls co
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A binary tree in arrays: node 0 is the root.
+    """A binary tree in arrays: node 0 is the root."""
 
-    Parameters
-    ----------
-    feature : array (n,) of int
-        Column that a node asks for; -1 in a leaf.
-    threshold : array (n,)
-        A row goes left if its value is not greater.
-    left, right : array (n,) of int
-    value : array (n, ny)
-        Mean of the samples of a node.
-    """
-
-    feature: npt.NDArray[np.intp]
-    threshold: FloatArray
+    feature: npt.NDArray[np.intp]  # array (n,) of int: Column that a node asks for; -1 in a leaf
+    threshold: FloatArray  # (n,): A row goes left if its value is not greater
+    # array (n,) of int
     left: npt.NDArray[np.intp]
     right: npt.NDArray[np.intp]
-    value: FloatArray
+    value: FloatArray  # (n, ny): Mean of the samples of a node
 
     def __call__(self, rows: FloatArray, start: npt.NDArray[np.intp] | None = None) -> FloatArray:
         """Return the values (n, ny) of rows (n, p), from the root or from a node for each row."""

@@ -24,44 +24,23 @@ _DRAWS = 20  # Draws from what the data leave open: their largest is exceeded by
 
 @dataclass(frozen=True, eq=False)
 class Decaying:
-    """An impulse response, and what the data leave open about it.
+    """An impulse response, and what the data leave open about it."""
 
-    Parameters
-    ----------
-    response : array (length, ny, nu)
-    level : array (ny,)
-    decay : float
-        Of the prior's variance, from sample to sample.
-    draws : array (20, length, ny, nu)
-        Errors that the response may have, drawn from the posterior.
-    prior : Prior
-    """
-
-    response: FloatArray
-    level: FloatArray
-    decay: float
-    draws: FloatArray
+    response: FloatArray  # (length, ny, nu)
+    level: FloatArray  # (ny,)
+    decay: float  # Of the prior's variance, from sample to sample
+    draws: FloatArray  # (20, length, ny, nu): Errors that the response may have, drawn from the posterior
     prior: Prior
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """The prior that the data chose, in coordinates in which it and all rows of the data are diagonal.
+    """The prior that the data chose, in coordinates in which it and all rows of the data are diagonal."""
 
-    Parameters
-    ----------
-    back : array (count, count)
-        From those coordinates to lags times inputs, scaled.
-    weight : array (ny,)
-    unit : array (count,)
-        Sizes of the inputs.
-    noise : array (ny,)
-    """
-
-    back: FloatArray
-    weight: FloatArray
-    unit: FloatArray
-    noise: FloatArray
+    back: FloatArray  # (count, count): From those coordinates to lags times inputs, scaled
+    weight: FloatArray  # (ny,)
+    unit: FloatArray  # (count,): Sizes of the inputs
+    noise: FloatArray  # (ny,)
 
     def coefficients(self, sums: NormalEquations, *, offset: bool) -> FloatArray:
         """Return the coefficients (count, ny) under this prior that other rows give."""

@@ -22,20 +22,12 @@ EQUATIONS = 3  # Equations for each regressor, below which correlations are chan
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Kept directions ``z = W' y`` of the outputs, and the outputs from them: ``y = P' z + level`` and white noise.
-
-    Parameters
-    ----------
-    weights : array (ny, nz)
-        W; z have unit variance and are not correlated with one another, nor with what is left out.
-    back : array (nz, ny)
-        P, with ``P W = 1``.
-    level : array (ny,)
-    """
+    """Kept directions ``z = W' y`` of the outputs, and the outputs from them: ``y = P' z + level`` and white noise."""
 
     weights: FloatArray
-    back: FloatArray
-    level: FloatArray
+    """(ny, nz): W; z have unit variance and are not correlated with one another, nor with what is left out."""
+    back: FloatArray  # (nz, ny): P, with ``P W = 1``
+    level: FloatArray  # (ny,)
 
     def compressed(self, records: Sequence[Trajectory]) -> list[Trajectory]:
         """Return records whose outputs are the directions."""

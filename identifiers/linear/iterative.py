@@ -97,18 +97,11 @@ def linearised_along(model: Model, x0: FloatArray, u: FloatArray, *, size: float
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What repetitions brought.
+    """What repetitions brought."""
 
-    Parameters
-    ----------
-    inputs : array (N, nu)
-        The input of the best repetition.
-    errors : tuple of float
-        Root mean square error of the outputs at each repetition, each relative to the weights; inf where it diverged.
-    """
-
-    inputs: FloatArray
+    inputs: FloatArray  # (N, nu): The input of the best repetition
     errors: tuple[float, ...]
+    """Root mean square error of the outputs at each repetition, each relative to the weights; inf where it diverged."""
 
 
 def learn_input(

@@ -28,31 +28,16 @@ ALPHA, BETA = 0.5, 2.0
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """What a filter knows.
+    """What a filter knows."""
 
-    Attributes
-    ----------
-    stepper : Stepper
-        The model.
-    mean, covariance : array (m,), (m, m)
-        Of the states, then the parameters (those that cannot be negative as logarithms).
-    seen : int
-        Samples so far, of all records.
-    clock : float
-        Time in the present record [s].
-    spread : array (m - nx,)
-        Standard deviations of the parameters at the start.
-    surprise : Surprise
-        How wrong predictions are, beside how wrong they say they are.
-    """
-
-    stepper: Stepper
+    stepper: Stepper  # The model
+    # (m,), (m, m): Of the states, then the parameters (those that cannot be negative as logarithms)
     mean: FloatArray
     covariance: FloatArray
-    seen: int
-    clock: float
-    spread: FloatArray
-    surprise: Surprise
+    seen: int  # Samples so far, of all records
+    clock: float  # Time in the present record [s]
+    spread: FloatArray  # (m - nx,): Standard deviations of the parameters at the start
+    surprise: Surprise  # How wrong predictions are, beside how wrong they say they are
 
     @property
     def noise(self) -> FloatArray:

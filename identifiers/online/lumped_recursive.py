@@ -47,46 +47,21 @@ class Context:
 
 @dataclass(frozen=True, eq=False)
 class RecursiveState:
-    """What a recursion knows.
-
-    Attributes
-    ----------
-    context : Context
-    triangle : array (k, k + 1)
-        ``[R z]``, R theta = z.
-    rows : int
-        Equations so far, of all records.
-    effective : float
-        The same, what was forgotten taken off.
-    made_at : float
-        ``effective`` when the model was last made.
-    model : GreyBoxModel or None
-        That predicts; None before the lumped parameters are determined.
-    x : array or None
-        Its state.
-    last : array (ny,)
-        Output.
-    y, u : array (w, ny), (w, nu)
-        The last samples, angles unwrapped; ``u[i]`` led to ``y[i]``.
-    past : array (L, 1 + 3 n + 2 nu)
-        The last instants whose motion is known: t, q, v, a, u, mean u.
-    seen : int
-        Instants of this record.
-    clock : float
-    """
+    """What a recursion knows."""
 
     context: Context
-    triangle: FloatArray
-    rows: int
-    effective: float
-    made_at: float
-    model: GreyBoxModel | None
-    x: FloatArray | None
-    last: FloatArray
+    triangle: FloatArray  # (k, k + 1): ``[R z]``, R theta = z
+    rows: int  # Equations so far, of all records
+    effective: float  # The same, what was forgotten taken off
+    made_at: float  # ``effective`` when the model was last made
+    model: GreyBoxModel | None  # That predicts; None before the lumped parameters are determined
+    x: FloatArray | None  # Its state
+    last: FloatArray  # (ny,): Output
+    # (w, ny), (w, nu): The last samples, angles unwrapped; ``u[i]`` led to ``y[i]``
     y: FloatArray
     u: FloatArray
-    past: FloatArray
-    seen: int
+    past: FloatArray  # (L, 1 + 3 n + 2 nu): The last instants whose motion is known: t, q, v, a, u, mean u
+    seen: int  # Instants of this record
     clock: float
 
     @property

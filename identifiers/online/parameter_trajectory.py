@@ -19,30 +19,16 @@ BAND = 1.96  # Standard deviations to either side: 95 % of a normal distribution
 
 @dataclass(frozen=True, eq=False)
 class Recursion:
-    """A recursive model's way along records, sample by sample.
-
-    Parameters
-    ----------
-    names : tuple of str
-    time : array (M,)
-        Since the start of the first record, record after record without the gaps between them [s].
-    values, deviations : array (M, k)
-        In the units of the channels; NaN during the burn-in.
-    trace : array (M,)
-        Of the covariance, relative to that before any data.
-    guarded : array of bool (M,)
-        Samples at which the covariance was kept from growing: the inputs did not excite.
-    errors : array (M, ny)
-        Prediction errors.
-    """
+    """A recursive model's way along records, sample by sample."""
 
     names: tuple[str, ...]
-    time: FloatArray
+    time: FloatArray  # (M,): Since the start of the first record, record after record without the gaps between them [s]
+    # (M, k): In the units of the channels; NaN during the burn-in
     values: FloatArray
     deviations: FloatArray
-    trace: FloatArray
-    guarded: Any
-    errors: FloatArray
+    trace: FloatArray  # (M,): Of the covariance, relative to that before any data
+    guarded: Any  # array of bool (M,): Samples at which the covariance was kept from growing: the inputs did not excite
+    errors: FloatArray  # (M, ny): Prediction errors
 
     def plot(self) -> Any:
         """Draw the coefficients with 95 % bands, and the trace of the covariance with the stretches of the guard."""

@@ -32,34 +32,18 @@ HALVINGS = 12  # Of a step that would leave the region where C or F is stable.
 
 @dataclass(frozen=True, eq=False)
 class OutputFilter:
-    """What the recursion of one output knows, of centred signals at unit size.
+    """What the recursion of one output knows, of centred signals at unit size."""
 
-    Parameters
-    ----------
-    theta : array (p,)
-        a or f, b input by input, c, and a constant.
-    covariance : array (p, p)
-        P, that of theta over the innovations' variance but for forgetting.
-    y, inner : array (n,), (m,)
-        Newest first: outputs (of output error: the model's own), residuals (ARMAX).
-    slopes : array (m, p)
-        Gradients of the last predictions, newest first.
-    errors : array (4,)
-        Sums with forgetting: weighted squared errors, weights, squared weights, degrees of freedom used.
-    guarded : int
-        Samples at which the guard kept the covariance from growing.
-    rejected : int
-        Steps that were halved to nothing, for they left the stable region.
-    """
-
-    theta: FloatArray
-    covariance: FloatArray
+    theta: FloatArray  # (p,): a or f, b input by input, c, and a constant
+    covariance: FloatArray  # (p, p): P, that of theta over the innovations' variance but for forgetting
+    # (n,), (m,): Newest first: outputs (of output error: the model's own), residuals (ARMAX)
     y: FloatArray
     inner: FloatArray
-    slopes: FloatArray
+    slopes: FloatArray  # (m, p): Gradients of the last predictions, newest first
     errors: FloatArray
-    guarded: int = 0
-    rejected: int = 0
+    """(4,): Sums with forgetting: weighted squared errors, weights, squared weights, degrees of freedom used."""
+    guarded: int = 0  # Samples at which the guard kept the covariance from growing
+    rejected: int = 0  # Steps that were halved to nothing, for they left the stable region
 
     @property
     def variance(self) -> float:
@@ -77,35 +61,19 @@ class OutputFilter:
 
 @dataclass(frozen=True, eq=False)
 class RecursiveState:
-    """What a recursive polynomial model knows.
-
-    Parameters
-    ----------
-    spec : PlantSpec
-    orders : tuple of Orders
-        One for each output.
-    filters : tuple of OutputFilter
-        Empty during the burn-in.
-    u : array (L, nu)
-        Inputs of the present record, newest first, scaled.
-    last : array (ny,)
-        Output seen last.
-    seen, learned : int
-        Samples of the present record, and of all records.
-    tape : tuple
-        Samples of the burn-in: the input or None at a seam, and the output.
-    centre, size : array (nu + ny,)
-        Of inputs and outputs in the burn-in.
-    """
+    """What a recursive polynomial model knows."""
 
     spec: PlantSpec
-    orders: tuple[Orders, ...]
-    filters: tuple[OutputFilter, ...]
-    u: FloatArray
-    last: FloatArray
+    orders: tuple[Orders, ...]  # One for each output
+    filters: tuple[OutputFilter, ...]  # Empty during the burn-in
+    u: FloatArray  # (L, nu): Inputs of the present record, newest first, scaled
+    last: FloatArray  # (ny,): Output seen last
+    # Samples of the present record, and of all records
     seen: int
     learned: int
     tape: tuple[tuple[FloatArray | None, FloatArray], ...]
+    """Samples of the burn-in: the input or None at a seam, and the output."""
+    # (nu + ny,): Of inputs and outputs in the burn-in
     centre: FloatArray
     size: FloatArray
 

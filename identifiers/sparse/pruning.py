@@ -23,18 +23,12 @@ _EXACT = 1e-13  # Mean squares below this share of an output's are rounding of n
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Stretches of scaled records that free runs are compared with.
+    """Stretches of scaled records that free runs are compared with."""
 
-    Parameters
-    ----------
-    y, u : array (W, T, ny), (W, T, nu)
-    lags : int
-        Measured samples that a run starts from.
-    """
-
+    # (W, T, ny), (W, T, nu)
     y: FloatArray
     u: FloatArray
-    lags: int
+    lags: int  # Measured samples that a run starts from
 
     @classmethod
     def of(cls, records: Sequence[Trajectory], lags: int, longest: int = LONGEST) -> Windows:

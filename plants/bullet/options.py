@@ -130,28 +130,15 @@ class ArmOptions:
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """The moving joints of a URDF, n of them, and what its options say of each.
+    """The moving joints of a URDF, n of them, and what its options say of each."""
 
-    Parameters
-    ----------
-    elements : list of Element
-        In the order of the coordinates.
-    driven : tuple of int
-        Joints that an input drives, counted from 0.
-    damping, friction : tuple of float
-        Viscous [N m s/rad] and dry [N m], of every joint.
-    input_ranges : tuple of float, optional
-        Largest value of each input; None where one of them has none.
-    motor_force : tuple of float
-        Of each driven joint [N m].
-    """
-
-    elements: list[ET.Element]
-    driven: tuple[int, ...]
+    elements: list[ET.Element]  # In the order of the coordinates
+    driven: tuple[int, ...]  # Joints that an input drives, counted from 0
+    # Viscous [N m s/rad] and dry [N m], of every joint
     damping: tuple[float, ...]
     friction: tuple[float, ...]
-    input_ranges: tuple[float, ...] | None
-    motor_force: tuple[float, ...]
+    input_ranges: tuple[float, ...] | None  # Largest value of each input; None where one of them has none
+    motor_force: tuple[float, ...]  # Of each driven joint [N m]
 
 
 def joints_of(urdf: str | Path, options: ArmOptions) -> Joints:

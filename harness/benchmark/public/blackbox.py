@@ -23,25 +23,13 @@ WHOLE_RECORDS = 4  # From so many records on, whole ones validate.
 
 @dataclass(frozen=True)
 class Tried:
-    """One identifier with its options on the validation part.
-
-    Parameters
-    ----------
-    identifier : str
-    options : dict
-    figure : float or None
-        The rule's own figure there, in its unit; None where there is no model.
-    seconds : float
-        Of the fit, wall time.
-    reason : str
-        Why there is no figure.
-    """
+    """One identifier with its options on the validation part."""
 
     identifier: str
     options: dict[str, Any]
-    figure: float | None
-    seconds: float
-    reason: str = ""
+    figure: float | None  # The rule's own figure there, in its unit; None where there is no model
+    seconds: float  # Of the fit, wall time
+    reason: str = ""  # Why there is no figure
 
 
 def parted(train: Sequence[Trajectory], share: float) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:

@@ -48,22 +48,12 @@ class Signals:
 
 @dataclass(frozen=True, eq=False)
 class Repaired:
-    """What the loop made of the nominal model.
-
-    Parameters
-    ----------
-    model : Model
-    signals : Signals
-    words : str
-        The nominal model and the effects that it lacked.
-    refitted : bool
-        True if the parameters are those of a fit to all of the data, False if those of the loop.
-    """
+    """What the loop made of the nominal model."""
 
     model: Model
     signals: Signals
-    words: str
-    refitted: bool
+    words: str  # The nominal model and the effects that it lacked
+    refitted: bool  # True if the parameters are those of a fit to all of the data, False if those of the loop
 
 
 def signals_of(rule: Rule, choice: GreyChoice) -> Signals:

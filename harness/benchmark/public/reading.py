@@ -23,21 +23,11 @@ Pairs = tuple[list[Pair], list[list[Pair]]]  # Records (u, y) to learn from; and
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """A public set as its rule divides it.
+    """A public set as its rule divides it."""
 
-    Parameters
-    ----------
-    train : tuple of Trajectory
-        What may be learned from, the choice of a model included.
-    tests : tuple of tuple of Trajectory
-        For each of the rule's figures its test records.
-    origin : str
-        Where the data came from.
-    """
-
-    train: tuple[Trajectory, ...]
-    tests: tuple[tuple[Trajectory, ...], ...]
-    origin: str
+    train: tuple[Trajectory, ...]  # What may be learned from, the choice of a model included
+    tests: tuple[tuple[Trajectory, ...], ...]  # For each of the rule's figures its test records
+    origin: str  # Where the data came from
 
     @property
     def fingerprint(self) -> str:

@@ -23,58 +23,29 @@ IDENTIBENCH = "IdentiBench"
 
 @dataclass(frozen=True)
 class Rule:
-    """How one public set is to be used.
-
-    Parameters
-    ----------
-    id, title : str
-    spec : PlantSpec
-        Channels in the units of the published files, and the sample time [s].
-    window : int
-        Outputs at the start of a test record that the model may see; none of them is scored.
-    tests : tuple of str
-        Names of the figures, one for each test record or group of records.
-    unit : str
-        Unit of the figures.
-    scale : float
-        Factor from the outputs' unit to it.
-    split : str
-        Which samples are for what, in words.
-    folder, files : str
-        Where the data are looked for under ``$SYSID_HARNESS_DATA``, and which files.
-    download : str
-        Page to get them from.
-    citation : str
-    loader : str, optional
-        Function of the package ``nonlinear_benchmarks``.
-    old_window : int, optional
-        What the window was before, where it changed: figures published under it are another figure.
-    metric : {"window", "horizons"}
-        Root mean square behind the window; or the sum of mean errors over horizons
-        (:func:`harness.benchmark.public.scores.horizon_errors`).
-    rules_of : str
-        Whose rule it is.
-    note : str
-        What to know beside the rule.
-    """
+    """How one public set is to be used."""
 
     id: str
     title: str
-    spec: PlantSpec
-    window: int
-    tests: tuple[str, ...]
-    unit: str
-    scale: float
-    split: str
+    spec: PlantSpec  # Channels in the units of the published files, and the sample time [s]
+    window: int  # Outputs at the start of a test record that the model may see; none of them is scored
+    tests: tuple[str, ...]  # Names of the figures, one for each test record or group of records
+    unit: str  # Unit of the figures
+    scale: float  # Factor from the outputs' unit to it
+    split: str  # Which samples are for what, in words
+    # Where the data are looked for under ``$SYSID_HARNESS_DATA``, and which files
     folder: str
     files: str
-    download: str
+    download: str  # Page to get them from
     citation: str
-    loader: str | None = None
+    loader: str | None = None  # Function of the package ``nonlinear_benchmarks``
     old_window: int | None = None
+    """What the window was before, where it changed: figures published under it are another figure."""
     metric: Literal["window", "horizons"] = "window"
-    rules_of: str = OFFICIAL
-    note: str = ""
+    """{"window", "horizons"}: Root mean square behind the window; or the sum of mean errors over horizons
+    (:func:`harness.benchmark.public.scores.horizon_errors`)."""
+    rules_of: str = OFFICIAL  # Whose rule it is
+    note: str = ""  # What to know beside the rule
 
     @property
     def where(self) -> str:

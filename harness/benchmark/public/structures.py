@@ -28,24 +28,12 @@ motion says is no surer than some percent, and the best of some thirty tries is 
 
 @dataclass(frozen=True)
 class Structure:
-    """A physical model: what is built into it, and where its parameters start.
-
-    Parameters
-    ----------
-    model : str
-    options : mapping
-        Of the model's function.
-    effects : tuple of str
-        ``"coulomb_friction@q"``.
-    start : mapping
-        Parameters.
-    intersample : str
-    """
+    """A physical model: what is built into it, and where its parameters start."""
 
     model: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-    effects: tuple[str, ...] = ()
-    start: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)  # Of the model's function
+    effects: tuple[str, ...] = ()  # ``"coulomb_friction@q"``
+    start: Mapping[str, float] = field(default_factory=dict)  # Parameters
     intersample: str = "zoh"
 
 

@@ -19,24 +19,12 @@ from harness.signals import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """The validation records with parameters of their own, against those that the estimation records leave them.
+    """The validation records with parameters of their own, against those that the estimation records leave them."""
 
-    Attributes
-    ----------
-    gain : float
-        Log-likelihood that they gain.
-    terms : sequence of array (K,)
-        The same by record and sample.
-    name : str
-        The parameter that moves farthest, in standard deviations; empty if none does.
-    value : float
-        What the validation records want it to be.
-    """
-
-    gain: float
-    terms: Sequence[FloatArray] = field(repr=False)
-    name: str
-    value: float
+    gain: float  # Log-likelihood that they gain
+    terms: Sequence[FloatArray] = field(repr=False)  # sequence of array (K,): The same by record and sample
+    name: str  # The parameter that moves farthest, in standard deviations; empty if none does
+    value: float  # What the validation records want it to be
 
     def matters(self, policy: Policy) -> bool:
         """Return True if the records disagree by evidence, and not in a few places only.

@@ -28,20 +28,13 @@ _ALIVE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Predictive:
-    """Where parameters and initial states are likeliest, given both uses, and what their uncertainty costs.
-
-    Attributes
-    ----------
-    point : Point
-    moved : array (k,)
-        How far the parameters went from those of the estimation records, along their spread, in standard deviations.
-    price : float
-        To be taken from the log-likelihood of the validation records at ``point``.
-    """
+    """Where parameters and initial states are likeliest, given both uses, and what their uncertainty costs."""
 
     point: Point
     moved: FloatArray
-    price: float
+    """(k,): How far the parameters went from those of the estimation records, along their spread, in standard
+    deviations."""
+    price: float  # To be taken from the log-likelihood of the validation records at ``point``
 
 
 def spread_of(best: LikelihoodFit, free: Sequence[str], own: Sequence[str]) -> FloatArray:

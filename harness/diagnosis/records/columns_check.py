@@ -45,18 +45,12 @@ class Repair:
 
 @dataclass(frozen=True)
 class Doubt:
-    """What is probably wrong with the columns.
-
-    Attributes
-    ----------
-    words : str
-    certain : bool
-        False where the model fits the columns as they are just as well, and only its declared values speak against
-        them: the plant may be of that size.
-    """
+    """What is probably wrong with the columns."""
 
     words: str
     certain: bool
+    """False where the model fits the columns as they are just as well, and only its declared values speak against them:
+    the plant may be of that size."""
 
 
 def check_columns(system: System, dataset: Dataset) -> list[Doubt]:

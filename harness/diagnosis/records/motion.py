@@ -20,36 +20,21 @@ second order, and with smooth signals and differences of fourth order."""
 
 @dataclass(frozen=True)
 class Motion:
-    """Smoothed motion of one record.
+    """Smoothed motion of one record."""
 
-    Attributes
-    ----------
-    t : array (N,)
-    q, v, a : array (N, n)
-        Coordinates, rates, accelerations.
-    u : array (N, nu)
-        Input at the instants (mean of both sides of a jump).
-    inside : slice
-        Rows that the ends of the filters have not touched.
-    factor : int
-        By how much a residual of these may be decimated without losing the motion's band.
-    sample_time : float
-    counts : array (N, n), optional
-        1 where the residual of a coordinate says something, 0 where it could be anything; all of them if not given.
-    cutoff : float
-        Up to where the motion was followed [Hz].
-    """
-
-    t: FloatArray
+    t: FloatArray  # (N,)
+    # (N, n): Coordinates, rates, accelerations
     q: FloatArray
     v: FloatArray
     a: FloatArray
-    u: FloatArray
-    inside: slice
-    factor: int
+    u: FloatArray  # (N, nu): Input at the instants (mean of both sides of a jump)
+    inside: slice  # Rows that the ends of the filters have not touched
+    factor: int  # By how much a residual of these may be decimated without losing the motion's band
     sample_time: float
     counts: FloatArray | None = None
-    cutoff: float = float("inf")
+    """(N, n): 1 where the residual of a coordinate says something, 0 where it could be anything; all of them if not
+    given."""
+    cutoff: float = float("inf")  # Up to where the motion was followed [Hz]
 
     def signals(self, u: FloatArray | None = None) -> Signals:
         """Return the motion as effects take it, with other inputs (N, nu) if given."""

@@ -31,20 +31,12 @@ SPAN = 8
 
 @dataclass(frozen=True)
 class Thinned:
-    """Records at a lower rate.
-
-    Attributes
-    ----------
-    dataset : Dataset
-    factor : int
-        Rows of the records as they were for each that was kept.
-    noise : tuple of float
-        For each output the standard deviation of a kept reading's noise over that of the readings as they were.
-    """
+    """Records at a lower rate."""
 
     dataset: Dataset
-    factor: int
+    factor: int  # Rows of the records as they were for each that was kept
     noise: tuple[float, ...]
+    """For each output the standard deviation of a kept reading's noise over that of the readings as they were."""
 
     @classmethod
     def not_at_all(cls, dataset: Dataset) -> Thinned:

@@ -29,19 +29,12 @@ _LONGEST = 3000
 
 @dataclass(frozen=True)
 class Unfolding:
-    """Signs of an output.
+    """Signs of an output."""
 
-    Attributes
-    ----------
-    signs : tuple of array (N_i,)
-        Of every record.
-    chance : float
-        How likely an output that keeps its sign looks so: one half for each turn at zero, or, where the motion could be
-        followed, how much less likely it is that it only turns there.
-    """
-
-    signs: tuple[FloatArray, ...]
+    signs: tuple[FloatArray, ...]  # tuple of array (N_i,): Of every record
     chance: float
+    """How likely an output that keeps its sign looks so: one half for each turn at zero, or, where the motion could be
+    followed, how much less likely it is that it only turns there."""
 
 
 _known: dict[tuple[int, int], list[Unfolding]] = {}

@@ -64,37 +64,20 @@ class Shift:
 
 @dataclass(frozen=True)
 class BiasTest:
-    """Outcome of the test.
+    """Outcome of the test."""
 
-    Attributes
-    ----------
-    instruments : tuple of str
-        Signals from outside the loop.
-    reason : str
-        Why the test could not be made; empty if it was.
-    statistic : float
-        Wald statistic of the difference over its degrees of freedom, F distributed if there is no bias.
-    dof : (int, int)
-    p : float
-    strength : float
-        Smallest cosine between the sensitivities and the instruments (1: open loop, 0: nothing in common).
-    largest : float
-        Shift of the combination of parameters that moves most, in standard errors of the fit.
-    shifts : dict
-        By parameter.
-    unreached : int
-        Combinations of parameters that the instruments hardly move: the test says nothing about them.
-    """
-
-    instruments: tuple[str, ...]
-    reason: str = ""
+    instruments: tuple[str, ...]  # Signals from outside the loop
+    reason: str = ""  # Why the test could not be made; empty if it was
     statistic: float = float("nan")
-    dof: tuple[int, int] = (0, 0)
+    """Wald statistic of the difference over its degrees of freedom, F distributed if there is no bias."""
+    dof: tuple[int, int] = (0, 0)  # (int, int)
     p: float = float("nan")
     strength: float = float("nan")
+    """Smallest cosine between the sensitivities and the instruments (1: open loop, 0: nothing in common)."""
     largest: float = float("nan")
-    shifts: dict[str, Shift] = field(default_factory=dict)
-    unreached: int = 0
+    """Shift of the combination of parameters that moves most, in standard errors of the fit."""
+    shifts: dict[str, Shift] = field(default_factory=dict)  # By parameter
+    unreached: int = 0  # Combinations of parameters that the instruments hardly move: the test says nothing about them
 
     @property
     def biased(self) -> bool | None:

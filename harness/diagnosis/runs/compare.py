@@ -25,39 +25,23 @@ from harness.signals import FloatArray, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class FreeRuns:
-    """Free runs over a horizon.
-
-    Attributes
-    ----------
-    horizon : Horizon
-    output : FreeRunForm
-        What simulates; its weights are the sensor noise of the final model.
-    before, after : Fitted or None
-        None where the simulation diverges.
-    left : float
-        Mean square of what the final model leaves of the validation outputs over the horizon, over that of what a
-        straight line through the same windows leaves, the noise of the sensors taken off both: the share of the motion,
-        the worst output. Not finite where the simulation diverges.
-    beyond_start : float
-        The same over what the fitted start leaves alone: a place goes on along a line, a speed or a level stays where
-        it is. A line takes up nearly all of a car that rolls out, and says nothing of why it does.
-    motion : array (ny,)
-        What a straight line leaves, with its noise.
-    noise : array (ny,)
-        Variance of what the sensors read besides, as far as neighbours tell it.
-    worst : int or None
-        That output; None where the simulation diverges.
-    """
+    """Free runs over a horizon."""
 
     horizon: Horizon
-    output: FreeRunForm
+    output: FreeRunForm  # What simulates; its weights are the sensor noise of the final model
+    # None where the simulation diverges
     before: Fitted | None
     after: Fitted | None
     left: float
+    """Mean square of what the final model leaves of the validation outputs over the horizon, over that of what a
+    straight line through the same windows leaves, the noise of the sensors taken off both: the share of the motion, the
+    worst output. Not finite where the simulation diverges."""
     beyond_start: float
-    motion: FloatArray
-    noise: FloatArray
-    worst: int | None
+    """The same over what the fitted start leaves alone: a place goes on along a line, a speed or a level stays where it
+    is. A line takes up nearly all of a car that rolls out, and says nothing of why it does."""
+    motion: FloatArray  # (ny,): What a straight line leaves, with its noise
+    noise: FloatArray  # (ny,): Variance of what the sensors read besides, as far as neighbours tell it
+    worst: int | None  # That output; None where the simulation diverges
 
     @classmethod
     def of(cls, horizon: Horizon, output: FreeRunForm, before: Fitted | None, after: Fitted | None) -> FreeRuns:

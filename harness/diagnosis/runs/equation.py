@@ -25,22 +25,12 @@ Form = Literal["strong", "weak"]
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Residual force of a system on measured motion, with its derivatives to the parameters.
-
-    Attributes
-    ----------
-    strong : casadi.Function
-        (q, v, a, u, p, t) -> M a - Q (n,), its Jacobian (n, np).
-    weak : casadi.Function
-        (q, v, u, p, t) -> momentum M v, force Q + M' v, and their Jacobians.
-    drive : casadi.Function
-        (q, v, u, p, t) -> force of the inputs (n,).
-    """
+    """Residual force of a system on measured motion, with its derivatives to the parameters."""
 
     system: System
-    strong: Any
-    weak: Any
-    drive: Any
+    strong: Any  # (q, v, a, u, p, t) -> M a - Q (n,), its Jacobian (n, np)
+    weak: Any  # (q, v, u, p, t) -> momentum M v, force Q + M' v, and their Jacobians
+    drive: Any  # (q, v, u, p, t) -> force of the inputs (n,)
 
     def _values(self, name: str, *arguments: FloatArray) -> list[FloatArray]:
         """Return the outputs of a function along a record (N, size), matrices column by column."""

@@ -17,49 +17,31 @@ from harness.signals import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A model fitted to the estimation runs and tried on the validation runs.
+    """A model fitted to the estimation runs and tried on the validation runs."""
 
-    Attributes
-    ----------
-    effects : tuple of Placed
-        What was added to the nominal model.
-    system : System
-        Nominal model with the effects.
-    values : dict
-        All parameters by full name.
-    free : tuple of str
-        The fitted ones, in the order of the Jacobian.
-    converged : bool
-    message : str
-        How the fit ended.
-    estimation, validation : tuple of array (N_i, ny)
-        Weighted residuals (each column over its weight).
-    jacobian : tuple of array (N_i, ny, len(free))
-        Weighted derivative of the estimation outputs, what the initial states can do taken out.
-    refitted : dict
-        Parameters of the validation records themselves (phase, instant of a change).
-    record : dict
-        Initial states and what else belongs to the records.
-    unaided : tuple of array (N_i, ny)
-        The validation residual with hidden states of effects starting where the effects say, not where they fit best: a
-        slow hidden state that is fitted anew in every window is a free force. Empty without hidden states.
-    starts : tuple of array (L_w * ny, k_w)
-        For each estimation window an orthonormal basis of what its initial state can do. Empty where nothing is fitted.
-    """
-
-    effects: tuple[Placed, ...]
-    system: AnySystem
-    values: dict[str, float]
-    free: tuple[str, ...]
+    effects: tuple[Placed, ...]  # What was added to the nominal model
+    system: AnySystem  # Nominal model with the effects
+    values: dict[str, float]  # All parameters by full name
+    free: tuple[str, ...]  # The fitted ones, in the order of the Jacobian
     converged: bool
-    message: str
+    message: str  # How the fit ended
+    # tuple of array (N_i, ny): Weighted residuals (each column over its weight)
     estimation: tuple[FloatArray, ...]
     validation: tuple[FloatArray, ...]
     jacobian: tuple[FloatArray, ...]
+    """Tuple of array (N_i, ny, len(free)): Weighted derivative of the estimation outputs, what the initial states can
+    do taken out."""
     refitted: dict[str, float] = field(default_factory=dict)
+    """Parameters of the validation records themselves (phase, instant of a change)."""
     record: dict[str, Any] = field(default_factory=dict, repr=False)
+    """Initial states and what else belongs to the records."""
     unaided: tuple[FloatArray, ...] = ()
+    """Tuple of array (N_i, ny): The validation residual with hidden states of effects starting where the effects say,
+    not where they fit best: a slow hidden state that is fitted anew in every window is a free force. Empty without
+    hidden states."""
     starts: tuple[FloatArray, ...] = ()
+    """Tuple of array (L_w * ny, k_w): For each estimation window an orthonormal basis of what its initial state can do.
+    Empty where nothing is fitted."""
 
     @property
     def finite(self) -> bool:

@@ -37,21 +37,11 @@ _HALVINGS = ((10, 6, 1.0), (40, EFFORT.points, 10.0), (200, EFFORT.points, 1e4))
 
 @dataclass(frozen=True, eq=False)
 class SimpleFit:
-    """A model whose free runs come nearest to the estimation records.
+    """A model whose free runs come nearest to the estimation records."""
 
-    Attributes
-    ----------
-    effects : tuple of Placed
-        None or one, of what was tried.
-    values : dict
-        All parameters by full name.
-    fitted : Fitted
-        As free runs show it on both uses, initial states and what else belongs to a record fitted.
-    """
-
-    effects: tuple[Placed, ...]
-    values: dict[str, float]
-    fitted: Fitted
+    effects: tuple[Placed, ...]  # None or one, of what was tried
+    values: dict[str, float]  # All parameters by full name
+    fitted: Fitted  # As free runs show it on both uses, initial states and what else belongs to a record fitted
 
     @property
     def name(self) -> str:

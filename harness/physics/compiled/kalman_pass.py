@@ -167,24 +167,16 @@ class Path:
 
 @dataclass(eq=False)
 class Filtered:
-    """Result of a pass.
+    """Result of a pass."""
 
-    Attributes
-    ----------
-    e, s : array (K, ny)
-        Innovations and their variances, each output given those before it; NaN where nothing was measured.
-    j : array (K, ny, columns) or None
-        Derivatives of the innovations, gains held fixed.
-    path : Path or None
-    e_noise, s_noise : array (K, ny, 3 nl + ny) or None
-        Derivatives of the innovations, and of the logarithms of their variances, by the logarithms of the noise: s,
-        tau and w of every latent force, then r of every output. None where only difference quotients can tell.
-    """
-
+    # (K, ny): Innovations and their variances, each output given those before it; NaN where nothing was measured
     e: FloatArray
     s: FloatArray
-    j: FloatArray | None = None
+    j: FloatArray | None = None  # (K, ny, columns): Derivatives of the innovations, gains held fixed
     path: Path | None = field(default=None, repr=False)
+    # (K, ny, 3 nl + ny): Derivatives of the innovations, and of the logarithms of their variances, by the logarithms of
+    # the noise: s, tau and w of every latent force, then r of every output. None where only difference quotients can
+    # tell.
     e_noise: FloatArray | None = field(default=None, repr=False)
     s_noise: FloatArray | None = field(default=None, repr=False)
 

@@ -26,16 +26,9 @@ class LatentForce:
 
 @dataclass(frozen=True, eq=False)
 class Disturbed:
-    """A system with latent forces as its last states.
+    """A system with latent forces as its last states."""
 
-    Attributes
-    ----------
-    system : System
-        Its last ``len(forces)`` states are the forces, of rate 0.
-    forces : tuple of LatentForce
-    """
-
-    system: System
+    system: System  # Its last ``len(forces)`` states are the forces, of rate 0
     forces: tuple[LatentForce, ...]
 
 

@@ -21,83 +21,47 @@ from harness.signals import Channel, FloatArray, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Equations(Dimensions):
-    r"""A continuous-time grey box ``x' = f(x, u, p, t)``, ``y = h(x, u, p, t)``; nominal, or with effects built in.
+    """A continuous-time grey box ``x' = f(x, u, p, t)``, ``y = h(x, u, p, t)``; nominal, or with effects built in.
 
     States are the coordinates q, their rates v, then the other states (of an ODE, or hidden ones of effects)::
 
         q' = v,   M(q, p, t) v' = Q(q, v, z, u, p, t),   z' = rates(x, u, p, t)
-
-    Attributes
-    ----------
-    name : str
-    inputs, outputs, states : tuple of Channel
-    parameters : tuple of Parameter
-        Nominal ones, then those of effects, called ``effect@port.name``.
-    x, u, p, t : casadi.SX
-        Symbols: columns of length nx, nu, np; time [s], a scalar.
-    gravity : casadi.SX
-        Symbol (2,): direction of gravity (horizontal, vertical), ``(0, -1)`` unless an effect turns it.
-    mass_matrix : casadi.SX (n, n)
-    generalized_forces : casadi.SX (n,)
-        The whole right-hand side Q: inputs, friction, gravity, Coriolis terms.
-    rates : casadi.SX (nx - 2 n,)
-        Derivatives of the states that are not coordinates.
-    h : casadi.SX (ny,)
-    coordinates : tuple of Coordinate
-    loads : casadi.SX (n,)
-        Force that the guide of a coordinate carries across its motion (weight and centripetal part): what a
-        load-dependent friction is proportional to. For a joint it is a moment, radius included.
-    bodies : tuple of BodyTerm
-    sampled : tuple of SampledBlock
-        Delays and quantisers, carried out on samples.
-    initial : casadi.SX (hidden_count,) or None
-        Where the hidden states start; an expression in x, u and p.
-    effects : tuple
-        What :mod:`harness.effects` placed.
-    mechanism : Mechanism or Ode
-        The symbolic definition.
-    hidden_count : int
-        The last so many states were brought by effects.
-    switches : tuple of (int, str)
-        States through whose zero a force changes its sign, each with the parameter that smooths it: a step that comes
-        near zero is taken in finer ones.
-    process : tuple of str
-        States that are levels, in the order in which they flow into each other.
-    nominal : the same kind, or None
-        Where effects were placed: the system without them.
-    starts : callable or None
-        Start values of parameters from records.
-    remarks : tuple of str
-        What a reader of an exported model must be told, such as that a force was learned and is not physical.
     """
 
     name: str
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     states: tuple[Channel, ...]
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter, ...]  # Nominal ones, then those of effects, called ``effect@port.name``
+    # Symbols: columns of length nx, nu, np; time [s], a scalar
     x: Any
     u: Any
     p: Any
     t: Any
-    gravity: Any
-    mass_matrix: Any
-    generalized_forces: Any
-    rates: Any
-    h: Any
+    gravity: Any  # Symbol (2,): direction of gravity (horizontal, vertical), ``(0, -1)`` unless an effect turns it
+    mass_matrix: Any  # casadi.SX (n, n)
+    generalized_forces: Any  # casadi.SX (n,): The whole right-hand side Q: inputs, friction, gravity, Coriolis terms
+    rates: Any  # casadi.SX (nx - 2 n,): Derivatives of the states that are not coordinates
+    h: Any  # casadi.SX (ny,)
     coordinates: tuple[Coordinate, ...] = ()
     loads: Any = None
+    """Casadi.SX (n,): Force that the guide of a coordinate carries across its motion (weight and centripetal part):
+    what a load-dependent friction is proportional to. For a joint it is a moment, radius included."""
     bodies: tuple[BodyTerm, ...] = ()
-    sampled: tuple[SampledBlock, ...] = ()
-    initial: Any = None
-    effects: tuple[Any, ...] = ()
-    mechanism: Any = None
-    hidden_count: int = 0
+    sampled: tuple[SampledBlock, ...] = ()  # Delays and quantisers, carried out on samples
+    initial: Any = None  # casadi.SX (hidden_count,): Where the hidden states start; an expression in x, u and p
+    effects: tuple[Any, ...] = ()  # What :mod:`harness.effects` placed
+    mechanism: Any = None  # The symbolic definition
+    hidden_count: int = 0  # The last so many states were brought by effects
     switches: tuple[tuple[int, str], ...] = ()
-    process: tuple[str, ...] = ()
-    nominal: Self | None = field(default=None, repr=False)
+    """Tuple of (int, str): States through whose zero a force changes its sign, each with the parameter that smooths it:
+    a step that comes near zero is taken in finer ones."""
+    process: tuple[str, ...] = ()  # States that are levels, in the order in which they flow into each other
+    nominal: Self | None = field(default=None, repr=False)  # Where effects were placed: the system without them
     starts: Callable[[Sequence[Trajectory]], Mapping[str, float]] | None = field(default=None, repr=False)
+    """Start values of parameters from records."""
     remarks: tuple[str, ...] = ()
+    """What a reader of an exported model must be told, such as that a force was learned and is not physical."""
 
     # ---- sizes and names ------------------------------------------------------------------------------------------
 

@@ -127,12 +127,6 @@ GONE = 1e-7
 class FarOff:
     """A fitted parameter that lies a factor from its declared value.
 
-    Attributes
-    ----------
-    name, unit : str
-    value, declared : float
-        In ``unit``.
-
     Examples
     --------
     >>> str(FarOff("J", "kg m^2", 5e4, 0.1))
@@ -141,6 +135,7 @@ class FarOff:
 
     name: str
     unit: str
+    # In ``unit``
     value: float
     declared: float
 

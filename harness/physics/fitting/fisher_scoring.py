@@ -79,23 +79,12 @@ class Maximised(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """Minus the log-likelihood about a place, to second order in the entries that are estimated.
+    """Minus the log-likelihood about a place, to second order in the entries that are estimated."""
 
-    Attributes
-    ----------
-    by_e : array (n, K)
-        What the entries do to innovations, over their deviations.
-    gradient : array (n,)
-    matrix : array (n, n)
-        Fisher's.
-    live : array of bool (n,)
-        Entries that the gradient does not hold on a bound.
-    """
-
-    by_e: FloatArray
-    gradient: FloatArray
-    matrix: FloatArray
-    live: npt.NDArray[np.bool_]
+    by_e: FloatArray  # (n, K): What the entries do to innovations, over their deviations
+    gradient: FloatArray  # (n,)
+    matrix: FloatArray  # (n, n): Fisher's
+    live: npt.NDArray[np.bool_]  # array of bool (n,): Entries that the gradient does not hold on a bound
 
     @property
     def finite(self) -> bool:

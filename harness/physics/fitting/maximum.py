@@ -23,31 +23,17 @@ LONGEST = 1.5
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Which noise is estimated, and within what.
+    """Which noise is estimated, and within what."""
 
-    Parameters
-    ----------
-    force_scale : array (nl,)
-        Typical size of each latent force [its unit].
-    output_scale : array (ny,)
-        Typical size of each output.
-    latent : bool
-        False for no latent forces: the free run, output error.
-    white : bool
-        Whether each has a white part too.
-    shortest, longest : float
-        Bounds of the time constants [s].
-    least : array (ny,), optional
-        Smallest standard deviation of the noise of each output: that of its resolution.
-    """
-
-    force_scale: FloatArray
-    output_scale: FloatArray
-    latent: bool = True
-    white: bool = True
+    force_scale: FloatArray  # (nl,): Typical size of each latent force [its unit]
+    output_scale: FloatArray  # (ny,): Typical size of each output
+    latent: bool = True  # False for no latent forces: the free run, output error
+    white: bool = True  # Whether each has a white part too
+    # Bounds of the time constants [s]
     shortest: float = 1e-3
     longest: float = 10.0
     least: FloatArray | None = None
+    """(ny,): Smallest standard deviation of the noise of each output: that of its resolution."""
 
     @property
     def smallest(self) -> FloatArray:
@@ -58,18 +44,10 @@ class NoiseModel:
 
 @dataclass(eq=False)
 class Point:
-    """A place in the space of everything unknown.
+    """A place in the space of everything unknown."""
 
-    Attributes
-    ----------
-    p : array (np,)
-    x0 : list of array (start_size,)
-        By record.
-    noise : Noise
-    """
-
-    p: FloatArray
-    x0: list[FloatArray]
+    p: FloatArray  # (np,)
+    x0: list[FloatArray]  # list of array (start_size,): By record
     noise: Noise
 
 

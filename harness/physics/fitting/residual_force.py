@@ -29,21 +29,12 @@ _HULL_POINTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """Where the data of a learned force lie: ``faces @ z + offsets <= 0`` for its arguments z.
+    """Where the data of a learned force lie: ``faces @ z + offsets <= 0`` for its arguments z."""
 
-    Parameters
-    ----------
-    faces : array (F, d)
-    offsets : array (F,)
-    convex : bool
-        False where it is the box of the data.
-    low, high : array (d,)
-        The box.
-    """
-
-    faces: FloatArray
-    offsets: FloatArray
-    convex: bool
+    faces: FloatArray  # (F, d)
+    offsets: FloatArray  # (F,)
+    convex: bool  # False where it is the box of the data
+    # (d,): The box
     low: FloatArray
     high: FloatArray
 
@@ -83,33 +74,16 @@ class ResidualForce:
     """``F = sum_i w_i exp(-|(z - c_i) / width|^2 / 2)`` added to the force on one coordinate; not physical.
 
     Far from the data the basis functions, and with them the force, are 0: there the model is the named one alone.
-
-    Parameters
-    ----------
-    coordinate : str
-        The equation of motion that it is added to.
-    unit : str
-        Of the force.
-    arguments : tuple of str
-        States and inputs that z is made of, by name.
-    centres : array (M, d)
-    width : array (d,)
-    weights : array (M,)
-        In ``unit``.
-    hull : Hull
-        Of the z in the estimation data.
-    samples : int
-        Estimation samples.
     """
 
-    coordinate: str
-    unit: str
-    arguments: tuple[str, ...]
-    centres: FloatArray
-    width: FloatArray
-    weights: FloatArray
-    hull: Hull
-    samples: int
+    coordinate: str  # The equation of motion that it is added to
+    unit: str  # Of the force
+    arguments: tuple[str, ...]  # States and inputs that z is made of, by name
+    centres: FloatArray  # (M, d)
+    width: FloatArray  # (d,)
+    weights: FloatArray  # (M,): In ``unit``
+    hull: Hull  # Of the z in the estimation data
+    samples: int  # Estimation samples
 
     label = LABEL
 

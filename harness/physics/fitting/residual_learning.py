@@ -37,32 +37,19 @@ _RISK = 0.01
 
 @dataclass(frozen=True, eq=False)
 class LearnedForce:
-    """What came of learning: the force, and the errors without and with it.
-
-    Parameters
-    ----------
-    force : ResidualForce
-    system : System
-        With the force built in; ``system.simulator(dt)`` and its values export like any other.
-    before, after : array (ny,)
-        Rms of free runs on the validation records, in the units of the outputs.
-    outside : float
-        Share of the validation samples outside the hull: of them nothing is claimed.
-    gain, gain_error : float
-        Share of the mean squared validation error that the force takes away, outputs weighed by their error before,
-        and its standard error over stretches of the records.
-    tried : int
-        Forces among which this one was the best.
-    """
+    """What came of learning: the force, and the errors without and with it."""
 
     force: ResidualForce
-    system: System
+    system: System  # With the force built in; ``system.simulator(dt)`` and its values export like any other
+    # (ny,): Rms of free runs on the validation records, in the units of the outputs
     before: FloatArray
     after: FloatArray
-    outside: float
+    outside: float  # Share of the validation samples outside the hull: of them nothing is claimed
+    # Share of the mean squared validation error that the force takes away, outputs weighed by their error before, and
+    # its standard error over stretches of the records
     gain: float
     gain_error: float
-    tried: int = 1
+    tried: int = 1  # Forces among which this one was the best
 
     @property
     def helps(self) -> bool:

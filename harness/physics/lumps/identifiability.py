@@ -19,39 +19,20 @@ noise alone makes. Below, more than 4/9 of its energy is noise, and least square
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What the columns of a regressor tell apart.
+    """What the columns of a regressor tell apart."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        One for each column.
-    rank : int
-    kept : tuple of int
-        Columns that are determined, in their own order; fitted alone they stand for the combinations.
-    combinations : tuple of str
-        What each kept column stands for: ``"I1 + 0.5 m2"``.
-    sizes : array
-        Diagonal of R, columns scaled to norm 1, in pivoting order.
-    gap : float
-        Ratio of the last kept to the first dropped (infinite at full rank).
-    unseen : tuple of str
-        Columns that are zero: parameters without any effect on these rows.
-    dropped : tuple of int
-        Columns that are sums of kept ones.
-    shares : array (kept, dropped)
-        Column ``dropped[j]`` is ``sum_i shares[i, j]`` times column ``kept[i]``: fitted alone, parameter ``kept[i]``
-        stands for itself plus ``sum_j shares[i, j]`` times parameter ``dropped[j]``.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # One for each column
     rank: int
     kept: tuple[int, ...]
-    combinations: tuple[str, ...]
-    sizes: FloatArray
-    gap: float
-    unseen: tuple[str, ...]
-    dropped: tuple[int, ...]
+    """Columns that are determined, in their own order; fitted alone they stand for the combinations."""
+    combinations: tuple[str, ...]  # What each kept column stands for: ``"I1 + 0.5 m2"``
+    sizes: FloatArray  # Diagonal of R, columns scaled to norm 1, in pivoting order
+    gap: float  # Ratio of the last kept to the first dropped (infinite at full rank)
+    unseen: tuple[str, ...]  # Columns that are zero: parameters without any effect on these rows
+    dropped: tuple[int, ...]  # Columns that are sums of kept ones
     shares: FloatArray
+    """(kept, dropped): Column ``dropped[j]`` is ``sum_i shares[i, j]`` times column ``kept[i]``: fitted alone,
+    parameter ``kept[i]`` stands for itself plus ``sum_j shares[i, j]`` times parameter ``dropped[j]``."""
 
     def __str__(self) -> str:
         text = f"rank {self.rank} of {len(self.names)}: {', '.join(self.combinations)}"

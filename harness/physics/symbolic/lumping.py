@@ -14,23 +14,12 @@ from harness.physics.symbolic.mechanism import Mechanism
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """``L = L_0 + sum_k pi_k L_k``, ``Q_i = Q_0i + sum_k pi_k Q_ki``; the pi_k contain parameters only.
+    """``L = L_0 + sum_k pi_k L_k``, ``Q_i = Q_0i + sum_k pi_k Q_ki``; the pi_k contain parameters only."""
 
-    Attributes
-    ----------
-    combinations : tuple of sympy expression
-        pi_k.
-    lagrangians : tuple of sympy expression
-        L_k, without parameters.
-    forces : tuple of tuple of sympy expression
-        Q_k, one expression for each coordinate.
-    known_lagrangian, known_forces
-        L_0 and Q_0: what has no unknown parameter (the inputs, mostly).
-    """
-
-    combinations: tuple[Any, ...]
-    lagrangians: tuple[Any, ...]
-    forces: tuple[tuple[Any, ...], ...]
+    combinations: tuple[Any, ...]  # pi_k
+    lagrangians: tuple[Any, ...]  # L_k, without parameters
+    forces: tuple[tuple[Any, ...], ...]  # Q_k, one expression for each coordinate
+    # L_0 and Q_0: what has no unknown parameter (the inputs, mostly)
     known_lagrangian: Any
     known_forces: tuple[Any, ...]
 

@@ -16,21 +16,11 @@ _BLOCKS = 200  # Lengths of blocks that are tried.
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoids:
-    """Where coefficients lie: of every output an ellipsoid around the least squares of the later rows.
+    """Where coefficients lie: of every output an ellipsoid around the least squares of the later rows."""
 
-    Parameters
-    ----------
-    coefficients : array (p, m)
-        By least squares of the rows after the first tenth.
-    half : array (p, m)
-        Half widths of the boxes around the ellipsoids: all hold at once.
-    measured : array (p, m)
-        Half widths of ordinary intervals of the same rows, each by itself.
-    """
-
-    coefficients: FloatArray
-    half: FloatArray
-    measured: FloatArray
+    coefficients: FloatArray  # (p, m): By least squares of the rows after the first tenth
+    half: FloatArray  # (p, m): Half widths of the boxes around the ellipsoids: all hold at once
+    measured: FloatArray  # (p, m): Half widths of ordinary intervals of the same rows, each by itself
 
 
 def ellipsoids(phi: FloatArray, y: FloatArray, confidence: float) -> Ellipsoids | None:
@@ -89,21 +79,11 @@ def ellipsoids(phi: FloatArray, y: FloatArray, confidence: float) -> Ellipsoids 
 
 @dataclass(frozen=True)
 class SmallBall:
-    """A bound on the norm of the error of ``x+ = A x + B u + w``, decided before the data.
+    """A bound on the norm of the error of ``x+ = A x + B u + w``, decided before the data."""
 
-    Parameters
-    ----------
-    bound : float
-        On the largest singular value of the error of [A B], states and inputs scaled to unit deviation.
-    needed : float
-        Samples from which the theorem speaks at all.
-    block : int
-        Length of the blocks that gave the least bound.
-    """
-
-    bound: float
-    needed: float
-    block: int
+    bound: float  # On the largest singular value of the error of [A B], states and inputs scaled to unit deviation
+    needed: float  # Samples from which the theorem speaks at all
+    block: int  # Length of the blocks that gave the least bound
 
 
 def small_ball(

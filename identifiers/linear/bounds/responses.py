@@ -19,26 +19,16 @@ _PIECES = 256  # Samples of a segment of a spectrum.
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Least squares of so many lags: how wrong it may be at worst, and how wrong it is.
+    """Least squares of so many lags: how wrong it may be at worst, and how wrong it is."""
 
-    Parameters
-    ----------
-    markov : array (L, ny, nu)
-        ``markov[0]`` is that of the same sample.
-    gain, measured_gain : float
-        On the largest gain over all frequencies of the error: bound, and 95 % of what leaving out stretches shows.
-    block, measured_block : float
-        On the largest singular value of [G_0 G_1 ... G_L-1]: bound, and measured.
-    rows : int
-        Windows.
-    """
-
-    markov: FloatArray
+    markov: FloatArray  # (L, ny, nu): ``markov[0]`` is that of the same sample
+    # On the largest gain over all frequencies of the error: bound, and 95 % of what leaving out stretches shows
     gain: float
     measured_gain: float
+    # On the largest singular value of [G_0 G_1 ... G_L-1]: bound, and measured.
     block: float
     measured_block: float
-    rows: int
+    rows: int  # Windows
 
 
 def responses(

@@ -28,30 +28,15 @@ EVALUATIONS = 30  # Of the search's gradients at most.
 
 @dataclass(frozen=True, eq=False)
 class RecordFit:
-    """A transfer function of one output in scaled signals.
-
-    Parameters
-    ----------
-    model : Rational
-    cost : float
-        Sum of squares of the output error.
-    errors : array (N,)
-        Record by record.
-    gradients : array (N, k)
-        Of the errors, initial states and level solved for; zeros of what is not fitted.
-    level : float
-    arrived : bool
-    states : int
-        Initial states that were solved for.
-    """
+    """A transfer function of one output in scaled signals."""
 
     model: Rational
-    cost: float
-    errors: FloatArray
-    gradients: FloatArray
+    cost: float  # Sum of squares of the output error
+    errors: FloatArray  # (N,): Record by record
+    gradients: FloatArray  # (N, k): Of the errors, initial states and level solved for; zeros of what is not fitted
     level: float
     arrived: bool
-    states: int
+    states: int  # Initial states that were solved for
 
     @property
     def criterion(self) -> float:

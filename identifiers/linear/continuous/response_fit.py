@@ -21,27 +21,15 @@ NEARLY = 1e-12  # Weights never below this share of the largest: a variance of n
 
 @dataclass(frozen=True, eq=False)
 class ResponseFit:
-    """A transfer function of one output, and how it fits.
-
-    Parameters
-    ----------
-    model : Rational
-    covariance : array (k, k)
-        Of its parameter vector.
-    misfit : float
-        Mean square of the residual over its standard deviation: 1 where nothing but noise is left. Where no variance is
-        known the residual itself is taken for it, and this is the residual's share of the response (rms).
-    criterion : float
-        Minus twice the log-likelihood plus ``k ln N`` (Schwarz 1978).
-    known : bool
-        The variance was.
-    """
+    """A transfer function of one output, and how it fits."""
 
     model: Rational
-    covariance: FloatArray
+    covariance: FloatArray  # (k, k): Of its parameter vector
     misfit: float
-    criterion: float
-    known: bool
+    """Mean square of the residual over its standard deviation: 1 where nothing but noise is left. Where no variance is
+    known the residual itself is taken for it, and this is the residual's share of the response (rms)."""
+    criterion: float  # Minus twice the log-likelihood plus ``k ln N`` (Schwarz 1978)
+    known: bool  # The variance was
 
 
 def fit_to_response(

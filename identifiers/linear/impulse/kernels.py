@@ -80,24 +80,12 @@ def _steps(decay: float, length: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a prior makes of the data.
+    """What a prior makes of the data."""
 
-    Parameters
-    ----------
-    value : float
-        ``-2 ln`` of the marginal likelihood but for a constant, the noise at its best.
-    noise : float
-        Variance of the noise.
-    mean : array (p,)
-        Of the coefficients, given the data.
-    root : array (p, p)
-        Their covariance is ``root root'``.
-    """
-
-    value: float
-    noise: float
-    mean: FloatArray
-    root: FloatArray
+    value: float  # ``-2 ln`` of the marginal likelihood but for a constant, the noise at its best
+    noise: float  # Variance of the noise
+    mean: FloatArray  # (p,): Of the coefficients, given the data
+    root: FloatArray  # (p, p): Their covariance is ``root root'``
 
 
 def evidence(gram: FloatArray, right: FloatArray, square: float, rows: int, root: FloatArray) -> Evidence:
@@ -162,19 +150,11 @@ def _factor(inner: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Loose:
-    """What data say of coefficients under a prior that is meant to say little.
+    """What data say of coefficients under a prior that is meant to say little."""
 
-    Parameters
-    ----------
-    mean : array (p,)
-    covariance : array (p, p)
-    freedom : float
-        Equations less the coefficients that the data decide.
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
-    freedom: float
+    mean: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    freedom: float  # Equations less the coefficients that the data decide
 
 
 def loose(gram: FloatArray, right: FloatArray, square: float, rows: int, root: FloatArray) -> Loose:

@@ -18,24 +18,13 @@ _STEP = 1e-5  # Relative step of differences: the cube root of rounding.
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Information about directions of (A, B, C, D, K) that change what the model does.
+    """Information about directions of (A, B, C, D, K) that change what the model does."""
 
-    Parameters
-    ----------
-    driven : array (k, k)
-        From the inputs of the records, at their amplitude.
-    noisy : array (k, k)
-        From the noise that the model filters, over as many samples.
-    halves : tuple of array (k, k)
-        The part of ``driven`` of the first and of the second half of every record.
-    directions : list of Matrices
-        What each of the k directions adds to A, B, C, D.
-    """
-
-    driven: FloatArray
-    noisy: FloatArray
+    driven: FloatArray  # (k, k): From the inputs of the records, at their amplitude
+    noisy: FloatArray  # (k, k): From the noise that the model filters, over as many samples
     halves: tuple[FloatArray, FloatArray]
-    directions: list[Matrices]
+    """Tuple of array (k, k): The part of ``driven`` of the first and of the second half of every record."""
+    directions: list[Matrices]  # What each of the k directions adds to A, B, C, D
 
     def at(self, amplitude: float) -> FloatArray:
         """Return the information (k, k) where all inputs are this many times as large."""

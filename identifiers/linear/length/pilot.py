@@ -26,49 +26,25 @@ _ANALYTIC = 1e6  # Degrees of freedom of a covariance that no scatter was counte
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One thing asked for, after the pilot.
-
-    Parameters
-    ----------
-    item : Item
-    covariance : array (k, k)
-        Of its error after the pilot; infinite where the pilot says nothing.
-    freedom : float
-        Degrees of freedom of that covariance.
-    ratios : dict of float to float
-        By amplitude: error over that at the pilot's amplitude.
-    efficiency : float
-        Error over the least that any unbiased method could have (Cramer & Rao); nan where that is not known.
-    """
+    """One thing asked for, after the pilot."""
 
     item: Item
-    covariance: FloatArray
-    freedom: float
-    ratios: Mapping[float, float]
+    covariance: FloatArray  # (k, k): Of its error after the pilot; infinite where the pilot says nothing
+    freedom: float  # Degrees of freedom of that covariance
+    ratios: Mapping[float, float]  # By amplitude: error over that at the pilot's amplitude
     efficiency: float = float("nan")
+    """Error over the least that any unbiased method could have (Cramer & Rao); nan where that is not known."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pilot:
-    """A record that was made, or one that is planned.
+    """A record that was made, or one that is planned."""
 
-    Parameters
-    ----------
-    samples : int
-        In all records together.
-    spec : PlantSpec
-    entries : sequence of Entry
-    words : sequence of str
-        What was found on the way.
-    name : str
-        ``"the records"`` or ``"the planned record"``.
-    """
-
-    samples: int
+    samples: int  # In all records together
     spec: PlantSpec
     entries: Sequence[Entry]
-    words: Sequence[str] = field(default_factory=tuple)
-    name: str = "the records"
+    words: Sequence[str] = field(default_factory=tuple)  # What was found on the way
+    name: str = "the records"  # ``"the records"`` or ``"the planned record"``
 
 
 def fitted_pilot(

@@ -26,21 +26,13 @@ _DRAWS, _DIRECTIONS = 4000, 20
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One thing that is asked for.
-
-    Parameters
-    ----------
-    name, unit : str
-    of : callable or None
-        From (A, B, C, D) to its value (k,); None of a parameter, which is read from the estimate.
-    value : array (k,)
-        Accuracy is relative to the norm of it.
-    """
+    """One thing that is asked for."""
 
     name: str
     unit: str
     of: Callable[[Matrices], FloatArray] | None
-    value: FloatArray
+    """From (A, B, C, D) to its value (k,); None of a parameter, which is read from the estimate."""
+    value: FloatArray  # (k,): Accuracy is relative to the norm of it
 
     @property
     def size(self) -> float:

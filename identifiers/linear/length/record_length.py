@@ -32,25 +32,14 @@ _NOISE = 0.01  # Noise of a planned record of a mechanism where nothing says it,
 
 @dataclass(frozen=True)
 class Needed:
-    """How long a record must be.
+    """How long a record must be."""
 
-    Parameters
-    ----------
-    now : float
-        Relative error that 95 % of pilots like this one stay below.
-    samples : float
-        That bring it to the accuracy asked for, by the pilot.
-    low, high : float
-        90 % of what the length may be, the pilot having been lucky or unlucky.
-    safe : float
-        That suffice with the certainty asked for.
-    """
-
-    now: float
-    samples: float
+    now: float  # Relative error that 95 % of pilots like this one stay below
+    samples: float  # That bring it to the accuracy asked for, by the pilot
+    # 90 % of what the length may be, the pilot having been lucky or unlucky
     low: float
     high: float
-    safe: float
+    safe: float  # That suffice with the certainty asked for
 
 
 def needed_length(

@@ -20,37 +20,17 @@ DEPENDENT = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The end of the search for one output, in scaled signals.
-
-    Parameters
-    ----------
-    model : Polynomials
-    covariance : array (k, k)
-        Of its parameter vector.
-    rms : float
-        Of the residuals.
-    whiteness : float
-        Probability of residuals at least so correlated in time, were they white.
-    singular_values : array
-        Of the gradients of the errors, columns at unit length.
-    arrived : bool
-    free : int
-        Samples beyond the number of unknowns.
-    stabilized : bool
-        Searched again among stable models.
-    moves : array (G, k), optional
-        How the parameter vector moves without one stretch of the records each.
-    """
+    """The end of the search for one output, in scaled signals."""
 
     model: Polynomials
-    covariance: FloatArray
-    rms: float
-    whiteness: float
-    singular_values: FloatArray
+    covariance: FloatArray  # (k, k): Of its parameter vector
+    rms: float  # Of the residuals
+    whiteness: float  # Probability of residuals at least so correlated in time, were they white
+    singular_values: FloatArray  # Of the gradients of the errors, columns at unit length
     arrived: bool
-    free: int
-    stabilized: bool = False
-    moves: FloatArray | None = None
+    free: int  # Samples beyond the number of unknowns
+    stabilized: bool = False  # Searched again among stable models
+    moves: FloatArray | None = None  # (G, k): How the parameter vector moves without one stretch of the records each
 
     @property
     def errors(self) -> list[float]:

@@ -20,23 +20,15 @@ Starts = Sequence[tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True, eq=False)
 class Misses:
-    """Errors (N,) and gradients (N, k) of a model whose sum of squares is least where the likelihood is largest.
+    """Errors (N,) and gradients (N, k) of a model whose sum of squares is least where the likelihood is largest."""
 
-    Parameters
-    ----------
-    errors, gradients : array
-        Rows of missing readings count for nothing, or only for what their neighbours leave of them.
-    rows : int
-        Readings.
-    scale : float
-        The errors are the innovations times this: ``scale**2`` is the geometric mean of their variances over that of a
-        record without holes.
-    """
-
+    # Rows of missing readings count for nothing, or only for what their neighbours leave of them
     errors: FloatArray
     gradients: FloatArray
-    rows: int
+    rows: int  # Readings
     scale: float = 1.0
+    """The errors are the innovations times this: ``scale**2`` is the geometric mean of their variances over that of a
+    record without holes."""
 
     @property
     def cost(self) -> float:

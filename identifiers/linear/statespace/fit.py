@@ -34,24 +34,12 @@ Delays = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A state-space model of scaled records.
+    """A state-space model of scaled records."""
 
-    Parameters
-    ----------
-    model : LinearModel
-        With its spread; the states of plant, dead times and noise.
-    plant : LinearModel
-        The plant without dead times and noise: the same gains, and the poles that have a name.
-    residuals : list of array (N, ny)
-    ladder : dict
-        What Schwarz's rule says of each order, relative to the best.
-    notes : dict
-    """
-
-    model: LinearModel
-    plant: LinearModel
-    residuals: list[FloatArray]
-    ladder: dict[str, float]
+    model: LinearModel  # With its spread; the states of plant, dead times and noise
+    plant: LinearModel  # The plant without dead times and noise: the same gains, and the poles that have a name
+    residuals: list[FloatArray]  # list of array (N, ny)
+    ladder: dict[str, float]  # What Schwarz's rule says of each order, relative to the best
     notes: dict[str, Any]
 
 

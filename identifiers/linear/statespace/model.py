@@ -16,22 +16,15 @@ Spectrum = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """``x+ = A x + B u``, ``y = C x + D u + level + v``, and the noise ``v_i + d_i1 v_i[k-1] + ... = e_i``.
+    """``x+ = A x + B u``, ``y = C x + D u + level + v``, and the noise ``v_i + d_i1 v_i[k-1] + ... = e_i``."""
 
-    Parameters
-    ----------
-    a, b, c, d : array (n, n), (n, nu), (ny, n), (ny, nu)
-    level : array (ny,)
-    noise : array (ny, p)
-        Coefficients of each output's noise; none is white noise.
-    """
-
+    # (n, n), (n, nu), (ny, n), (ny, nu)
     a: FloatArray
     b: FloatArray
     c: FloatArray
     d: FloatArray
-    level: FloatArray
-    noise: FloatArray
+    level: FloatArray  # (ny,)
+    noise: FloatArray  # (ny, p): Coefficients of each output's noise; none is white noise
 
     @property
     def order(self) -> int:

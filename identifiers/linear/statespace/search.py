@@ -22,21 +22,11 @@ LOST = 1e-9  # Responses to the start that depend on others up to this share are
 
 @dataclass(frozen=True)
 class Freedom:
-    """What of a model is free.
+    """What of a model is free."""
 
-    Parameters
-    ----------
-    direct : int
-        Inputs, the first ones, that have a direct term D.
-    offset : bool
-        The level of each output.
-    radius : float
-        Largest modulus of a pole of the plant.
-    """
-
-    direct: int = 0
-    offset: bool = True
-    radius: float = np.inf
+    direct: int = 0  # Inputs, the first ones, that have a direct term D
+    offset: bool = True  # The level of each output
+    radius: float = np.inf  # Largest modulus of a pole of the plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,23 +135,12 @@ def steps_of(end: End, pieces: Sequence[Piece], free: Freedom) -> FloatArray | N
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """The linear equations of one step, initial states eliminated piece by piece.
+    """The linear equations of one step, initial states eliminated piece by piece."""
 
-    Parameters
-    ----------
-    triangle : array (q + 1, q + 1)
-        Of slopes, of length 1, and innovations.
-    length : array (q,)
-        Of the slopes before.
-    back : list of array (n, q + 1)
-        What slopes and innovations ask of the start of each piece.
-    directions : array (m, r)
-    """
-
-    triangle: FloatArray
-    length: FloatArray
-    back: list[FloatArray]
-    directions: FloatArray
+    triangle: FloatArray  # (q + 1, q + 1): Of slopes, of length 1, and innovations
+    length: FloatArray  # (q,): Of the slopes before
+    back: list[FloatArray]  # list of array (n, q + 1): What slopes and innovations ask of the start of each piece
+    directions: FloatArray  # (m, r)
 
     @classmethod
     def of(
