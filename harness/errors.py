@@ -161,7 +161,7 @@ def unknown_name(
     """
     names = list(known)
     expected = f"one of {', '.join(names) or '(none)'}"
-    return InputError(what, expected=expected, got=repr(name), remedy=did_you_mean(name, names, remedy), **where)
+    return InputError(what, expected=expected, got=repr(name), remedy=did_you_mean(str(name), names, remedy), **where)
 
 
 def refuse_unknown(what: str, given: str | Iterable[str], known: Iterable[str], **said: Any) -> None:
@@ -186,7 +186,7 @@ def refuse_unknown(what: str, given: str | Iterable[str], known: Iterable[str], 
     >>> refuse_unknown("initial state", {"theta": 0.1}, ["theta", "omega"])
     """
     names = list(known)
-    for name in [given] if isinstance(given, str) else given:
+    for name in given if isinstance(given, Iterable) and not isinstance(given, str) else [given]:
         if name not in names:
             raise unknown_name(what, name, names, **said)
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.errors import HarnessError, InputError, PluginError, did_you_mean, refuse_no_file
+from harness.errors import HarnessError, InputError, PluginError, did_you_mean, refuse_no_file, refuse_unknown
 from harness.fingerprint import files_named, fingerprint, sources
 from harness.options import instead, meant_options
 
@@ -109,8 +109,7 @@ def _parsed(file: str) -> ast.Module:
 @functools.cache
 def _all(kind: str) -> dict[str, Entry]:
     """Return the entries of a kind by id, our own first; of two with one id ours wins, then the first by name."""
-    if kind not in KINDS:
-        raise InputError("unknown kind of part", expected=", ".join(KINDS), got=repr(kind), remedy="use one of these")
+    refuse_unknown("unknown kind of part", kind, KINDS, remedy="use one of these")
     own_only = os.environ.get("SYSID_HARNESS_NO_PLUGINS", "") not in ("", "0")
     found: list[Entry] = []
     for point in importlib.metadata.entry_points(group=f"sysid_harness.{kind}"):

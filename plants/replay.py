@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, refuse_unknown
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from plants.base import BasePlant
@@ -70,10 +70,7 @@ class ReplayPlant(BasePlant):
                 got="neither" if file is None else "both",
                 remedy="give file = the CSV, Parquet or dataset.toml file",
             )
-        if mismatch not in ("refuse", "warn"):
-            raise InputError(
-                "option mismatch", expected="refuse or warn", got=repr(mismatch), remedy="choose one of the two"
-            )
+        refuse_unknown("option mismatch", mismatch, ("refuse", "warn"), remedy="choose one of the two")
         if not (np.isfinite(tolerance) and tolerance >= 0):
             raise InputError("option tolerance", expected="a number >= 0", got=repr(tolerance), remedy="correct it")
         record = trajectory if file is None else _read(Path(file), inputs, run)

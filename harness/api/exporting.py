@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from harness.api.written import refuse_overwrite
 from harness.data.whole_files import write_text
-from harness.errors import InputError
+from harness.errors import refuse_unknown
 from harness.fitted import load_model
 from harness.trust import names_fmu
 
@@ -64,8 +64,7 @@ def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: boo
     """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`."""
     from harness import export as room
 
-    if fmi not in ("2", "3", "both"):
-        raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
+    refuse_unknown("FMI version", fmi, ("2", "3", "both"), remedy="choose one", place="--fmi")
     target = Path(out)
     second = [target.with_name(f"{target.stem}-fmi3.fmu")] if fmi == "both" and names_fmu(target) else []
     refuse_overwrite(target, *second, force=force)

@@ -24,7 +24,7 @@ from harness.benchmark.store import Store
 from harness.benchmark.suite import cells_of, load_suite, tasks_of
 from harness.benchmark.work import CellBatch
 from harness.data.whole_files import write_text
-from harness.errors import HarnessError, InputError
+from harness.errors import HarnessError, InputError, refuse_unknown
 from harness.jobs import make_engine, run_jobs, shard_file
 from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
@@ -259,8 +259,7 @@ def _batches(tasks: Sequence[Task], traces: str) -> list[CellBatch]:
     InputError
         If the choice is none of :data:`TRACES`.
     """
-    if traces not in TRACES:
-        raise InputError("traces", expected=", ".join(TRACES), got=repr(traces), remedy="choose one", place="traces")
+    refuse_unknown("traces", traces, TRACES, remedy="choose one", place="traces")
     first: dict[tuple[str, str], int] = {}
     for task in tasks:
         first.setdefault((task.plant.name, task.scenario.name), task.seed)

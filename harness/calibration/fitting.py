@@ -15,7 +15,7 @@ from harness.calibration.runs import FreeModel, FreeRuns
 from harness.calibration.search import beginnings, best_fit, drawn, estimated_starts
 from harness.calibration.slopes import OwnSlopes
 from harness.calibration.variables import Contents, contents_of, free_parameters, start_values
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, refuse_unknown
 from harness.models.estimate import null_words
 from harness.options import as_options
 from harness.parts.files import make_plant
@@ -98,10 +98,8 @@ def calibrate(
     """
     if starts < 1:
         raise InputError("starts", expected="1 or more", got=str(starts), remedy="correct it", place="starts")
-    if initial not in ("estimated", "file"):
-        raise InputError("initial", expected="'estimated' or 'file'", got=repr(initial), remedy="choose one")
-    if slopes not in ("differences", "own"):
-        raise InputError("slopes", expected="'differences' or 'own'", got=repr(slopes), remedy="choose one")
+    refuse_unknown("initial", initial, ("estimated", "file"), remedy="choose one")
+    refuse_unknown("slopes", slopes, ("differences", "own"), remedy="choose one")
     contents = contents_of(path)
     contents = contents if slopes == "own" else replace(contents, derivatives={})
     given = start_values(contents, start or {})

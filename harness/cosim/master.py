@@ -16,7 +16,7 @@ from harness.cosim.initial import initialise
 from harness.cosim.texts import split
 from harness.cosim.watched import watched
 from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, refuse_unknown
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import Channel, FloatArray, PlantSpec
 
@@ -28,8 +28,7 @@ def _check_asked(parts: Mapping[str, Plant], order: str) -> None:
     """Refuse nothing to couple, and an order that does not exist."""
     if not parts:
         raise InputError("nothing to couple", expected="at least one part", got="none", remedy="name the parts")
-    if order not in ("jacobi", "gauss-seidel"):
-        raise InputError("order", expected="'jacobi' or 'gauss-seidel'", got=repr(order), remedy="choose one")
+    refuse_unknown("order", order, ("jacobi", "gauss-seidel"), remedy="choose one")
 
 
 class Coupled:
@@ -447,8 +446,7 @@ class Coupled:
 
     def _checked_hold(self, hold: str) -> str:
         """Return how signals are held within a step, or refuse it."""
-        if hold not in ("constant", "linear"):
-            raise InputError("hold", expected="'constant' or 'linear'", got=repr(hold), remedy="choose one")
+        refuse_unknown("hold", hold, ("constant", "linear"), remedy="choose one")
         slow = [part.name for part in self._parts if part.every > 1]
         if hold == "linear" and (slow or self._iterations > 1 or self._late):
             got = (

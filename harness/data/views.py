@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from harness.data.tables.columns import columns_of
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.extras import optional
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
@@ -116,10 +116,7 @@ def from_fmpy(result: Any, *, inputs: tuple[str, ...] = (), units: dict[str, str
     """
     names = list(result.dtype.names or ())
     for name in ("time", *inputs):
-        if name not in names:
-            raise InputError(
-                "a missing column", expected=f"one of {', '.join(names)}", got=repr(name), remedy="correct it"
-            )
+        refuse_unknown("a missing column", name, names, remedy="correct it")
     t = np.asarray(result["time"], dtype=np.float64)
     outputs = [name for name in names if name not in ("time", *inputs)]
     u = np.zeros((len(t), len(inputs)))

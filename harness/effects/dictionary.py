@@ -20,7 +20,7 @@ from harness.effects.laws import (
     thermal,
     transmission,
 )
-from harness.errors import InputError, did_you_mean
+from harness.errors import InputError, refuse_unknown
 
 _FILES = (
     friction,
@@ -76,13 +76,7 @@ def find(name: str | Effect, known: Mapping[str, Effect] | None = None) -> Effec
     if isinstance(name, Effect):
         return name
     effects = builtin() if known is None else known
-    if name not in effects:
-        raise InputError(
-            "unknown effect",
-            expected=f"one of {', '.join(sorted(effects))}",
-            got=repr(name),
-            remedy=did_you_mean(name, effects, "run 'sysid list effects'"),
-        )
+    refuse_unknown("unknown effect", name, sorted(effects), remedy="run 'sysid list effects'")
     return effects[name]
 
 

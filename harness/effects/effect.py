@@ -13,7 +13,7 @@ import numpy as np
 
 from harness.effects.parameter import EffectParameter, Role, par
 from harness.effects.unit_templates import fill, rate_unit
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.signals import FloatArray
 
 __all__ = ["EXPERIMENTS", "Effect", "EffectParameter", "Kind", "Placed", "effect", "par", "port_units", "unit_of"]
@@ -377,17 +377,13 @@ def effect(
             got="no nests",
             remedy="name that law in nests, or leave grows out",
         )
-    if unknown := [kind for kind in told_by if kind not in EXPERIMENTS]:
-        raise InputError(
-            "told_by of an effect",
-            expected=f"among {', '.join(EXPERIMENTS)}",
-            got=repr(unknown[0]),
-            remedy="name kinds of experiments from this list, and say in experiment what else would tell",
-        )
-    if unknown := [need for need in needs if need not in NEEDS]:
-        raise InputError(
-            "needs of an effect", expected=f"among {', '.join(NEEDS)}", got=repr(unknown[0]), remedy="choose from these"
-        )
+    refuse_unknown(
+        "told_by of an effect",
+        told_by,
+        EXPERIMENTS,
+        remedy="name kinds of experiments from this list, and say in experiment what else would tell",
+    )
+    refuse_unknown("needs of an effect", needs, NEEDS, remedy="choose from these")
     parameters = _parameters(params)
     hidden = dict.fromkeys(states.split(), "1") if isinstance(states, str) else dict(states)
 

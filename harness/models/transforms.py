@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.models.spread import Matrices, gains
 from harness.signals import FloatArray
 
@@ -45,8 +45,7 @@ def continuous(matrices: Matrices, sample_time: float, method: Hold = "zoh") -> 
 
     a, b, c, d = matrices
     n = len(a)
-    if method not in get_args(Hold):
-        raise InputError("method of conversion", expected=", ".join(get_args(Hold)), got=repr(method), remedy="use one")
+    refuse_unknown("method of conversion", method, get_args(Hold), remedy="use one")
     poles = np.linalg.eigvals(a) if n else np.zeros(0)
     if method == "tustin":
         bad = np.abs(poles + 1.0) < SMALL
@@ -90,8 +89,7 @@ def discrete(matrices: Matrices, sample_time: float, method: Hold = "zoh") -> Ma
 
     a, b, c, d = matrices
     n = len(a)
-    if method not in get_args(Hold):
-        raise InputError("method of conversion", expected=", ".join(get_args(Hold)), got=repr(method), remedy="use one")
+    refuse_unknown("method of conversion", method, get_args(Hold), remedy="use one")
     if method == "matched":
         return _matched(matrices, sample_time, back=False)
     if method == "tustin":

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from harness import registry
-from harness.errors import UNREADABLE, InputError, no_file, unread
+from harness.errors import UNREADABLE, InputError, no_file, refuse_unknown, unread
 from harness.models.determined import bands_of
 from harness.protocols import Model
 from harness.trust import registered_only
@@ -63,14 +63,13 @@ def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read"
     if beside.suffix == ".eqs" and beside.is_file():  # equations lie where the model does
         content["model"] = str(beside)
     known = kinds or [entry.id for entry in registry.entries("model_readers")]
-    if kind not in known:
-        raise InputError(
-            f"a model that cannot be {use}",
-            expected=f"one of the kinds {', '.join(known)}",
-            got=repr(kind),
-            remedy="fit one with another identifier (sysid list identifiers), or close the loop",
-            file=path,
-        )
+    refuse_unknown(
+        f"a model that cannot be {use}",
+        kind,
+        known,
+        remedy="fit one with another identifier (sysid list identifiers), or close the loop",
+        file=path,
+    )
     try:
         model: Model = registry.load("model_readers", kind).from_dict(content)
         _refuse_unsound(model)

@@ -6,7 +6,7 @@ import keyword
 import re
 from pathlib import Path
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.scaffold.templates import SOURCES
 
 __all__ = ["KINDS", "entry_name", "new"]
@@ -92,9 +92,7 @@ def new(kind: str, name: str, *, folder: str | Path = ".") -> list[Path]:
     ...     [path.name for path in new("effect", "soft-friction", folder=folder)]
     ['pyproject.toml', 'README.md', '__init__.py', 'py.typed', 'test_contract.py']
     """
-    if kind not in SOURCES:
-        raise InputError("kind of plug-in", expected=", ".join((*KINDS, "dataset (of files)")), got=repr(kind),
-                         remedy="choose one of these")  # fmt: skip
+    refuse_unknown("kind of plug-in", kind, SOURCES, remedy="choose one of these, or dataset (of files)")
     plain = name.replace("-", "_")
     if not re.fullmatch(r"[a-z][a-z0-9]*(?:[-_][a-z0-9]+)*", name) or keyword.iskeyword(plain):
         raise InputError(

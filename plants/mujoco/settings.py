@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.physics.arms.formats.mjcf import simple_joints
 from harness.physics.arms.formats.mjcf_spec import compiled, mujoco, parsed, read_spec, wrapped
 from harness.physics.arms.formats.urdf import rotors_of
@@ -164,8 +164,7 @@ def _put_options(spec: Any, given: Settings) -> None:
         value = getattr(given, name)
         if value is not None:
             choices = known.__args__  # type: ignore[attr-defined]
-            if value not in choices:
-                raise InputError(f"option {name}", expected=" or ".join(choices), got=repr(value), remedy="correct it")
+            refuse_unknown(f"option {name}", value, choices, remedy="correct it")
             setattr(option, name, getattr(getattr(engine, f"mjt{name.capitalize()}"), f"mj{prefix}_{value.upper()}"))
     for name in ("timestep", "iterations", "tolerance"):
         if getattr(given, name) is not None:

@@ -43,7 +43,7 @@ def test_what_is_begun_passes_its_checks(kind: str, tmp_path: Path, sysid: Calla
 
 
 def test_what_cannot_be_begun_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="kind of plug-in: expected identifier"):
+    with pytest.raises(InputError, match="kind of plug-in: expected one of identifier"):
         new("robot", "x", folder=tmp_path)
     for bad in ("Soft", "1st", "a/b", "class", "..", ""):
         with pytest.raises(InputError, match="name of a plug-in"):

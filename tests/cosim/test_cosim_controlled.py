@@ -101,7 +101,7 @@ def test_what_cannot_be_controlled_is_refused_by_name() -> None:
         Coupled(parts, wires, inputs={"p": "arm.u"}, outputs=["arm.theta"], error=1e-3)
     for options, words in (
         ({"error": 0.0}, "positive"),
-        ({"hold": "cubic"}, "'constant' or 'linear'"),
+        ({"hold": "cubic"}, "one of constant, linear"),
         ({"hold": "linear", "iterations": 3}, "several passes"),
     ):
         with pytest.raises(InputError, match=words):

@@ -118,7 +118,7 @@ def test_the_command_writes_and_does_not_overwrite(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("source", "flags", "words"),
     [
-        ("pendulum", ["--fmi", "1"], "2, 3 or both"),
+        ("pendulum", ["--fmi", "1"], "2, 3, both"),
         ("no-such-model", [], "no-such-model"),
         ("missing/model.json", [], "no file"),
     ],

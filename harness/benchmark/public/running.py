@@ -19,7 +19,7 @@ from harness.benchmark.public.scores import figure, simulated
 from harness.benchmark.public.tables import write_tables
 from harness.benchmark.store import versions
 from harness.data.whole_files import whole_file
-from harness.errors import HarnessError, InputError
+from harness.errors import HarnessError, InputError, refuse_unknown
 from harness.fingerprint import fingerprint, own_code
 from harness.protocols import Model
 from harness.signals import FloatArray, Trajectory
@@ -62,8 +62,8 @@ def bench_public(
         If a set, a column or the choices cannot be used, or the folder holds a table and ``resume`` is not given.
     """
     rules = chosen_rules(sets)
-    if only is not None and only not in COLUMNS:
-        raise InputError("column", expected=", ".join(COLUMNS), got=repr(only), remedy="choose one", place="--only")
+    if only is not None:
+        refuse_unknown("column", only, COLUMNS, remedy="choose one", place="--only")
     entered = read_choices(choices)
     folder = Path(out)
     if (folder / RESULTS).is_file() and not resume:

@@ -11,7 +11,7 @@ from harness.data.recipe.ports import Ports
 from harness.data.sections import Gaps, SignalSection
 from harness.data.tables.headers import REFERENCE
 from harness.data.tables.table import Table
-from harness.errors import InputError, did_you_mean
+from harness.errors import InputError, did_you_mean, refuse_unknown
 from harness.signals import Use
 
 TIME = "time"
@@ -126,11 +126,7 @@ class Chosen:
                 place="--sample-time",
             )  # fmt: skip
         gaps = signals.get("gaps") or "refuse"
-        if gaps not in get_args(Gaps):
-            raise InputError(
-                "gaps", expected=f"one of {', '.join(get_args(Gaps))}", got=repr(gaps), remedy="correct it",
-                place="--gaps",
-            )  # fmt: skip
+        refuse_unknown("gaps", gaps, get_args(Gaps), remedy="correct it", place="--gaps")
         given = signals.get("run")
         runs = [] if given is None else given if isinstance(given, list) else [given]
         return cls(
@@ -262,14 +258,13 @@ class Chosen:
         """
         for word, given in (("column", self.columns), ("unit", self.units)):
             for name in given:
-                if name not in names:
-                    raise InputError(
-                        f"{word} of an unknown signal",
-                        expected=f"one of {', '.join(dict.fromkeys(names))}",
-                        got=repr(name),
-                        remedy="correct the name, or choose it as an input or output",
-                        place=f"--{word}",
-                    )
+                refuse_unknown(
+                    f"{word} of an unknown signal",
+                    name,
+                    names,
+                    remedy="correct the name, or choose it as an input or output",
+                    place=f"--{word}",
+                )
 
     def _unnamed(self, table: Table) -> InputError:
         """Return the refusal of a table whose columns are not chosen."""
@@ -321,11 +316,7 @@ def _run(given: Any) -> tuple[Use, Any]:
     uses = get_args(Use)
     if isinstance(given, tuple) and len(given) == 2:
         use, data = given
-        if use not in uses:
-            raise InputError(
-                "use of a record", expected=f"one of {', '.join(uses)}", got=repr(use), remedy="correct it",
-                place="--run",
-            )  # fmt: skip
+        refuse_unknown("use of a record", use, uses, remedy="correct it", place="--run")
         return use, data
     for use in uses if isinstance(given, str) and not Path(given).exists() else ():
         if given.startswith(f"{use}="):

@@ -21,7 +21,7 @@ from harness.data.sections import (
     SourceSection,
     TimeSection,
 )
-from harness.errors import InputError, did_you_mean
+from harness.errors import InputError, refuse_unknown
 
 OPEN = "?"
 """What a draft writes where something has to be decided: no value of any key, so that nothing is taken before it is."""
@@ -131,15 +131,7 @@ def _refuse_unknown(content: dict[str, Any], file: str | Path | None) -> None:
     for place, table, kind in todo:
         known = kind.__struct_fields__
         for key in table if isinstance(table, dict) else ():
-            if key not in known:
-                raise InputError(
-                    "unknown key",
-                    expected=f"one of {', '.join(known)}",
-                    got=repr(key),
-                    remedy=did_you_mean(key, known, "remove it", 1),
-                    file=file,
-                    place=f"{place}.{key}".lstrip("."),
-                )
+            refuse_unknown("unknown key", key, known, remedy="remove it", file=file, place=f"{place}.{key}".lstrip("."))
 
 
 def _explained(error: msgspec.ValidationError, file: str | Path | None) -> InputError:
@@ -249,14 +241,9 @@ def _check_run(place: str, run: RunSection, known: Iterable[str]) -> None:
             "discard", expected="0 or more", got=str(run.discard), remedy="correct it", place=f"{place}.discard"
         )
     for name in run.columns:
-        if name not in known:
-            raise InputError(
-                "column of an unknown signal",
-                expected=f"one of {', '.join(known)}",
-                got=repr(name),
-                remedy=did_you_mean(name, known, "declare the signal", 1),
-                place=f"{place}.columns.{name}",
-            )
+        refuse_unknown(
+            "column of an unknown signal", name, known, remedy="declare the signal", place=f"{place}.columns.{name}"
+        )
 
 
 def _check_parameter(place: str, given: NominalParameter | float) -> None:

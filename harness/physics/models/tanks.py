@@ -6,7 +6,7 @@ from typing import Any
 
 import sympy as sp
 
-from harness.errors import InputError
+from harness.errors import refuse_unknown
 from harness.physics.symbolic.ode import Ode
 
 
@@ -38,13 +38,7 @@ def two_tanks(pump_offset: bool = False, upper_outlet: str = "orifice", sensor_z
     >>> two_tanks(pump_offset=True).system().parameter_names
     ('k_pump', 'k_upper', 'k_lower', 'u_0')
     """
-    if upper_outlet not in ("orifice", "linear"):
-        raise InputError(
-            "outlet of the upper tank",
-            expected='"orifice" or "linear"',
-            got=repr(upper_outlet),
-            remedy="choose one of them",
-        )
+    refuse_unknown("outlet of the upper tank", upper_outlet, ("orifice", "linear"), remedy="choose one of them")
     linear = upper_outlet == "linear"
     known: dict[str, Any] = {
         "k_pump": ("1/s", 0.02, 0.0),

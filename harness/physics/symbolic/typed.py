@@ -12,7 +12,7 @@ from typing import Any
 
 import sympy as sp
 
-from harness.errors import InputError
+from harness.errors import InputError, refuse_unknown
 from harness.physics.definition.parameters import as_parameter
 from harness.physics.symbolic.ode import Ode
 from harness.units import is_unit
@@ -273,11 +273,7 @@ def _fresh(name: str, known: dict[str, Any], number: int) -> None:
 
 
 def _known(name: str, states: list[str], what: str) -> None:
-    if name not in states:
-        raise InputError(
-            f"a {what} without an equation", expected=f"one of {', '.join(states)}", got=repr(name),
-            remedy=f"write {name}' = ...",
-        )  # fmt: skip
+    refuse_unknown(f"a {what} without an equation", name, states, remedy=f"write {name}' = ...")
 
 
 def _number(text: str, number: int) -> float:
