@@ -125,7 +125,7 @@ def test_bad_options_are_refused(tmp_path: Path) -> None:
         ReplayPlant()
     with pytest.raises(InputError, match="no such recording"):
         ReplayPlant(file=tmp_path / "none.csv")
-    with pytest.raises(InputError, match="refuse or warn"):
+    with pytest.raises(InputError, match="one of refuse, warn"):
         ReplayPlant(record, mismatch="ignore")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="unknown initial state"):
         ReplayPlant(record).reset(rng=RNG(0), x0={"q": 1.0})
