@@ -86,6 +86,24 @@ class Entry:
         return ""
 
     @property
+    def needs(self) -> tuple[str, ...]:
+        """Packages that the part cannot do without: ``NEEDS`` of its module, or of the nearest package around it.
+
+        Read from source: a part that needs a package may not be importable without it.
+        """
+        module = self.point.value.partition(":")[0]
+        while module:
+            try:
+                found = importlib.util.find_spec(module)
+            except (ImportError, ValueError):
+                return ()
+            for node in _parsed(found.origin).body if found is not None and str(found.origin).endswith(".py") else ():
+                if isinstance(node, ast.Assign) and any(getattr(t, "id", "") == "NEEDS" for t in node.targets):
+                    return tuple(ast.literal_eval(node.value))
+            module = module.rpartition(".")[0]
+        return ()
+
+    @property
     def code(self) -> str:
         """A hash of the package of a part of others; empty for ours, which ``fingerprint.own_code`` tells."""
         if self.distribution == DISTRIBUTION:

@@ -13,6 +13,8 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import initial_values, positive, refuse_input
 
+NEEDS = ("gymnasium",)
+
 
 class GymPlant(BasePlant):
     """A Gymnasium environment behind the stepping interface: actions in, observations out, rewards left out.

@@ -18,20 +18,13 @@ DESCRIBED = ("plants", "identifiers", "scenarios", "effects", "models", "analyse
 """Kinds of parts that have a description of their own."""
 TOLD = ("", "Notes", "References")
 """Sections of a docstring that say what a part is; the empty name stands for what comes before the first heading."""
-ENGINES = {
-    "plants.bullet.": "pybullet",
-    "plants.mujoco.": "mujoco",
-    "plants.pymunk.": "pymunk",
-    "plants.gym:": "gymnasium",
-}
-"""The package without which a plant does not run, by the beginning of its entry point."""
 OF_CLASS = re.compile(r"; options as of \w+\.")  # How a factory says that its class tells the rest.
 
 
 def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
     """Return the registered parts by kind: id, one line about it, the distribution that brought it, what it ``needs``.
 
-    That is the package of its engine where this Python has none, and empty elsewhere.
+    That is the package without which it does not run where this Python has none, and empty elsewhere.
 
     Parameters
     ----------
@@ -67,18 +60,12 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
                 "id": entry.id,
                 "summary": OF_CLASS.sub(".", _plain(entry.summary)),
                 "distribution": entry.distribution,
-                "needs": _absent(entry.target),
+                "needs": next((name for name in entry.needs if importlib.util.find_spec(name) is None), ""),
             }
             for entry in registry.entries(name)
         ]
         for name in ((kind,) if kind is not None else LISTED)
     }
-
-
-def _absent(target: str) -> str:
-    """Return the package that a part needs and this Python does not have; empty where nothing is missing."""
-    package = next((name for begin, name in ENGINES.items() if target.startswith(begin)), "")
-    return package if package and importlib.util.find_spec(package) is None else ""
 
 
 def describe_part(id: str, kind: str | None = None) -> dict[str, Any] | None:

@@ -16,6 +16,8 @@ from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_training import LagNetwork, lag_task
 from identifiers.learned.training import Trained
 
+NEEDS = ("torch",)
+
 _TABLES = ("embed", "place", "query", "key", "value", "mix", "inner", "bias", "outer", "read")
 """Of every member, in the order in which they are trained."""
 

@@ -18,6 +18,8 @@ from identifiers.common.scaling import centred
 from identifiers.learned.state_network import StateNetwork
 from identifiers.learned.training import Trained, need_torch, train_tables
 
+NEEDS = ("torch",)
+
 _TABLES = (
     "encoder",
     "encode_in",

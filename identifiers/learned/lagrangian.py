@@ -19,6 +19,8 @@ from identifiers.common.records import learnable
 from identifiers.learned.state_network import BandedNetwork
 from identifiers.learned.training import Trained, need_torch, train_tables
 
+NEEDS = ("torch",)
+
 _RATE_SUFFIXES = ("_rate", "_dot")  # How the rate of a coordinate is called, as everywhere in this project.
 
 _LEAST_MASS = 1e-3

@@ -15,6 +15,8 @@ from identifiers.learned.ensemble import Ensemble
 from identifiers.learned.lag_training import LagNetwork, lag_task
 from identifiers.learned.training import Trained, draw_layers
 
+NEEDS = ("torch",)
+
 Layers = tuple[tuple[FloatArray, FloatArray], ...]
 
 

@@ -19,6 +19,8 @@ from identifiers.learned.state_network import BandedNetwork
 from identifiers.learned.training import Trained, draw_layers, need_torch, train_tables
 from identifiers.linear.least_squares import Arx
 
+NEEDS = ("torch",)
+
 _TABLES = ("A", "B", "drift", "C", "D", "offset", "W1", "b1", "W2", "encoder")
 """Trained; the tables of a model in the order of its description."""
 

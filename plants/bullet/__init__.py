@@ -2,3 +2,5 @@
 
 ``arm`` has the plant, ``world`` the client and its settings; add a robot in ``robots``.
 """
+
+NEEDS = ("pybullet",)

@@ -3,3 +3,5 @@
 ``plant`` steps, ``settings`` puts options into the model, ``signals`` names inputs and outputs; add a robot in
 ``robots``.
 """
+
+NEEDS = ("mujoco",)

@@ -2,3 +2,5 @@
 
 ``plant`` has what they share; add one as a file with its own bodies and constraints.
 """
+
+NEEDS = ("pymunk",)

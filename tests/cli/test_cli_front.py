@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib.metadata
 import importlib.util
 import json
 import os
@@ -188,6 +189,21 @@ def test_a_plant_whose_engine_is_not_there_is_marked(
     assert {name for name in needed if name.endswith("-bullet")} <= marked
     assert not marked & {"arm-mujoco", "cart-pole-pymunk", "pendulum-fmu", "pendulum-ode"}
     assert "(needs pybullet, which is not installed)" in " ".join(sysid("list", "plants").out.split())
+
+
+@pytest.mark.parametrize("place", ["__init__.py", "part.py"])
+def test_a_plug_in_says_itself_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    """Whatever it is called, and without being imported."""
+    folder = tmp_path / "somebodys_own"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "part.py").write_text("import no_such_engine\n")
+    with (folder / place).open("a") as file:
+        file.write('NEEDS = ("json", "no_such_engine")\n')
+    monkeypatch.syspath_prepend(tmp_path)
+    point = importlib.metadata.EntryPoint("odd", "somebodys_own.part:Plant", "sysid_harness.plants")
+    monkeypatch.setattr(registry, "entries", lambda kind: (registry.Entry(kind, "odd", point.value, "theirs", point),))
+    assert [row["needs"] for row in api.list_parts("plants")["plants"]] == ["no_such_engine"]
 
 
 def test_a_unit_in_brackets_is_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
