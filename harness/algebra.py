@@ -29,9 +29,7 @@ def divisor(size: Any) -> FloatArray:
 def column_norms(matrix: FloatArray) -> FloatArray:
     """Return the length of each column, 1 for an empty one.
 
-    Parameters
-    ----------
-    matrix : array (N, p)
+    Shapes: ``matrix`` (N, p).
 
     Returns
     -------

@@ -17,16 +17,13 @@ Read = TypeVar("Read", bound=msgspec.Struct)
 def read_toml(path: Path, kind: type[Read]) -> Read:
     """Read a file.
 
+    Raises InputError if the file is no TOML, a key is unknown or missing, or a value has the wrong type.
+
     Parameters
     ----------
     path : path
     kind : type
         Its structure; tables that forbid unknown keys refuse them.
-
-    Raises
-    ------
-    InputError
-        If the file is no TOML, a key is unknown or missing, or a value has the wrong type.
     """
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))

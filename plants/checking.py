@@ -55,10 +55,7 @@ def finite(values: FloatArray) -> bool:
 def checked_inputs(inputs: FloatArray, spec: PlantSpec) -> FloatArray:
     """Return the inputs of a rollout as float64 (N, nu), or refuse them.
 
-    Raises
-    ------
-    InputError
-        If the shape is not (N, nu) or a value is not finite.
+    Raises InputError if the shape is not (N, nu) or a value is not finite.
     """
     array = np.asarray(inputs, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != spec.nu:
@@ -82,10 +79,7 @@ def checked_inputs(inputs: FloatArray, spec: PlantSpec) -> FloatArray:
 def initial_values(x0: Mapping[str, float] | None, states: Sequence[Channel], default: Sequence[float]) -> list[float]:
     """Return the initial states in order: the defaults, overwritten by name.
 
-    Raises
-    ------
-    InputError
-        If a name is unknown or a value is not finite.
+    Raises InputError if a name is unknown or a value is not finite.
 
     Examples
     --------
@@ -151,10 +145,7 @@ def checked_options(
 ) -> dict[str, Any]:
     """Return a factory's defaults overwritten by its options, refusing what ``maker`` does not know.
 
-    Raises
-    ------
-    InputError
-        If an option is unknown.
+    Raises InputError if an option is unknown.
     """
     parameters = inspect.signature(maker).parameters.values()
     known = {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}

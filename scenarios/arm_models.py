@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
     """Return the model of the arm that a controller uses; the iiwa for a plant with seven inputs.
 
-    Raises
-    ------
-    InputError
-        If there is none, or it has another number of joints than the plant has inputs.
+    Raises InputError if there is none, or it has another number of joints than the plant has inputs.
     """
     return arm_model_of(urdf, spec).arm
 

@@ -113,10 +113,7 @@ class Conditions:
 def draw_initial(x0: Initial, rng: np.random.Generator) -> dict[str, float]:
     """Return initial states by name, drawing those that are given as a range.
 
-    Raises
-    ------
-    InputError
-        If a value is neither a number nor ``[low, high]``.
+    Raises InputError if a value is neither a number nor ``[low, high]``.
 
     Examples
     --------

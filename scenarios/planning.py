@@ -28,10 +28,7 @@ _LOST = 1e9  # Cost of a plan whose prediction diverges.
 def read_model(source: Any) -> Model:
     """Return the model itself, or the one that a JSON file describes.
 
-    Raises
-    ------
-    InputError
-        If the file is no description of a model, or no plug-in reads its kind.
+    Raises InputError if the file is no description of a model, or no plug-in reads its kind.
     """
     if hasattr(source, "step") and hasattr(source, "output"):
         model: Model = source

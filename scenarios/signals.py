@@ -34,6 +34,8 @@ def lines_of_band(
 ) -> FloatArray:
     """Return the spectral lines of a period that lie in a band.
 
+    Raises InputError if no line lies in the band.
+
     Parameters
     ----------
     period : int
@@ -49,11 +51,6 @@ def lines_of_band(
     -------
     array of int
         Line numbers, between 1 and ``(period - 1) // 2``.
-
-    Raises
-    ------
-    InputError
-        If no line lies in the band.
 
     Examples
     --------
@@ -149,12 +146,7 @@ def primitive_polynomial(order: int) -> int:
     """Return the lowest primitive polynomial over GF(2) of an order, its coefficients as the bits of an integer.
 
     A polynomial is primitive if x has the full order 2^n - 1 modulo it, which is proved here by powers of x at the
-    prime factors of 2^n - 1; so no table of taps has to be trusted.
-
-    Raises
-    ------
-    InputError
-        If the order is not from 2 to 32.
+    prime factors of 2^n - 1; so no table of taps has to be trusted. Raises InputError if the order is not from 2 to 32.
 
     Examples
     --------
@@ -358,7 +350,8 @@ def band_noise(n: int, sample_time: float, band: tuple[float, float], *, rng: np
     """Return Gaussian noise of rms one (in expectation) within a band, stationary from the first sample.
 
     It is cut from a periodic process twice as long whose spectral lines are independent complex Gaussians: no filter
-    has to settle, and the ends of the record are not tied to each other.
+    has to settle, and the ends of the record are not tied to each other. Raises InputError if the band holds no
+    spectral line.
 
     Parameters
     ----------
@@ -368,11 +361,6 @@ def band_noise(n: int, sample_time: float, band: tuple[float, float], *, rng: np
         Hz.
     rng : numpy.random.Generator
         Draws the lines.
-
-    Raises
-    ------
-    InputError
-        If the band holds no spectral line.
 
     Examples
     --------

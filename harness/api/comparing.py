@@ -89,10 +89,7 @@ def _names(models: Sequence[Any]) -> list[str]:
 def _bare(model: Any) -> Model:
     """Return the model inside what ``identify`` or ``load_model`` returned.
 
-    Raises
-    ------
-    InputError
-        If it is none.
+    Raises InputError if it is none.
     """
     inside: Model = getattr(model, "model", model)
     if not hasattr(inside, "spec") or not hasattr(inside, "burn_in"):

@@ -56,10 +56,7 @@ def columns_of_files() -> tuple[tuple[str, ...], ...]:
 def rows_of(paths: Sequence[Path]) -> dict[str, Row]:
     """Return the rows whose columns lie in these Parquet files, by job; columns of other versions are left out.
 
-    Raises
-    ------
-    InputError
-        If a file is damaged.
+    Raises InputError if a file is damaged.
     """
     found: dict[str, Row] = {}
     with _no_collection():
@@ -86,10 +83,7 @@ def rows_of(paths: Sequence[Path]) -> dict[str, Row]:
 def _known_columns(table: Any) -> dict[str, list[Any]]:
     """Return the columns of a table that rows have and that hold anything, as the types that rows have.
 
-    Raises
-    ------
-    ValueError
-        If a value is missing that every row has.
+    Raises ValueError if a value is missing that every row has.
     """
     columns = {}
     for name in set(Row.__struct_fields__) & set(table.column_names):

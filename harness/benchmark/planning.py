@@ -52,10 +52,7 @@ class Plan:
 def read_shard(text: str | None) -> tuple[int, int] | None:
     """Read ``i/n``: the i-th of n shares, counted from 1.
 
-    Raises
-    ------
-    InputError
-        If it is not 1 <= i <= n.
+    Raises InputError if it is not 1 <= i <= n.
 
     Examples
     --------

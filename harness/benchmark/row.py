@@ -133,10 +133,7 @@ def encoded(row: Row) -> bytes:
 def read_row(path: Path) -> Row:
     """Return the row of a shard.
 
-    Raises
-    ------
-    InputError
-        If the file is damaged.
+    Raises InputError if the file is damaged.
     """
     with reading(path, "delete it and continue with --resume: that cell is done again"):
         return sound(msgspec.json.decode(path.read_bytes(), type=Row))

@@ -254,10 +254,7 @@ def _run(
 def _batches(tasks: Sequence[Task], traces: str) -> list[CellBatch]:
     """Return the tasks as batches of jobs; those of the chosen seeds keep traces.
 
-    Raises
-    ------
-    InputError
-        If the choice is none of :data:`TRACES`.
+    Raises InputError if the choice is none of :data:`TRACES`.
     """
     refuse_unknown("traces", traces, TRACES, remedy="choose one", place="traces")
     first: dict[tuple[str, str], int] = {}

@@ -152,10 +152,7 @@ class Store:
     def merge(self) -> None:
         """Put the shares of a job array together, in the suite's order; shares that are missing are cells not run.
 
-        Raises
-        ------
-        InputError
-            If the shares are of different suites.
+        Raises InputError if the shares are of different suites.
         """
         shares = self.shares()
         if not shares:
@@ -183,10 +180,7 @@ class Store:
     def read_manifest(self) -> dict[str, Any]:
         """Return the manifest: suite, cells and versions that were asked for.
 
-        Raises
-        ------
-        InputError
-            If the folder is no folder of a benchmark, or one of another format, which is then named.
+        Raises InputError if the folder is no folder of a benchmark, or one of another format, which is then named.
         """
         return read_manifest(self.manifest, FORMAT, Manifest, what="benchmark", command="'sysid bench --out'")
 

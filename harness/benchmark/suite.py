@@ -34,10 +34,7 @@ from harness.trust import registered_only
 def find_suite(suite: str | Path) -> Path:
     """Return the file of a suite: a path that ends in ``.toml``, or the name of a registered suite.
 
-    Raises
-    ------
-    InputError
-        If there is no such file or name.
+    Raises InputError if there is no such file or name.
 
     Examples
     --------

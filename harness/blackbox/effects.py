@@ -37,6 +37,8 @@ def surround(
 ) -> FmuSystem:
     """Return an FMU with more effects around it.
 
+    Raises InputError if an effect does not fit its port or stands there twice.
+
     Parameters
     ----------
     system : FmuSystem
@@ -44,11 +46,6 @@ def surround(
         Input effects act on the command in this order, forces are added behind them, output effects come last.
     sizes : mapping, optional
         Sizes of the data by port, for start values that are not given.
-
-    Raises
-    ------
-    InputError
-        If an effect does not fit its port or stands there twice.
     """
     import casadi as ca
 

@@ -29,7 +29,8 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
 
     Its tunable parameters are calibrated: all whose start value is not 0 (a 0 switches something off), or, where
     ``parameters`` names any, those, be they tunable or fixed from the initialisation on. Bounds are the FMU's; a
-    positive start value without bounds stays positive.
+    positive start value without bounds stays positive. Raises InputError if the file is no FMU, a name is no real
+    parameter, or outputs depend directly on inputs.
 
     Parameters
     ----------
@@ -40,11 +41,6 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
     parameters : mapping, optional
         Parameters to calibrate: a start value, or a :class:`harness.physics.Parameter` (bounds, fixed). Fixed ones
         are set and not calibrated.
-
-    Raises
-    ------
-    InputError
-        If the file is no FMU, a name is no real parameter, or outputs depend directly on inputs.
 
     Examples
     --------

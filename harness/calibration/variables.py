@@ -67,10 +67,7 @@ class Contents:
 def contents_of(path: str | Path) -> Contents:
     """Return what can be set in an FMU or a system of FMUs.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
+    Raises InputError if the file cannot be read.
 
     Examples
     --------
@@ -160,12 +157,8 @@ def free_parameters(
 ) -> tuple[Parameter, ...]:
     """Return the free parameters: where they start, and the bounds of the file narrowed by those given.
 
-    A positive start value without a lower bound stays positive, and is searched through its logarithm.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, twice or no parameter, a bound is none, or a start value lies outside.
+    A positive start value without a lower bound stays positive, and is searched through its logarithm. Raises
+    InputError if a name is unknown, twice or no parameter, a bound is none, or a start value lies outside.
 
     Examples
     --------

@@ -32,11 +32,7 @@ def write_ssv(values: Values, units: Mapping[str, str], path: str | Path) -> Pat
     """Write values by name as a parameter set of SSP 1.0 in SI units.
 
     Names are those of the FMU's variables; of a system ``component.parameter``, for a binding of the whole system.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    Raises InputError if the file cannot be written.
     """
     path = Path(path)
     write_text(path, _values(values, units))

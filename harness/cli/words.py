@@ -100,10 +100,7 @@ def seed_range(text: str | None) -> tuple[int, int] | None:
 def whole_range(text: str, flag: str) -> tuple[int, int]:
     """Read ``A..B``, or one number.
 
-    Raises
-    ------
-    InputError
-        If it is no range of whole numbers from 0 on.
+    Raises InputError if it is no range of whole numbers from 0 on.
     """
     first, dots, last = text.partition("..")
     try:

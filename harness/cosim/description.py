@@ -23,6 +23,9 @@ def expanded(
 ) -> list[Connection]:
     """Return connections with those of terminals written out, variable by variable.
 
+    Raises InputError if a terminal is connected to what is none, the two do not fit, or two variables are no output and
+    input.
+
     Parameters
     ----------
     connections : sequence of Connection
@@ -30,11 +33,6 @@ def expanded(
     parts : mapping of str to Plant
     files : mapping of str to Path
         The FMUs among the parts.
-
-    Raises
-    ------
-    InputError
-        If a terminal is connected to what is none, the two do not fit, or two variables are no output and input.
     """
     known: dict[str, dict[str, Terminal]] = {}
 

@@ -33,15 +33,12 @@ class Laws:
 def with_effects_of(given: Sequence[str | Effect]) -> list[Effect] | None:
     """Return the built-in effects with those of a user; None without any.
 
+    Raises InputError if a file has no effect of that name, or its name is taken.
+
     Parameters
     ----------
     given : sequence of str or Effect
         Each an effect, or ``FILE.py:NAME``.
-
-    Raises
-    ------
-    InputError
-        If a file has no effect of that name, or its name is taken.
     """
     if not given:
         return None

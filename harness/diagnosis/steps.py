@@ -73,10 +73,7 @@ def form_of(
 def nominal_fit(remembered: Remembered, form: WholeForm, doubts: Sequence[Doubt]) -> Fit:
     """Return the nominal model at its maximum, sizes of the form taken from there.
 
-    Raises
-    ------
-    FitError
-        If it cannot be simulated along the data.
+    Raises FitError if it cannot be simulated along the data.
     """
     nominal = remembered.fit((), form.first_starts(), None)
     if nominal is None:

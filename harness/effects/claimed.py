@@ -62,12 +62,7 @@ def claimable(system: System, placed: Placed) -> bool:
     """Return True if what an effect does to the balance of forces follows from the measured motion.
 
     False for resonances of hidden masses, rounding, rectified or saturated sensors, tanks, sensors of other things than
-    coordinates.
-
-    Raises
-    ------
-    InputError
-        If the effect does not fit its port.
+    coordinates. Raises InputError if the effect does not fit its port.
     """
     effect, port = placed.effect, port_of(system, placed)
     if not effect.linearises or not system.coordinates or port.kind == "process" or effect.sampled == "quantise":

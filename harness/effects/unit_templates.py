@@ -13,16 +13,13 @@ _FACTOR = re.compile(r"^([^\d\s/()^*]+)(?:(?:\^|\*\*)(-?\d+))?$")
 def tokens(text: str) -> dict[str, int]:
     """Return the factors of a unit text with their exponents.
 
+    Raises InputError if the text cannot be read.
+
     Parameters
     ----------
     text : str
         Products with spaces or ``*``, one or more quotients with ``/``, exponents with ``^`` or ``**``; parentheses
         only around a denominator.
-
-    Raises
-    ------
-    InputError
-        If the text cannot be read.
 
     Examples
     --------

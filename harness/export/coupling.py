@@ -14,18 +14,15 @@ KINDS = {"real": "Real", "boolean": "Boolean"}  # Types of SSP by kind of channe
 def write_coupling(path: Path, target: Path) -> Path:
     """Write a coupling as an SSP 1.0 package with two structures (:mod:`harness.export.system_structure`).
 
+    Raises InputError if the coupling cannot be built, a part is no FMU, or it needs what SSP 1.0 does not know: delays,
+    sums of wires, signals as lines, passes, an error bound, arrays.
+
     Parameters
     ----------
     path : Path
         The TOML file.
     target : Path
         The ``.ssp``.
-
-    Raises
-    ------
-    InputError
-        If the coupling cannot be built, a part is no FMU, or it needs what SSP 1.0 does not know: delays, sums of
-        wires, signals as lines, passes, an error bound, arrays.
 
     Notes
     -----

@@ -51,6 +51,8 @@ def describe(
 ) -> ElementTree.Element:
     """Return the description of a co-simulation FMU.
 
+    Raises InputError if two variables have one name, which FMI forbids.
+
     Parameters
     ----------
     name, text : str
@@ -63,11 +65,6 @@ def describe(
         [s], the step that is suggested.
     direct : sequence of int
         Inputs (counted from 0) on which the outputs of the same instant depend.
-
-    Raises
-    ------
-    InputError
-        If two variables have one name, which FMI forbids.
 
     Examples
     --------

@@ -51,10 +51,7 @@ class WrittenModel:
     def write(self, form: Form = "text") -> str:
         """Return the equations in a form.
 
-        Raises
-        ------
-        InputError
-            If there is no such form, or the equations are too long to be read.
+        Raises InputError if there is no such form, or the equations are too long to be read.
 
         Examples
         --------
@@ -206,15 +203,12 @@ class WrittenModel:
 def written_model(model: Any) -> WrittenModel:
     """Return a model ready to be written.
 
+    Raises InputError if it is no model of equations.
+
     Parameters
     ----------
     model : System, Mechanism, Ode or fitted model
         Nominal, or with effects built in; a fitted model is written with the values that were found.
-
-    Raises
-    ------
-    InputError
-        If it is no model of equations.
     """
     import casadi as ca
 

@@ -195,16 +195,13 @@ def linear_source(model: Linear) -> str:
 def linear_description(model: Linear, x0: Mapping[str, float] | None = None) -> str:
     """Return modelDescription.xml for FMI 2.0.
 
+    Raises InputError if a state is unknown.
+
     Parameters
     ----------
     model : Linear
     x0 : mapping, optional
         Start values of the states ``x1``, ``x2``, ...; 0 where not given.
-
-    Raises
-    ------
-    InputError
-        If a state is unknown.
     """
     spec = model.spec
     starts = dict.fromkeys((f"x{k + 1}" for k in range(model.a_matrix.shape[0])), 0.0)

@@ -32,6 +32,8 @@ NOMINAL, EFFECTS = "nominal", "effects"
 def write_package(content: Mapping[str, Any], folder: Path, target: Path, *, version: int = 2) -> Path:
     """Write the repaired FMU of a closed loop as an SSP package.
 
+    Raises InputError if the FMU is missing or another one, or there is no C compiler.
+
     Parameters
     ----------
     content : mapping
@@ -42,11 +44,6 @@ def write_package(content: Mapping[str, Any], folder: Path, target: Path, *, ver
         The ``.ssp``.
     version : {2, 3}
         FMI version of the effects' FMU.
-
-    Raises
-    ------
-    InputError
-        If the FMU is missing or another one, or there is no C compiler.
     """
     system, sample_time = _stored(content, folder)
     with tempfile.TemporaryDirectory(prefix="sysid-package-") as scratch:

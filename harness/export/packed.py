@@ -13,6 +13,8 @@ from harness.export.describe import RIGHTS
 def packed(source: str, text: str, target: Path, version: int) -> Path:
     """Build an FMU and return its path.
 
+    Raises InputError if there is no C compiler.
+
     Parameters
     ----------
     source : str
@@ -23,11 +25,6 @@ def packed(source: str, text: str, target: Path, version: int) -> Path:
         The FMU; an existing file is replaced.
     version : {2, 3}
         Of FMI.
-
-    Raises
-    ------
-    InputError
-        If there is no C compiler.
     """
     from harness.fmi import build
 

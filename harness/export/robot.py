@@ -22,17 +22,15 @@ AT_JOINTS = {"viscous_friction": ("damping", "b"), "coulomb_friction": ("frictio
 def write_robot(content: Mapping[str, Any], target: Path) -> Path:
     """Write an identified arm (``model.json`` of kind ``arm``) as its file with the parameters that were found.
 
+    Raises InputError if the arm's own file is missing, ``target`` is of the other kind, or a body is one that cannot
+    be.
+
     Parameters
     ----------
     content : mapping
         What ``model.json`` holds.
     target : Path
         ``.urdf`` for an arm read from a URDF, ``.xml`` or ``.mjcf`` for one read from an MJCF.
-
-    Raises
-    ------
-    InputError
-        If the arm's own file is missing, ``target`` is of the other kind, or a body is one that cannot be.
     """
     arm = load_arm(content["model"])
     kinds = (".urdf",) if arm.mjcf is None else (".xml", ".mjcf")
@@ -56,7 +54,7 @@ def repaired_mjcf(arm: ArmModel, effects: Sequence[Mapping[str, Any]], bodies: F
     """Return the text of an arm's MJCF with what it can hold of what a loop found; the rest is a comment in it.
 
     It holds viscous and Coulomb friction and rotors of joints, a payload, inertia tensors, and bodies that were
-    calibrated.
+    calibrated. Raises InputError if the arm was not read from an MJCF, or a body or joint cannot be found in its text.
 
     Parameters
     ----------
@@ -66,11 +64,6 @@ def repaired_mjcf(arm: ArmModel, effects: Sequence[Mapping[str, Any]], bodies: F
         As in ``report.json``: ``name``, ``at``, and ``parameters`` by name with their ``value``.
     bodies : array (10 * bodies,), optional
         Inertial parameters in the order of :attr:`harness.physics.arms.rigid_tree.Arm.parameters`.
-
-    Raises
-    ------
-    InputError
-        If the arm was not read from an MJCF, or a body or joint cannot be found in its text.
     """
     places = {channel.name: k for k, channel in enumerate(arm.positions)}
     at_joints = {

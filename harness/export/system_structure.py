@@ -89,17 +89,14 @@ class Structure:
 def ports_of(description: Mapping[str, Any], names: Sequence[str]) -> dict[str, Port]:
     """Return ports of an FMU by name.
 
+    Raises InputError if one is an array, or of a type that SSP 1.0 does not know.
+
     Parameters
     ----------
     description : mapping
         What :func:`harness.parts.files.describe_fmu` returns.
     names : sequence of str
         Variables that are wanted.
-
-    Raises
-    ------
-    InputError
-        If one is an array, or of a type that SSP 1.0 does not know.
     """
     rows = {row["name"]: row for row in description["variables"]}
     found = {}
@@ -131,10 +128,7 @@ def _type(kind: str) -> str:
 def write_structure(system: Structure, target: Path) -> Path:
     """Write a system as an SSP package.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    Raises InputError if the file cannot be written.
     """
     with whole_file(target) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
         stored: dict[Path, str] = {}

@@ -136,10 +136,7 @@ def encoded(row: Row) -> bytes:
 def read(content: bytes) -> Row:
     """Return a row from JSON.
 
-    Raises
-    ------
-    ValueError, msgspec.DecodeError
-        If it is none.
+    Raises ValueError, msgspec.DecodeError if it is none.
     """
     row = msgspec.json.decode(content, type=Row)
     if row.date is not None:

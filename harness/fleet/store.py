@@ -102,10 +102,7 @@ class FleetStore:
     def manifest(self) -> dict[str, Any]:
         """Return the manifest: records, model and options that were asked for.
 
-        Raises
-        ------
-        InputError
-            If the folder holds no fleet, or one of another format, which is then named.
+        Raises InputError if the folder holds no fleet, or one of another format, which is then named.
         """
         command = "'sysid close-loop' over many records"
         return read_manifest(self.folder / MANIFEST, FORMAT, Manifest, what="fleet", command=command)
@@ -144,10 +141,7 @@ class FleetStore:
 def read_shard(path: Path) -> Row:
     """Return the row of a shard.
 
-    Raises
-    ------
-    InputError
-        If the file is damaged.
+    Raises InputError if the file is damaged.
     """
     with reading(path, "delete it and continue with --resume: that record is done again"):
         return read(path.read_bytes())

@@ -25,6 +25,8 @@ def check_entries(
 ) -> list[zipfile.ZipInfo]:
     """Return the entries of an archive that is safe to unpack.
 
+    Raises InputError if an entry leaves the folder, is a link or encrypted, shares its name with another, or is a bomb.
+
     Parameters
     ----------
     path : Path
@@ -38,11 +40,6 @@ def check_entries(
     windows : bool
         Let entries separate folders by backslashes, as some tools on Windows write them; the caller unpacks them by
         :func:`plain_name`.
-
-    Raises
-    ------
-    InputError
-        If an entry leaves the folder, is a link or encrypted, shares its name with another, or is a bomb.
     """
     found = archive.infolist()
     if len(found) > entries:

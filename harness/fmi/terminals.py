@@ -49,15 +49,12 @@ class Joined:
 def read_terminals(path: str | Path) -> dict[str, Terminal]:
     """Return the terminals of an FMU by name, those within others as ``outer.inner`` as well.
 
+    Raises InputError if the entry is no XML of terminals.
+
     Parameters
     ----------
     path : path
         The FMU; one without terminals has none.
-
-    Raises
-    ------
-    InputError
-        If the entry is no XML of terminals.
 
     Examples
     --------
@@ -96,10 +93,8 @@ def read_terminals(path: str | Path) -> dict[str, Terminal]:
 def joined(first: Terminal, second: Terminal, place: str = "") -> list[Joined]:
     """Return which variables a connection of two terminals joins, by the matching rule that both have (FMI 3.0).
 
-    Raises
-    ------
-    InputError
-        If their rules or kinds differ, the rule is its author's own, the members do not match, or one is a stream.
+    Raises InputError if their rules or kinds differ, the rule is its author's own, the members do not match, or one is
+    a stream.
 
     Examples
     --------

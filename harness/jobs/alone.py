@@ -14,15 +14,12 @@ from harness.errors import InputError
 def alone_in(folder: Path | None) -> Iterator[None]:
     """Hold a folder for this run; the system lets go of it when the process ends, however that happens.
 
+    Raises InputError if another run holds it, or it cannot be made.
+
     Parameters
     ----------
     folder : Path or None
         Made if it is not there; None where nothing is written.
-
-    Raises
-    ------
-    InputError
-        If another run holds it, or it cannot be made.
 
     Examples
     --------

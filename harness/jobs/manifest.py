@@ -14,6 +14,9 @@ from harness.jobs.stored import reading
 def read_manifest(path: Path, form: str, kind: type[msgspec.Struct], *, what: str, command: str) -> dict[str, Any]:
     """Return the content of a manifest of one format; fields that an earlier version did not write are not there.
 
+    Raises InputError if there is none, it is damaged, or it is of another format: then its name, and the version that
+    wrote it, are said.
+
     Parameters
     ----------
     path : Path
@@ -26,12 +29,6 @@ def read_manifest(path: Path, form: str, kind: type[msgspec.Struct], *, what: st
         What the folder holds, for a message (``"benchmark"``).
     command : str
         What writes such a folder.
-
-    Raises
-    ------
-    InputError
-        If there is none, it is damaged, or it is of another format: then its name, and the version that wrote it, are
-        said.
     """
     wanted = f"a folder with a {path.name} of format {form}"
     try:

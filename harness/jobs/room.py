@@ -46,10 +46,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 def stop_if_full(error: BaseException) -> None:
     """End a run whose worker met a full disk.
 
-    Raises
-    ------
-    InputError
-        With what to do.
+    Raises InputError with what to do.
     """
     found = full_disk(error)
     if found is not None:
@@ -66,10 +63,7 @@ def stop_if_full(error: BaseException) -> None:
 def require_room(folder: str | Path) -> None:
     """Refuse a disk on which nothing more can be written.
 
-    Raises
-    ------
-    OSError
-        Of the kind that a write would raise, with the folder.
+    Raises OSError of the kind that a write would raise, with the folder.
     """
     found = shutil.disk_usage(folder)
     if found.total and found.free < LEAST:  # some network file systems tell no sizes
@@ -79,10 +73,7 @@ def require_room(folder: str | Path) -> None:
 def raise_if_full(error: BaseException) -> None:
     """Raise the full disk behind a failure, or that there is now: then the failure says nothing about the job.
 
-    Raises
-    ------
-    OSError
-        If a write was refused, or nothing more can be written where scratch files lie.
+    Raises OSError if a write was refused, or nothing more can be written where scratch files lie.
     """
     found = full_disk(error)
     if found is not None:

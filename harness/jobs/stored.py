@@ -49,10 +49,7 @@ def reading(path: Path, remedy: str = WHOLE) -> Iterator[None]:
 def read_columns(path: Path) -> Any:
     """Return a Parquet file of results as an Arrow table; bytes that were changed are noticed.
 
-    Raises
-    ------
-    InputError
-        If it is damaged or no Parquet file.
+    Raises InputError if it is damaged or no Parquet file.
     """
     from pyarrow import parquet
 

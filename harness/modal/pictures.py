@@ -118,16 +118,13 @@ def shapes_and_coordinates(
 def shapes_over_places(modes: Sequence[Mode], places: FloatArray) -> Any:
     """Draw every mode over the plane in which its outputs stand: of a complex shape the part in its main phase.
 
+    Raises InputError if the outputs stand on one line, or one is nowhere.
+
     Parameters
     ----------
     modes : sequence of Mode
     places : array (ny, 2)
         Of the outputs [m].
-
-    Raises
-    ------
-    InputError
-        If the outputs stand on one line, or one is nowhere.
     """
     from harness.plots import sheet
 

@@ -23,6 +23,9 @@ LARGEST = 1e150  # Size above which the square of a number overflows, and with i
 def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read") -> Model:
     """Return a model that ``sysid identify -o`` or ``close-loop`` stored.
 
+    Raises InputError if the file is missing or is no model, or names code that is not trusted
+    (:func:`harness.trust.trusting`).
+
     Parameters
     ----------
     path : path
@@ -31,11 +34,6 @@ def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read"
         Kinds that serve; all that an identifier reads if empty.
     use : str
         What a model of another kind cannot be, for the message.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or is no model, or names code that is not trusted (:func:`harness.trust.trusting`).
     """
     path = Path(path)
     whole = path.is_dir()

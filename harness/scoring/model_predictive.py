@@ -142,7 +142,8 @@ def predictive_score(
 
     Both run on the true plant from rest at the point, :data:`STEPS` samples under the same white disturbance of the
     inputs, without noise; the one is the plant linearised at the point and given the true states, the model sees
-    outputs. Weights as in :func:`harness.scoring.control.control_score`.
+    outputs. Weights as in :func:`harness.scoring.control.control_score`. Raises InputError if the model is none that
+    acts on a plant.
 
     Parameters
     ----------
@@ -159,11 +160,6 @@ def predictive_score(
         Of the inputs that the model was fitted to.
     rng : numpy.random.Generator
         Of the disturbance.
-
-    Raises
-    ------
-    InputError
-        If the model is none that acts on a plant.
     """
     spec = model.spec
     if spec.nu == 0 or any(channel.kind == "category" for channel in (*spec.inputs, *spec.outputs)):

@@ -46,16 +46,13 @@ def behind(unit: str) -> str:
 def factors(text: str) -> Factors:
     """Return the names in a unit's text with their powers, in order; empty for ``1``.
 
+    Raises ValueError if the text is anything else, longer than 80 characters, or has an exponent above 9.
+
     Parameters
     ----------
     text : str
         ``product = factor {["*" | "." | "/"] factor}``, ``factor = (name | "1" | "(" product ")") ["^" exponent]``. An
         exponent is a number or a fraction in parentheses, also as raised signs; ``**`` is ``^``.
-
-    Raises
-    ------
-    ValueError
-        If the text is anything else, longer than 80 characters, or has an exponent above 9.
 
     Examples
     --------

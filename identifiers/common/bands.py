@@ -153,6 +153,7 @@ class Bands:
         """Return the factors of a model's own deviations with which its 90 % intervals hold on held-out runs.
 
         Of a mixture the deviations of its parts are scaled; their disagreement shrinks with them and does not grow.
+        Raises FitError as :meth:`of`.
 
         Parameters
         ----------
@@ -161,11 +162,6 @@ class Bands:
         runs : sequence of Ahead
         what : str
             Name of the identifier.
-
-        Raises
-        ------
-        FitError
-            As :meth:`of`.
         """
         return cls.crossed([(model, runs)], what)
 
@@ -416,6 +412,9 @@ def banded(
 ) -> B:
     """Return a model, a frozen dataclass with ``bands`` and ``notes``, with bands that hold on held-out data.
 
+    Raises FitError if held-out free runs diverge, or predict one output worse than its mean does, a few steps ahead
+    already.
+
     Parameters
     ----------
     model : Model
@@ -429,11 +428,6 @@ def banded(
         Name of the identifier.
     start : callable, optional
         As of :func:`held_out_runs`.
-
-    Raises
-    ------
-    FitError
-        If held-out free runs diverge, or predict one output worse than its mean does, a few steps ahead already.
     """
     runs = held_out_runs(model, records, cuts, start)
     wrong = [misses(model, one) for one in runs]
@@ -454,10 +448,7 @@ def banded(
 def refuse_share(share: float, what: str) -> None:
     """Refuse a share of the records that leaves nothing to learn from, or nothing to judge with.
 
-    Raises
-    ------
-    InputError
-        If it is not between 0 and 1.
+    Raises InputError if it is not between 0 and 1.
     """
     if not 0 < share < 1:
         raise InputError(

@@ -49,10 +49,7 @@ class Described:
     def read(cls, content: Mapping[str, Any], **own: Any) -> Self:
         """Return what a description describes, with fields that the caller has read himself.
 
-        Raises
-        ------
-        InputError
-            If it is none.
+        Raises InputError if it is none.
         """
         with as_described(f"a model of kind {cls.kind}" if cls.kind else f"a {cls.__name__}"):
             return cast(Self, _made(cls, content, **own))

@@ -241,9 +241,7 @@ def innovation_form(
 def stationary_gain(a: FloatArray, c: FloatArray) -> FloatArray:
     """Return the filter gain of a stationary Kalman filter with equal noise on states and outputs.
 
-    Parameters
-    ----------
-    a, c : array (nx, nx), (ny, nx)
+    Shapes: ``a, c`` (nx, nx), (ny, nx).
 
     Returns
     -------

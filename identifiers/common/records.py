@@ -24,7 +24,8 @@ def usable(
 ) -> tuple[list[Trajectory], PlantSpec]:
     """Return the records long enough to be used, and their common spec.
 
-    What stands where a reading is missing is never taken for one: a hole ends a record.
+    What stands where a reading is missing is never taken for one: a hole ends a record. Raises FitError if there is no
+    record of that length, or the records speak different languages.
 
     Parameters
     ----------
@@ -35,11 +36,6 @@ def usable(
         Name of the identifier, for messages.
     holes : {"seams", "kept"}
         ``"kept"`` for a fit that passes over missing readings itself.
-
-    Raises
-    ------
-    FitError
-        If there is no record of that length, or the records speak different languages.
     """
     if not trajectories:
         raise FitError(f"{what}: no records", expected="at least one", got="none", remedy="give estimation data")
@@ -73,10 +69,7 @@ def learnable(
 ) -> tuple[list[Trajectory], PlantSpec]:
     """Return :func:`usable` records of :func:`real_signals` that are :func:`moving`, and their common spec.
 
-    Raises
-    ------
-    FitError
-        If there are none.
+    Raises FitError if there are none.
     """
     records, spec = usable(trajectories, samples=samples, what=what, holes=holes)
     real_signals(spec, what)
@@ -87,7 +80,8 @@ def learnable(
 def without_holes(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> list[Trajectory]:
     """Return the stretches of the records in which every output was read, each a record of its own.
 
-    For fits to windows of all signals: a window with a missing reading is no equation, and a hole is a seam.
+    For fits to windows of all signals: a window with a missing reading is no equation, and a hole is a seam. Raises
+    FitError if no stretch is so long.
 
     Parameters
     ----------
@@ -97,11 +91,6 @@ def without_holes(trajectories: Sequence[Trajectory], *, samples: int, what: str
         Least number of samples of a stretch.
     what : str
         Name of the identifier, for messages.
-
-    Raises
-    ------
-    FitError
-        If no stretch is so long.
 
     Examples
     --------
@@ -177,10 +166,7 @@ def missing_notes(
 def real_signals(spec: PlantSpec, what: str) -> None:
     """Refuse category channels, whose numbers are only names.
 
-    Raises
-    ------
-    FitError
-        If an input or output is a category.
+    Raises FitError if an input or output is a category.
     """
     names = [channel.name for channel in (*spec.inputs, *spec.outputs) if channel.kind == "category"]
     if names:

@@ -77,6 +77,8 @@ def total(rows: FloatArray, target: FloatArray, noise: FloatArray, noise_target:
 def instrumental(rows: FloatArray, target: FloatArray, instruments: FloatArray, what: str) -> FloatArray:
     """Return theta (k,) of ``instruments' (target - rows theta) = 0``.
 
+    Raises FitError if the instruments do not determine theta.
+
     Parameters
     ----------
     rows, target : array (M, k), (M,)
@@ -85,11 +87,6 @@ def instrumental(rows: FloatArray, target: FloatArray, instruments: FloatArray, 
         Control Syst. Technol. 22:132).
     what : str
         For messages.
-
-    Raises
-    ------
-    FitError
-        If the instruments do not determine theta.
     """
     size, length = column_norms(rows), column_norms(instruments)
     cross = (instruments / length).T @ (rows / size)

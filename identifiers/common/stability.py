@@ -122,19 +122,15 @@ def convex_stable(theta: FloatArray, factor: FloatArray, own: int, weights: Floa
 
     With ``E x+ = F x + K u`` the stable models are those with ``[[E + E' - P, F' / r], [F / r, P]] > 0`` for some P: a
     convex set (Tobenkin, Manchester & Megretski 2017, *IEEE Trans. Automatic Control* 62:3679, sec. III; Umenberger,
-    Wagberg, Manchester & Schon 2018, *Automatica* 96:280). What is minimised is the error of this implicit
-    equation with ``E + E' >= 2 I``, a bound on that of the explicit one. Of 142 unstable fits of two noisy states it
-    was 0.49 to 1.28 times as far from the fit as :func:`nearest_stable`, in the median 1.01 times.
+    Wagberg, Manchester & Schon 2018, *Automatica* 96:280). What is minimised is the error of this implicit equation
+    with ``E + E' >= 2 I``, a bound on that of the explicit one. Of 142 unstable fits of two noisy states it was 0.49 to
+    1.28 times as far from the fit as :func:`nearest_stable`, in the median 1.01 times. Raises FitError if the program
+    is not solved.
 
     Parameters
     ----------
     theta, factor, own, weights
         As of :func:`nearest_stable`.
-
-    Raises
-    ------
-    FitError
-        If the program is not solved.
     """
     cp: Any = importlib.import_module("cvxpy")
     scale = np.concatenate([weights, np.ones(len(theta) - own)])

@@ -131,6 +131,8 @@ class TaylorModel:
 def bounded(function: Any, middle: FloatArray, half: FloatArray, *fixed: tuple[FloatArray, FloatArray]) -> TaylorModel:
     """Return the Taylor model of a scalar CasADi function over boxes of its first input.
 
+    Raises InputError if the function holds another operation.
+
     Parameters
     ----------
     function : casadi.Function
@@ -139,11 +141,6 @@ def bounded(function: Any, middle: FloatArray, half: FloatArray, *fixed: tuple[F
         Middles and half widths of n boxes.
     *fixed : (value, error), arrays (size,)
         The other inputs, by columns, the same for all boxes, and how far each may be off.
-
-    Raises
-    ------
-    InputError
-        If the function holds another operation.
 
     Examples
     --------

@@ -289,12 +289,8 @@ def spectral_estimate(
     The middle one of three observations, weighted by a direction of the third, is diagonal in the hidden states
     (Anandkumar, Hsu and Kakade 2012, *COLT*, algorithm B); so the emissions come from an eigenproblem, and with them
     the transitions of every action by least squares from pairs of observations. Needs emissions of full rank, so no
-    more states than observations, and actions that do not depend on what was observed.
-
-    Raises
-    ------
-    FitError
-        If there are more states than observations, or the pairs of observations have a lower rank.
+    more states than observations, and actions that do not depend on what was observed. Raises FitError if there are
+    more states than observations, or the pairs of observations have a lower rank.
     """
     if states > observations:
         raise FitError(

@@ -44,6 +44,8 @@ class Windows:
 def windows_of(records: Sequence[Trajectory], memory: int, *, least: int = 10) -> Windows:
     """Count the windows of records; those where an action was taken fewer than ``least`` times are left out.
 
+    Raises FitError if the channels are others, or no window was visited often enough with every action.
+
     Parameters
     ----------
     records : sequence of Trajectory
@@ -51,11 +53,6 @@ def windows_of(records: Sequence[Trajectory], memory: int, *, least: int = 10) -
     memory : int
         Pairs of action and observation.
     least : int
-
-    Raises
-    ------
-    FitError
-        If the channels are others, or no window was visited often enough with every action.
     """
     actions, observations, seen, earned = _channels(records[0].spec)
     table, rewards = [], []

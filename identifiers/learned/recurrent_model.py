@@ -213,6 +213,8 @@ def vouched(
 ) -> RecurrentEnsemble:
     """Return the ensemble of some fits, its bands wide enough on what they hold out.
 
+    Raises FitError if more than one in twenty held-out free runs leaves that range one step ahead.
+
     Parameters
     ----------
     spec : PlantSpec
@@ -225,11 +227,6 @@ def vouched(
         Name of the identifier, for messages.
     bounded : bool
         Hold free runs at three times the range of the states in the data.
-
-    Raises
-    ------
-    FitError
-        If more than one in twenty held-out free runs leaves that range one step ahead.
     """
     members = [own_member(spec, layout, fitted, problems, records, bounded=bounded) for fitted in best]
     cuts = [problem.cut for problem in problems]

@@ -60,10 +60,7 @@ class Trained:
 def need_torch(what: str) -> Any:
     """Return the torch module; its absence is refused in one line.
 
-    Raises
-    ------
-    InputError
-        If torch is not installed.
+    Raises InputError if torch is not installed.
     """
     try:
         import torch
@@ -235,6 +232,8 @@ def train_tables(
 ) -> tuple[dict[str, FloatArray], list[float]]:
     """Return the trained tables of one network, and its last three held-out losses.
 
+    Raises InputError if torch is not installed.
+
     Parameters
     ----------
     what : str
@@ -249,11 +248,6 @@ def train_tables(
     rng : numpy.random.Generator
     fixed : sequence of str
         Tables that stay what they are.
-
-    Raises
-    ------
-    InputError
-        If torch is not installed.
     """
     torch = need_torch(what)
     with one_thread(torch):

@@ -62,10 +62,7 @@ def arx_orders_of(
 ) -> tuple[ArxOrders, dict[str, Any]]:
     """Return the orders that options give, the others by Schwarz's criterion, and what the notes say of delays.
 
-    Raises
-    ------
-    FitError
-        If a list or matrix has another size than the channels, or a delay is below 1.
+    Raises FitError if a list or matrix has another size than the channels, or a delay is below 1.
     """
     spec, notes = records[0].spec, dict[str, Any]()
     if nk == "auto":

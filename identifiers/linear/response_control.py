@@ -97,7 +97,8 @@ def estimated_response(
     (N sigma_u^2))``, S the largest spectral density of what the inputs do not explain: the rate ``sqrt(L / N)`` of
     Oymak & Ozay 2019 (*ACC*, theorem 3.1), here with its constants. The norm of a Gaussian matrix exceeds ``sqrt(ny) +
     sqrt(nu) + t`` with probability ``exp(-t^2 / 2)`` (Davidson & Szarek 2001, theorem II.13); over all frequencies by a
-    union bound. What lies beyond the length is added as if it fell on as the last tenth does.
+    union bound. What lies beyond the length is added as if it fell on as the last tenth does. Raises FitError if the
+    inputs do not excite so many lags, or the response has not died out.
 
     Parameters
     ----------
@@ -105,11 +106,6 @@ def estimated_response(
     length : int
         L, long enough for the response to die out.
     confidence : float
-
-    Raises
-    ------
-    FitError
-        If the inputs do not excite so many lags, or the response has not died out.
     """
     records, spec = usable(trajectories, samples=length + 2, what=what)
     real_signals(spec, what)

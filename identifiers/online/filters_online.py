@@ -202,12 +202,7 @@ class OnlineGreyBox:
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> FilterState:
         """Return the state before any data.
 
-        Raises
-        ------
-        InputError
-            If an option is out of range.
-        FitError
-            If the model does not speak like the records.
+        Raises InputError if an option is out of range; FitError if the model does not speak like the records.
         """
         check_options(self, self.kind, doubt="> 0", walk=">= 0", disturbance=">= 0")
         real_signals(spec, self.kind)

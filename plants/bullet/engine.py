@@ -106,6 +106,9 @@ def explicit_urdf(
 ) -> ET.Element:
     """Return a URDF with nothing left to Bullet's defaults, its meshes found.
 
+    Raises InputError if it cannot be read, has no moving joint, has no such link, or holds what Bullet would leave out
+    in silence: joints of other kinds, joints that follow others, impossible inertias, rotors behind a gear.
+
     Parameters
     ----------
     source : str or Path
@@ -122,12 +125,6 @@ def explicit_urdf(
         Joints that are made rigid.
     tensors : bool
         The inertia tensors of the file are used: Bullet makes one that no body has zero, so that it is refused.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, has no moving joint, has no such link, or holds what Bullet would leave out in silence:
-        joints of other kinds, joints that follow others, impossible inertias, rotors behind a gear.
     """
     root, folder = _parsed(source)
     joints = {str(joint.get("name")): joint for joint in root.iter("joint")}

@@ -144,10 +144,7 @@ class Joints:
 def joints_of(urdf: str | Path, options: ArmOptions) -> Joints:
     """Return the moving joints of a URDF with their damping, friction, ranges and motors.
 
-    Raises
-    ------
-    InputError
-        If an option does not fit the joints.
+    Raises InputError if an option does not fit the joints.
     """
     locked, control = options.locked, options.control
     moving = moving_joints(explicit_urdf(urdf, locked=locked, tensors=options.inertia == "file"))

@@ -104,10 +104,7 @@ def reader(
 ) -> Callable[[], FloatArray]:
     """Return a function that measures the outputs (ny,) now.
 
-    Raises
-    ------
-    InputError
-        If a link that carries a keypoint or the end effector is unknown.
+    Raises InputError if a link that carries a keypoint or the end effector is unknown.
     """
     p, client, body, joints = world.engine, world.client, world.body, world.joints
 

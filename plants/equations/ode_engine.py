@@ -24,10 +24,8 @@ METHODS: dict[str, Any] = {"dop853": "DOP853", "lsoda": "LSODA", "bdf": "BDF", "
 def checked_integrator(integrator: str, rtol: float, atol: float, substeps: int | None) -> None:
     """Refuse options that do not fit each other.
 
-    Raises
-    ------
-    InputError
-        If the method is unknown, a tolerance is not positive, or substeps are asked of an adaptive method.
+    Raises InputError if the method is unknown, a tolerance is not positive, or substeps are asked of an adaptive
+    method.
     """
     positive("rtol", rtol)
     positive("atol", atol)

@@ -205,10 +205,7 @@ def grid_mdp(
 def checked_distribution(name: str, table: FloatArray) -> FloatArray:
     """Return a read-only table whose last axis holds distributions, or refuse it.
 
-    Raises
-    ------
-    InputError
-        If an entry is negative or not finite, or a distribution does not sum to 1.
+    Raises InputError if an entry is negative or not finite, or a distribution does not sum to 1.
     """
     bad = ~(np.isfinite(table) & (table >= 0))
     if bad.any():

@@ -64,10 +64,7 @@ class Answer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
 def send(channel: socket.socket, body: bytes, *, limit: float | None = None) -> None:
     """Send one frame.
 
-    Raises
-    ------
-    OSError
-        If the other side is gone (``TimeoutError`` if it does not take the frame within ``limit`` seconds).
+    Raises OSError if the other side is gone (``TimeoutError`` if it does not take the frame within ``limit`` seconds).
     """
     channel.settimeout(limit)
     channel.sendall(_LENGTH.pack(len(body)) + body)
@@ -76,6 +73,9 @@ def send(channel: socket.socket, body: bytes, *, limit: float | None = None) -> 
 def receive(channel: socket.socket, *, largest: int | None = None, limit: float | None = None) -> bytes:
     """Return one frame.
 
+    Raises OSError if the other side is gone (``EOFError``), too slow (``TimeoutError``), or announces more than
+    ``largest``.
+
     Parameters
     ----------
     channel : socket
@@ -83,11 +83,6 @@ def receive(channel: socket.socket, *, largest: int | None = None, limit: float 
         Most bytes that a frame may have.
     limit : float, optional
         Longest time [s] for the whole frame.
-
-    Raises
-    ------
-    OSError
-        If the other side is gone (``EOFError``), too slow (``TimeoutError``), or announces more than ``largest``.
     """
     end = None if limit is None else time.monotonic() + limit
     (length,) = _LENGTH.unpack(_exactly(channel, _LENGTH.size, end))
@@ -118,10 +113,7 @@ def _exactly(channel: socket.socket, n: int, end: float | None) -> bytes:
 def array_of(values: bytes, shape: tuple[int, ...]) -> FloatArray:
     """Return the numbers of an answer.
 
-    Raises
-    ------
-    ValueError
-        If there are not as many as the shape needs.
+    Raises ValueError if there are not as many as the shape needs.
 
     Examples
     --------

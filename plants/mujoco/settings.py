@@ -56,16 +56,13 @@ class Settings:
 def built(source: str | Path, given: Settings) -> Any:
     """Return the compiled model of a robot with the options in it.
 
+    Raises InputError if the file cannot be used or an option does not fit it.
+
     Parameters
     ----------
     source : str or Path
         An MJCF or URDF, or the text of one.
     given : Settings
-
-    Raises
-    ------
-    InputError
-        If the file cannot be used or an option does not fit it.
     """
     root, file = parsed(source)
     urdf = root.tag == "robot"

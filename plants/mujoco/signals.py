@@ -68,12 +68,7 @@ def states_of(model: Any, called: Sequence[str] | None) -> States:
 
     Joints that turn or slide are q1, q2, ... unless named, with rates q1_rate, ...; a floating body is called ``base``
     if it is the only one, else by its joint or body: position, quaternion (w, x, y, z), velocity in the world, angular
-    velocity in its own frame.
-
-    Raises
-    ------
-    InputError
-        If the number of names is not that of these joints.
+    velocity in its own frame. Raises InputError if the number of names is not that of these joints.
     """
     kinds, names, simple = mujoco().mjtJoint, joint_names(model), simple_joints(model)
     given = [f"q{place + 1}" for place in range(len(simple))] if called is None else list(called)
@@ -107,12 +102,8 @@ def inputs_of(model: Any, states: States, given: Settings) -> Inputs:
     """Return the inputs: chosen actuators, and forces on joints (of a model without actuators, on every joint).
 
     A motor without gear at a joint is ``tau1``, a position or velocity servo ``target1`` or ``rate1``, by the number of
-    the joint; others have their own name.
-
-    Raises
-    ------
-    InputError
-        If an actuator or a joint is unknown, or the number of names or limits is not that of the inputs.
+    the joint; others have their own name. Raises InputError if an actuator or a joint is unknown, or the number of
+    names or limits is not that of the inputs.
     """
     every, called, limits = drives(model), given.input_names, given.input_limit
     chosen = every if given.actuators is None else [_by_name(every, name) for name in given.actuators]
@@ -154,10 +145,7 @@ def _force(model: Any, states: States, place: int) -> Channel:
 def outputs_of(model: Any, states: States, chosen: Sequence[str]) -> Outputs:
     """Return the outputs: ``q`` (positions), ``qd`` (rates), ``sensors`` (all), names of sensors or of states.
 
-    Raises
-    ------
-    InputError
-        If one is unknown, or named twice.
+    Raises InputError if one is unknown, or named twice.
     """
     sensors = {name: k for k, name in enumerate(_sensor_names(model))}
     places = {channel.name: ("qpos", k) for k, channel in enumerate(states.positions)}

@@ -151,6 +151,8 @@ class PymunkPlant(BasePlant, ABC):
 def mechanism_spec(places: Sequence[Channel], unit: str, u_limit: float, sample_time: float) -> PlantSpec:
     """Return the spec of a mechanism: one input ``u``, places as outputs, and their rates as further states.
 
+    Raises InputError if the limit or the sample time is not positive.
+
     Parameters
     ----------
     places : sequence of Channel
@@ -160,11 +162,6 @@ def mechanism_spec(places: Sequence[Channel], unit: str, u_limit: float, sample_
     u_limit : float
         Declared range of the input; may be infinite.
     sample_time : float
-
-    Raises
-    ------
-    InputError
-        If the limit or the sample time is not positive.
 
     Examples
     --------

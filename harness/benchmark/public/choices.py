@@ -74,15 +74,12 @@ Choices = dict[str, SetChoices]
 def read_choices(path: str | Path | None = None) -> Choices:
     """Return what is entered for each set.
 
+    Raises InputError if the file is missing or no TOML, or names an unknown set or key.
+
     Parameters
     ----------
     path : path, optional
         By default the declared choices of this program.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or no TOML, or names an unknown set or key.
 
     Examples
     --------

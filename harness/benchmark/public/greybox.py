@@ -59,10 +59,7 @@ class Repaired:
 def signals_of(rule: Rule, choice: GreyChoice) -> Signals:
     """Return how the set's channels become those of its recipe; of a set without a recipe they stay as they are.
 
-    Raises
-    ------
-    InputError
-        If the recipe converts outputs: the figure would be in another unit.
+    Raises InputError if the recipe converts outputs: the figure would be in another unit.
     """
     if not choice.recording:
         return Signals(rule.spec, (1.0,) * rule.spec.nu, (0.0,) * rule.spec.nu)

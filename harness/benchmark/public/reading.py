@@ -221,10 +221,7 @@ def found_in(rule: Rule, folder: Path | None = None) -> Path | None:
 def read(rule: Rule, folder: Path) -> Split:
     """Return a set from its folder; what a file ``origin.txt`` there says of its data stands beside the figures.
 
-    Raises
-    ------
-    InputError
-        If a file of it is missing or is not what the rule speaks of.
+    Raises InputError if a file of it is missing or is not what the rule speaks of.
     """
     try:
         stated = folder / ORIGIN
@@ -243,11 +240,8 @@ def read(rule: Rule, folder: Path) -> Split:
 def downloaded(rule: Rule) -> Split:
     """Return a set through the official loader, which downloads it once and keeps it below the home folder.
 
-    Raises
-    ------
-    InputError
-        If the package (extra ``download``) is missing or too old for the set, its window is not the rule's, or the
-        download fails.
+    Raises InputError if the package (extra ``download``) is missing or too old for the set, its window is not the
+    rule's, or the download fails.
     """
     package = optional("nonlinear_benchmarks", "the download of a public set", "'sysid-harness[download]'")
     load = None if rule.loader is None else getattr(package, rule.loader, None)

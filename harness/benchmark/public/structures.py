@@ -58,12 +58,6 @@ def refitted(rule: Rule, structure: Structure, records: Sequence[Trajectory]) ->
 def halves_figure(rule: Rule, structure: Structure, records: Sequence[Trajectory]) -> float:
     """Return the rule's figure where each half of every record is foretold by a fit to the other halves.
 
-    Parameters
-    ----------
-    rule : Rule
-    structure : Structure
-    records : sequence of Trajectory
-
     Returns
     -------
     float

@@ -36,6 +36,8 @@ Led = TypeVar("Led", FlatWire, FlatOutput)
 def flatten(description: Description, describe: Describe, *, parameters: dict[str, Any] | None = None) -> FlatSystem:
     """Return a system laid flat.
 
+    Raises InputError if the system breaks the standard, or needs what is not understood here.
+
     Parameters
     ----------
     description : Description
@@ -44,11 +46,6 @@ def flatten(description: Description, describe: Describe, *, parameters: dict[st
         Tells what is in an FMU.
     parameters : dict, optional
         Values by hierarchical name in SI, which go before those of the file.
-
-    Raises
-    ------
-    InputError
-        If the system breaks the standard, or needs what is not understood here.
     """
     return _Flattening(description, describe).result(parameters or {})
 

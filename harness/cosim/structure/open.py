@@ -56,17 +56,14 @@ class Opened:
 def open_structure(path: str | Path, *, within: str | Path | None = None) -> Opened:
     """Read a system; the caller closes what comes back.
 
+    Raises InputError if the file is missing, unsafe to unpack, breaks its standard, or uses what is not understood.
+
     Parameters
     ----------
     path : path
         An ``.ssp`` package, an ``.ssd`` file, an OSP structure, or a folder that holds one of them.
     within : path, optional
         Folder that the files of an unpacked system may lie in; by default the one that holds the description.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, unsafe to unpack, breaks its standard, or uses what is not understood.
     """
     path = Path(path)
     name = path.name

@@ -24,11 +24,7 @@ def read_osp(package: FolderPackage, name: str) -> Description:
     The file's algorithm, if it is another than ``fixedStep``, and its power bonds are passed over with a note. Groups
     of variables are those of ``MODEL_OspModelDescription.xml`` beside the FMU or beside the structure, where ``MODEL``
     is the name of the FMU's model; two groups are connected group by group and variable by variable, in their order.
-
-    Raises
-    ------
-    InputError
-        If it is no such file, or holds what is no FMU or names a group that no description has.
+    Raises InputError if it is no such file, or holds what is no FMU or names a group that no description has.
     """
     root = parsed(package, name)
     if local(root) != OSP:

@@ -244,10 +244,7 @@ def _refuse_doctype(path: Path, name: str, text: bytes) -> None:
 def parsed(package: Readable, name: str) -> Any:
     """Return the root element of an XML file of a package.
 
-    Raises
-    ------
-    InputError
-        If it is too large, declares a document type (which can define entities), or is no XML.
+    Raises InputError if it is too large, declares a document type (which can define entities), or is no XML.
     """
     from lxml import etree
 

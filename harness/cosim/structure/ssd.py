@@ -47,10 +47,7 @@ class SsdReader:
     def read(self) -> Description:
         """Return the structure that the file declares.
 
-        Raises
-        ------
-        InputError
-            If it breaks the standard, or uses what is not understood.
+        Raises InputError if it breaks the standard, or uses what is not understood.
         """
         root = parsed(self.package, self.name)
         if local(root) != "SystemStructureDescription":

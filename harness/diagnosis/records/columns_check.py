@@ -142,12 +142,7 @@ def _by_angle(
 
 
 def repairs(record: Trajectory) -> Iterator[Repair]:
-    """Yield what may be wrong: degrees and radians, half a turn, a factor of 1000, two columns of one kind exchanged.
-
-    Parameters
-    ----------
-    record : Trajectory
-    """
+    """Yield what may be wrong: degrees and radians, half a turn, a factor of 1000, columns of one kind exchanged."""
     spec = record.spec
     for kind, channels in (("u", spec.inputs), ("y", spec.outputs)):
         angles = [k for k, channel in enumerate(channels) if channel.unit in ANGULAR]

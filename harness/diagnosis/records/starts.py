@@ -8,27 +8,23 @@ from dataclasses import replace
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
-from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 
-def with_known_starts(dataset: Dataset, system: AnySystem) -> Dataset:
+def with_known_starts(dataset: Dataset) -> Dataset:
     """Return the data set with the readings left out that inputs before a record still decide, and say so.
 
-    Asked of models that are no mechanisms: a force acts at once. A plant at rest is no exception: its input was 0, or
-    what holds it there, and not what stands in the first row.
+    A plant at rest is no exception: its input was 0, or what holds it there, and not what stands in the first row.
 
     Parameters
     ----------
     dataset : Dataset
-    system : System
-        The nominal model.
 
     Notes
     -----
     The initial state is fitted, so a plant without dead time has no such readings.
     """
-    if system.coordinates or not dataset.spec.nu:
+    if not dataset.spec.nu:
         return dataset
     dead = max(dead_times(dataset.estimation), default=0)
     if dead < 2:  # one sample is that of a held input
@@ -46,10 +42,6 @@ def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
 
     An ARX model of two lags beside every dead time of one input, the others without, is fitted to all outputs; the one
     with the least loss counts where the loss is clearly less than without dead time (Ljung 1999, sec. 4.2 and 16.4).
-
-    Parameters
-    ----------
-    records : sequence of Trajectory
 
     Examples
     --------

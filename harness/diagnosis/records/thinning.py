@@ -47,10 +47,6 @@ class Thinned:
 def thinned_dataset(dataset: Dataset) -> Thinned:
     """Return a data set at the rate that its motion needs, with a warning that says so.
 
-    Parameters
-    ----------
-    dataset : Dataset
-
     Returns
     -------
     Thinned
@@ -67,6 +63,8 @@ def thinned_dataset(dataset: Dataset) -> Thinned:
     rate = max(DATA_POLICY.per_period * band, DATA_POLICY.per_force * forces if moves else 0.0)
     factor = int(1 / (rate * dt))
     factor = min(factor, min(len(run) for run in runs) // (DATA_POLICY.fewest + (0 if moves else 2 * SPAN)))
+    while factor > 1 and not _keeps_readings(runs, factor):
+        factor -= 1
     while factor > 1 and moves and not _follows_inputs(runs, factor, dataset.intersample, band):
         factor -= 1
     if factor < 2:
@@ -330,6 +328,15 @@ def _follows_inputs(runs: Sequence[Trajectory], factor: int, intersample: str, b
     most = turn * float(np.sqrt(np.max(astray[moving] / whole[moving], initial=0.0)))
     noise = sensor_noise(runs)
     return all(most * _acceleration(runs, j, factor, noise[j]) <= DATA_POLICY.jump * noise[j] for j in range(spec.ny))
+
+
+def _keeps_readings(runs: Sequence[Trajectory], factor: int) -> bool:
+    """Return True if of every output as many readings stay as could: a sensor that is slower has a rhythm of its own."""
+    for run in runs:
+        there = np.isfinite(run.readings)
+        if np.any(there[::factor].sum(axis=0) < DATA_POLICY.kept * np.minimum(there.sum(axis=0), len(run) / factor)):
+            return False
+    return True
 
 
 def _acceleration(runs: Sequence[Trajectory], output: int, half: int, noise: float) -> float:

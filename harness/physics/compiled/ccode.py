@@ -58,6 +58,8 @@ def formats() -> dict[int, str]:
 def c_function(name: str, function: Any) -> str:
     """Return a CasADi SX function as one static C function of plain arrays.
 
+    Raises ValueError if CasADi uses an operation that has no C text here.
+
     Parameters
     ----------
     name : str
@@ -69,11 +71,6 @@ def c_function(name: str, function: Any) -> str:
     -------
     str
         ``static void NAME(const double *i0, ..., double *o0, ...)``. An input without elements may be NULL.
-
-    Raises
-    ------
-    ValueError
-        If CasADi uses an operation that has no C text here.
 
     Examples
     --------

@@ -79,6 +79,8 @@ class Parameter:
 def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Parameter:
     """Return a parameter from its compact form.
 
+    Raises InputError if the compact form is none of these.
+
     Parameters
     ----------
     name : str
@@ -87,11 +89,6 @@ def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Paramete
         A number is the value; a tuple is ``(unit, value[, minimum[, maximum]])``.
     minimum : float
         Lower bound where none is given and the value lies above it; a value of 0 (an offset) may go either way.
-
-    Raises
-    ------
-    InputError
-        If the compact form is none of these.
 
     Examples
     --------
@@ -205,10 +202,7 @@ def said_far(far: Sequence[FarOff]) -> str:
 def defaults(parameters: Iterable[Parameter], given: Mapping[str, float] | None = None) -> dict[str, float]:
     """Return the value of every parameter by name, those in ``given`` replaced.
 
-    Raises
-    ------
-    InputError
-        If ``given`` names a parameter that there is not, or holds a value that is not finite.
+    Raises InputError if ``given`` names a parameter that there is not, or holds a value that is not finite.
 
     Examples
     --------

@@ -317,6 +317,8 @@ class Likelihood:
     ) -> LikelihoodFit:
         """Return the maximum near a start.
 
+        Raises FitError if the filter diverges at the start.
+
         Parameters
         ----------
         start : Point or LikelihoodFit
@@ -335,11 +337,6 @@ class Likelihood:
             add is kept until the steps with it have come to their end.
         near : bool
             Whether the start is where a search that was not exact ended: the last steps are taken at once.
-
-        Raises
-        ------
-        FitError
-            If the filter diverges at the start.
         """
         names, _, low, high = self.layout()
         if free is None:

@@ -45,7 +45,8 @@ def fit_likelihood(
 
     Every equation of motion (every rate, where there are none) is disturbed by a latent Gauss-Markov force and a white
     one; sensors have white noise. Parameters, initial states and noise are estimated together (Kristensen, Madsen &
-    Jorgensen 2004, *Parameter estimation in stochastic grey-box models*, Automatica 40:225).
+    Jorgensen 2004, *Parameter estimation in stochastic grey-box models*, Automatica 40:225). Raises FitError if the
+    filter stays finite from no start.
 
     Parameters
     ----------
@@ -62,11 +63,6 @@ def fit_likelihood(
     white : bool
         False for a latent force without a white part.
     intersample : {"zoh", "foh", "smooth"}
-
-    Raises
-    ------
-    FitError
-        If the filter stays finite from no start.
 
     Examples
     --------

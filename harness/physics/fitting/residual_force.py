@@ -107,10 +107,7 @@ class ResidualForce:
     def attach(self, system: System) -> System:
         """Return the system with the force built in; its weights are parameters ``learned@COORDINATE.wI``.
 
-        Raises
-        ------
-        InputError
-            If the system lacks the coordinate or an argument, or has such a force already.
+        Raises InputError if the system lacks the coordinate or an argument, or has such a force already.
         """
         joint = ca.vertcat(system.x, system.u)
         z = ca.vertcat(*[joint[column] for column in argument_columns(system, self.arguments)])

@@ -42,6 +42,8 @@ class Identifiability:
 def identifiability(rows: FloatArray, names: Sequence[str], *, tolerance: float = 1e-8) -> Identifiability:
     """Return rank and dependent columns of a regressor (Gautier 1991, numerical base parameters).
 
+    Raises InputError if the number of names is not that of the columns.
+
     Parameters
     ----------
     rows : array (M, k)
@@ -50,11 +52,6 @@ def identifiability(rows: FloatArray, names: Sequence[str], *, tolerance: float 
         One for each column.
     tolerance : float
         A column counts as dependent if what is new in it is smaller than this, relative to its norm.
-
-    Raises
-    ------
-    InputError
-        If the number of names is not that of the columns.
 
     Examples
     --------

@@ -322,10 +322,7 @@ def load_model(name: str, **options: Any) -> System:
 def from_file(path: Path, attribute: str) -> tuple[Any, Path]:
     """Return what a user's file calls by a name, and the file: its only public function where no name is given.
 
-    Raises
-    ------
-    InputError
-        If there is no such file, it cannot be imported, or has nothing of that name.
+    Raises InputError if there is no such file, it cannot be imported, or has nothing of that name.
     """
     if not path.is_file():
         raise InputError("no such file", expected="FILE.py:NAME", got=no_file(path), remedy="check the path", file=path)
@@ -394,10 +391,7 @@ def model_names() -> tuple[str, ...]:
 def model_of(name: str) -> Callable[..., Any] | None:
     """Return the function that makes a registered model; None if there is none of this name.
 
-    Raises
-    ------
-    PluginError
-        If the plug-in raises while it is imported.
+    Raises PluginError if the plug-in raises while it is imported.
     """
     point = _points().get(name)
     if point is None:

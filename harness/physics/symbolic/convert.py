@@ -50,17 +50,14 @@ _JOINED: dict[Any, Callable[[Any, Any], Any]] = {
 def to_casadi(expression: Any, symbols: Mapping[Any, Any]) -> Any:
     """Return a SymPy expression as a CasADi SX.
 
+    Raises InputError if a symbol or a function is unknown.
+
     Parameters
     ----------
     expression : sympy expression or number
         Text is refused: nothing that a user names is ever evaluated.
     symbols : mapping
         CasADi symbol of every SymPy symbol.
-
-    Raises
-    ------
-    InputError
-        If a symbol or a function is unknown.
 
     Examples
     --------

@@ -61,10 +61,7 @@ class _Read:
 def typed_model(path: Path) -> Ode:
     """Return the model that a file holds; see :func:`read_equations`.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or a line is not understood.
+    Raises InputError if the file cannot be read, or a line is not understood.
     """
     if not path.is_file():
         raise InputError("no such file of equations", expected=f"a file FILE{SUFFIX}", got="no file",

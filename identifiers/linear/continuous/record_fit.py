@@ -95,6 +95,8 @@ def fit_to_records(
 ) -> RecordFit:
     """Return the transfer function with the least output error, initial states and level free.
 
+    Raises FitError if the records are too short.
+
     Parameters
     ----------
     parts : sequence of Part
@@ -107,11 +109,6 @@ def fit_to_records(
     free_delay : bool
         Estimate the dead times too.
     offset : bool
-
-    Raises
-    ------
-    FitError
-        If the records are too short.
     """
     from scipy.optimize import least_squares
 

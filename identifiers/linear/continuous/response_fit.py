@@ -46,7 +46,8 @@ def fit_to_response(
 
     Residuals ``(G - B exp(-s T) / A) / sigma`` are minimised (Pintelon & Schoukens 2012, *System Identification: A
     Frequency Domain Approach*, eq. 9-2), by Levenberg and Marquardt's method with exact gradients from the end of
-    Sanathanan & Koerner's iteration (1963, IEEE Trans. AC 8:56), each of some dead times.
+    Sanathanan & Koerner's iteration (1963, IEEE Trans. AC 8:56), each of some dead times. Raises FitError if there are
+    fewer numbers than unknowns.
 
     Parameters
     ----------
@@ -63,11 +64,6 @@ def fit_to_response(
         [s], of all inputs; None estimates one for each input.
     rough : bool
         Where the answer is only where another search begins.
-
-    Raises
-    ------
-    FitError
-        If there are fewer numbers than unknowns.
 
     Examples
     --------

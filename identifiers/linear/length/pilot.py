@@ -245,10 +245,8 @@ def _warnings(model: Any) -> list[str]:
 def scenario_inputs(scenario: Any, spec: PlantSpec, streams: Any, role: str) -> FloatArray:
     """Return the inputs of an open-loop scenario for a model's channels (N, nu).
 
-    Raises
-    ------
-    InputError
-        If the scenario has a controller, which a linear model alone cannot answer, or does not suit the channels.
+    Raises InputError if the scenario has a controller, which a linear model alone cannot answer, or does not suit the
+    channels.
     """
     experiment = scenario.prepare(spec, streams=streams, role=role)
     if experiment.controller is not None:

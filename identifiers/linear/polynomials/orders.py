@@ -23,6 +23,9 @@ def orders_by_output(
 ) -> list[Orders]:
     """Return the orders of every output's model.
 
+    Raises FitError if a number is no whole number from 0 on, a list or matrix has another size, or the structure has no
+    such polynomial.
+
     Parameters
     ----------
     structure : {"arx", "armax", "oe", "bj"}
@@ -33,12 +36,6 @@ def orders_by_output(
     order : int
     what : str
         For messages.
-
-    Raises
-    ------
-    FitError
-        If a number is no whole number from 0 on, a list or matrix has another size, or the structure has no such
-        polynomial.
 
     Examples
     --------

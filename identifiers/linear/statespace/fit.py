@@ -57,6 +57,8 @@ def state_space_of(
 ) -> Found:
     """Return the state-space model of largest likelihood; order, dead times and noise by Schwarz's rule.
 
+    Raises FitError if the records are too short.
+
     Parameters
     ----------
     records : sequence of Trajectory
@@ -74,11 +76,6 @@ def state_space_of(
         Try noise that moves the states too: the model in innovation form.
     most : int
         Largest order that is tried.
-
-    Raises
-    ------
-    FitError
-        If the records are too short.
     """
     spec = records[0].spec
     free = Freedom(spec.nu * spec.feedthrough, offset, radius)
