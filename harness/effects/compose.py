@@ -128,13 +128,7 @@ def recommended_substeps(
 def fastest_at_rest(system: System, parameters: Mapping[str, float] | None, dt: float) -> float:
     """Return the largest eigenvalue of a system at rest times a sample time, where no force takes the sign of a speed.
 
-    Parameters
-    ----------
-    system : harness.physics.System
-    parameters : mapping, optional
-        Values, the system's own where not given.
-    dt : float
-        Sample time [s].
+    Parameters are those of :func:`recommended_substeps`.
 
     Examples
     --------

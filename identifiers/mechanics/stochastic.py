@@ -54,7 +54,7 @@ class MaximumLikelihood(PhysicalFit):
 
         what = "maximum-likelihood"
         records, spec, recipe, system = self.prepared(trajectories, what)
-        fit = fit_likelihood(
+        _, fit = fit_likelihood(
             system,
             records,
             start=dict(self.start),

@@ -180,7 +180,7 @@ def test_intervals_hold_beside_spikes(clean: tuple[FloatArray, FloatArray]) -> N
     u, y = clean
     odd = y.copy()
     odd[[150, 500, 501, 900]] += [0.3, -3.0, 5.0, 1e4]
-    fit = fit_likelihood(pendulum().system(), [found(u, odd)[0]])
+    _, fit = fit_likelihood(pendulum().system(), [found(u, odd)[0]])
     for name, value in TRUE.items():
         low, high = fit.interval(name, 3.0)
         assert low < value < high, name

@@ -187,7 +187,7 @@ def test_with_a_large_latent_force_it_is_the_equation_error_fit() -> None:
             found = likelihood.maximise(found.point, free=free, near=True)
         compared(found, *least([]), 0.15, 0.05)
         # what a user calls: readings' noise, size, memory and a white part of the force are unknown too
-        compared(fit_likelihood(system, [data]), *least([]), 0.3, 0.15)
+        compared(fit_likelihood(system, [data])[1], *least([]), 0.3, 0.15)
         values, deviations = least([])
         run = fit_output_error(system, [data])
         errors.append((np.log([run.parameters[name] for name in ("m", "c", "k")]) - values) / deviations)
@@ -412,7 +412,7 @@ def test_a_fit_ends_with_the_steps_that_its_own_end_asks_for(shift) -> None:
     y = system.simulator(dt, substeps=20).rollout(system.vector(truth), np.zeros(system.nx), u)
     y = y + rng.normal(size=y.shape) * [5e-3, 0.2]
     data = Trajectory(np.arange(n) * dt, u, y, PlantSpec(system.inputs, system.outputs, dt))[shift : n - shift]
-    for fit in (fit_likelihood(system, [data]), fit_output_error(system, [data], horizon=None)):
+    for fit in (fit_likelihood(system, [data])[1], fit_output_error(system, [data], horizon=None)):
         assert fit.parameters == pytest.approx(truth, rel=0.01)
 
 

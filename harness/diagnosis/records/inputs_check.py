@@ -15,7 +15,7 @@ from harness.judgement import law_of
 from harness.physics.compiled.simulator import Intersample
 from harness.physics.compiled.system import System
 from harness.physics.fitting.likelihood import Likelihood
-from harness.physics.fitting.likelihood_fit import fitted_likelihood
+from harness.physics.fitting.likelihood_fit import fit_likelihood
 from harness.physics.fitting.maximum import LikelihoodFit
 from harness.signals import Dataset, FloatArray, Oddity, Run, Trajectory
 
@@ -194,7 +194,7 @@ class _Equations:
     """The nominal model at its maximum for a record, and how likely records beside it are."""
 
     def __init__(self, system: System, record: Trajectory, intersample: Intersample) -> None:
-        self._likelihood, self._base = fitted_likelihood(system, [record.measured()], intersample=intersample)
+        self._likelihood, self._base = fit_likelihood(system, [record.measured()], intersample=intersample)
         self._intersample = intersample
 
     def gain(self, record: Trajectory) -> float:

@@ -104,17 +104,14 @@ class EquationForm:
             motion = self.motions["estimation"][0]
             passed = equations.input_size(motion, p)
             lost = self.equations(()).input_size(motion, self.nominal.vector()) / max(passed, 1e-300)
-        return Fitted(
-            effects=tuple(effects),
-            system=system,
-            values=dict(zip(system.parameter_names, map(float, p), strict=True)),
-            free=free,
-            converged=bool(record["converged"]),
-            message=str(record["message"]),
+        return Fitted.of(
+            effects,
+            system,
+            p,
+            record,
             estimation=tuple(-lost * r / self.weights for r, _ in inside),
             validation=tuple(-lost * r / self.weights for r, _ in outside),
             jacobian=tuple(lost * j / self.weights[:, None] for _, j in inside),
-            record=dict(record),
         )
 
     def clean(self, base: Fitted, parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -42,6 +42,22 @@ class Fitted:
     starts: tuple[FloatArray, ...] = ()
     """Tuple of array (L_w * ny, k_w): For each estimation window an orthonormal basis of what its initial state can do.
     Empty where nothing is fitted."""
+
+    @classmethod
+    def of(
+        cls, effects: Sequence[Placed], system: AnySystem, p: FloatArray, record: Mapping[str, Any], **parts: Any
+    ) -> Fitted:
+        """Return what a record of a fit says, with residuals and Jacobian as ``parts``."""
+        return cls(
+            effects=tuple(effects),
+            system=system,
+            values=dict(zip(system.parameter_names, map(float, p), strict=True)),
+            free=tuple(parameter.name for parameter in system.parameters if not parameter.fixed),
+            converged=bool(record["converged"]),
+            message=str(record["message"]),
+            record=dict(record),
+            **parts,
+        )
 
     @property
     def finite(self) -> bool:

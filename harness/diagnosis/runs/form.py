@@ -107,19 +107,16 @@ class FreeRunForm:
             z0 = carried_states(self, system, q, other, y0)
             unaided = other.together(other.evaluate(q, z0, keep=True).residuals)
         ny = len(self.weights)
-        return Fitted(
-            effects=tuple(effects),
-            system=system,
-            values=dict(zip(system.parameter_names, map(float, p), strict=True)),
-            free=free,
-            converged=bool(record["converged"]),
-            message=str(record["message"]),
+        return Fitted.of(
+            effects,
+            system,
+            p,
+            record,
             estimation=tuple(part / self.weights for part in inside),
             validation=tuple(part / self.weights for part in outside),
             unaided=tuple(part / self.weights for part in unaided),
             jacobian=tuple(np.split(jacobian.reshape(len(jacobian) // ny, ny, len(free)), cuts)),
             refitted=dict(record["refitted"]),
-            record=dict(record),
             starts=tuple(result.starts),
         )
 

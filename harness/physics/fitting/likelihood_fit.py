@@ -40,8 +40,8 @@ def fit_likelihood(
     latent: bool = True,
     white: bool = True,
     intersample: Intersample = "zoh",
-) -> LikelihoodFit:
-    """Fit the parameters of a system by maximum likelihood, with process and measurement noise unknown.
+) -> tuple[Likelihood, LikelihoodFit]:
+    """Return the likelihood of a system's parameters, process and measurement noise unknown, and its maximum.
 
     Every equation of motion (every rate, where there are none) is disturbed by a latent Gauss-Markov force and a white
     one; sensors have white noise. Parameters, initial states and noise are estimated together (Kristensen, Madsen &
@@ -74,29 +74,9 @@ def fit_likelihood(
     >>> y = system.simulator(0.02, backend="casadi").rollout([2.0, 0.3, 5.0], [0.1, 0.0], u)
     >>> data = Trajectory(np.arange(600) * 0.02, u, y + 0.002 * rng.normal(size=y.shape),
     ...                   PlantSpec(system.inputs, system.outputs, 0.02))
-    >>> fit = fit_likelihood(system, [data])
+    >>> likelihood, fit = fit_likelihood(system, [data])
     >>> [round(fit.parameters[name], 2) for name in ("m", "c", "k")], round(float(fit.point.noise.r[0]), 4)
     ([2.0, 0.3, 5.0], 0.002)
-    """
-    return fitted_likelihood(
-        system, trajectories, start=start, fixed=fixed, latent=latent, white=white, intersample=intersample
-    )[1]
-
-
-def fitted_likelihood(
-    system: System,
-    trajectories: Sequence[Trajectory],
-    *,
-    start: Mapping[str, float] | None = None,
-    fixed: Sequence[str] = (),
-    latent: bool = True,
-    white: bool = True,
-    intersample: Intersample = "zoh",
-) -> tuple[Likelihood, LikelihoodFit]:
-    """Return a likelihood and its maximum; parameters are those of :func:`fit_likelihood`.
-
-    Where the maximum asks for finer steps of the solver than its start did, the search goes on from there with these:
-    with too coarse ones a maximum may lie where the solver errs, at the edge of its stability.
     """
     records = list(trajectories)
     dt = records[0].spec.sample_time
