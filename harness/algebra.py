@@ -13,10 +13,7 @@ from harness.signals import FloatArray
 def divisor(size: Any) -> FloatArray:
     """Return sizes, 1 where one is 0: what is silent stays as it is.
 
-    Parameters
-    ----------
-    size : array
-        Not negative.
+    - ``size``: not negative
 
     Examples
     --------
@@ -31,9 +28,7 @@ def column_norms(matrix: FloatArray) -> FloatArray:
 
     Shapes: ``matrix`` (N, p).
 
-    Returns
-    -------
-    array (p,)
+    - returns array (p,)
 
     Examples
     --------
@@ -58,12 +53,8 @@ def unit_columns(matrix: FloatArray) -> FloatArray:
 def orthonormal(matrix: FloatArray, tolerance: float) -> FloatArray:
     """Return an orthonormal basis (N, r) of what columns span.
 
-    Parameters
-    ----------
-    matrix : array (N, p)
-        Its columns count alike, whatever their units.
-    tolerance : float
-        Directions below this share of the largest are rounding.
+    - ``matrix`` (N, p): its columns count alike, whatever their units
+    - ``tolerance``: directions below this share of the largest are rounding
 
     Examples
     --------
@@ -100,13 +91,9 @@ def least_squares(matrix: FloatArray, target: FloatArray, tolerance: float) -> F
 def runge_kutta(rates: Callable[[Any], Any], x: Any, h: float) -> Any:
     """Return the state after one step of the classical method of order four.
 
-    Parameters
-    ----------
-    rates : callable
-        State to its rate of change: arrays, or expressions of a symbolic library.
-    x : array or expression
-    h : float
-        Step [s].
+    - ``rates``: state to its rate of change: arrays, or expressions of a symbolic library
+    - ``x`` array or expression
+    - ``h``: step [s]
 
     Examples
     --------
@@ -119,14 +106,9 @@ def runge_kutta(rates: Callable[[Any], Any], x: Any, h: float) -> Any:
 def advanced(rates: Callable[[Any, float], Any], x: Any, h: float, parts: int) -> Any:
     """Return the state after a step in so many parts, each by that method, of rates that change meanwhile.
 
-    Parameters
-    ----------
-    rates : callable
-        State, and the share of the step that has gone by, to its rate of change.
-    x : array or expression
-    h : float
-        Step [s].
-    parts : int
+    - ``rates``: state, and the share of the step that has gone by, to its rate of change
+    - ``x`` array or expression
+    - ``h``: step [s]
 
     Examples
     --------

@@ -41,13 +41,9 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def drawing(values: npt.NDArray[np.float64], label: str, marked: npt.NDArray[np.intp] | None = None) -> str:
     """Return a line as SVG: extremes of every stretch, so that nothing short is lost.
 
-    Parameters
-    ----------
-    values : array (N,)
-    label : str
-        Shown above the line, with the range.
-    marked : array of int, optional
-        Samples that are marked on the line.
+    - ``values`` (N,)
+    - ``label``: shown above the line, with the range
+    - ``marked`` array of int: samples that are marked on the line
     """
     n = len(values)
     edges = np.linspace(0, n, min(n, POINTS // 2) + 1).astype(int)

@@ -46,13 +46,9 @@ def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") ->
 def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     """Return the ``__getattr__`` of a package whose public names are loaded when they are asked for.
 
-    Parameters
-    ----------
-    package : str
-        Its ``__name__``.
-    homes : mapping
-        The module below it that has each name (beside it, if it begins with a dot); empty where the name is such a
-        module itself.
+    - ``package``: its ``__name__``
+    - ``homes``: the module below it that has each name (beside it, if it begins with a dot); empty where the name is
+      such a module itself
 
     Examples
     --------

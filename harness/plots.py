@@ -73,14 +73,9 @@ def sheet(**options: Any) -> Any:
 def plot_record(t: npt.NDArray[np.float64], inputs: Table, outputs: Table, axes: Any = None) -> Any:
     """Draw inputs as they are held and outputs as they are sampled, each with its unit.
 
-    Parameters
-    ----------
-    t : array (N,)
-        [s].
-    inputs, outputs : (array (N, n), sequence of n str)
-        Values and labels.
-    axes : sequence of matplotlib axes, optional
-        One for each channel; made if not given.
+    - ``t`` (N,): [s]
+    - ``inputs, outputs`` (array (N, n), sequence of n str): values and labels
+    - ``axes``: one for each channel; made if not given
     """
     count = len(inputs[1]) + len(outputs[1])
     if axes is None:

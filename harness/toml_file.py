@@ -19,11 +19,7 @@ def read_toml(path: Path, kind: type[Read]) -> Read:
 
     Raises InputError if the file is no TOML, a key is unknown or missing, or a value has the wrong type.
 
-    Parameters
-    ----------
-    path : path
-    kind : type
-        Its structure; tables that forbid unknown keys refuse them.
+    - ``kind``: its structure; tables that forbid unknown keys refuse them
     """
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))

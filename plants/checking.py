@@ -163,12 +163,8 @@ def checked_options(
 def with_fields(options: type, *needed: str) -> inspect.Signature:
     """Return the signature of a plant that takes its options by name: the fields of a dataclass, keyword only.
 
-    Parameters
-    ----------
-    options : type
-        A dataclass whose fields all have defaults.
-    needed : str
-        Names of arguments that come first and have no default.
+    - ``options``: a dataclass whose fields all have defaults
+    - ``needed``: names of arguments that come first and have no default
 
     Examples
     --------

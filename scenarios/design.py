@@ -92,12 +92,8 @@ class Design:
 def identifiable_columns(W: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
     """Return the indices of a largest set of independent columns, by QR with column pivoting.
 
-    Parameters
-    ----------
-    W : array (N, k)
-        Regressor on rich data.
-    tolerance : float
-        Smallest diagonal of R that counts, relative to the largest.
+    - ``W`` (N, k): regressor on rich data
+    - ``tolerance``: smallest diagonal of R that counts, relative to the largest
 
     Examples
     --------
@@ -134,16 +130,9 @@ def volume_of(W: FloatArray, columns: Sequence[int]) -> float:
     Square root of the determinant of their covariance (D-optimality, Goodwin & Payne 1977, *Dynamic System
     Identification*, sec. 6.2), which no choice of units reorders; that of one parameter is :func:`deviation_of` it.
 
-    Parameters
-    ----------
-    W : array (M, k)
-    columns : sequence of int
-        Of the parameters.
-
-    Returns
-    -------
-    float
-        Infinite where the columns depend on each other.
+    - ``W`` (M, k)
+    - ``columns``: of the parameters
+    - returns infinite where the columns depend on each other
 
     Examples
     --------

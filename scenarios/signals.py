@@ -36,21 +36,11 @@ def lines_of_band(
 
     Raises InputError if no line lies in the band.
 
-    Parameters
-    ----------
-    period : int
-        Samples of one period; line k has the frequency ``k / (period * sample_time)``.
-    sample_time : float
-        Seconds.
-    band : (low, high)
-        Hz, both included.
-    grid : {"full", "odd"}
-        All lines, or only the odd ones (even nonlinearities then show on the empty lines).
-
-    Returns
-    -------
-    array of int
-        Line numbers, between 1 and ``(period - 1) // 2``.
+    - ``period``: samples of one period; line k has the frequency ``k / (period * sample_time)``
+    - ``sample_time``: seconds
+    - ``band`` (low, high): hz, both included
+    - ``grid`` {"full", "odd"}: all lines, or only the odd ones (even nonlinearities then show on the empty lines)
+    - returns line numbers, between 1 and ``(period - 1) // 2``
 
     Examples
     --------
@@ -353,14 +343,9 @@ def band_noise(n: int, sample_time: float, band: tuple[float, float], *, rng: np
     has to settle, and the ends of the record are not tied to each other. Raises InputError if the band holds no
     spectral line.
 
-    Parameters
-    ----------
-    n, sample_time : int, float
-        Samples, and seconds between them.
-    band : (low, high)
-        Hz.
-    rng : numpy.random.Generator
-        Draws the lines.
+    - ``n, sample_time``: samples, and seconds between them
+    - ``band`` (low, high): hz
+    - ``rng``: draws the lines
 
     Examples
     --------

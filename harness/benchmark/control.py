@@ -47,17 +47,9 @@ def score_control(
     Linear models, and lifted ones in their coordinates, get the cost of their LQG regulator; every model of real inputs
     and outputs that of predictive control (:mod:`harness.scoring.model_predictive`).
 
-    Parameters
-    ----------
-    model : Model
-        Fitted to the records.
-    identifier : Identifier
-    task : Task
-    runs : sequence of Trajectory
-        The estimation records with the true states.
-    row : Row
-        Changed in place.
-    rng : numpy.random.Generator
+    - ``model``: fitted to the records
+    - ``runs``: the estimation records with the true states
+    - ``row``: changed in place
     """
     from harness.scoring import control_score
     from harness.scoring.model_predictive import predictive_score

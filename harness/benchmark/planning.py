@@ -84,17 +84,11 @@ def plan_of(
 ) -> Plan:
     """Return the plan of these tasks: cells to run, cells that are done, and the time that they take.
 
-    Parameters
-    ----------
-    tasks : sequence of Task
-    done : set of str
-        Jobs that have their rows.
-    timings : sequence of path
-        Files ``timings.parquet``, of the folder and of others; the first that has timed a kind of cell counts.
-    workers : int
-        Processes among which the time is divided.
-    declared : float, optional
-        Mean seconds of a cell that the suite states.
+    - ``done``: jobs that have their rows
+    - ``timings``: files ``timings.parquet``, of the folder and of others; the first that has timed a kind of cell
+      counts
+    - ``workers``: processes among which the time is divided
+    - ``declared``: mean seconds of a cell that the suite states
     """
     pairs = [(task, cell) for task, cell in cells_of(tasks) if cell.job not in done]
     cells = Counter((task.plant.name, task.scenario.name, cell.identifier.name) for task, cell in pairs)

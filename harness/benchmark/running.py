@@ -37,13 +37,9 @@ LIMIT = 120.0  # s for one plant
 def probe_plants(tasks: Sequence[Task], file: Path) -> None:
     """Probe every plant that can be probed and is not in the file yet; no plant is made in this process.
 
-    Parameters
-    ----------
-    tasks : sequence of Task
-        Their plants are probed once each.
-    file : Path
-        JSON: plant name to ``options`` and ``result`` (None and a ``reason`` if the probe itself broke). Left alone, or
-        not made, where no plant can be probed.
+    - ``tasks``: their plants are probed once each
+    - ``file``: JSON: plant name to ``options`` and ``result`` (None and a ``reason`` if the probe itself broke). Left
+      alone, or not made, where no plant can be probed.
     """
     known: dict[str, dict[str, Any]] = {}
     if file.is_file():

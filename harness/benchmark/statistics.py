@@ -64,16 +64,9 @@ def enough_pairs(others: int) -> int:
 def standings(scores: Mapping[str, Sequence[float | None]]) -> dict[str, Standing]:
     """Return the standing of each name against the one with the least median: best, tied, worse or undecided.
 
-    Parameters
-    ----------
-    scores : mapping
-        Name to one score for each replicate, in the same order for all, above 0; None where there is none (it counts as
-        infinite).
-
-    Returns
-    -------
-    dict
-        Empty where nobody has a finite median.
+    - ``scores``: name to one score for each replicate, in the same order for all, above 0; None where there is none (it
+      counts as infinite)
+    - returns empty where nobody has a finite median
 
     Examples
     --------
@@ -110,10 +103,7 @@ def replicates(scores: Mapping[str, Mapping[Seed, float | None]]) -> dict[str, l
     have a score in both has the same to the last bit, which different data do not give; what is left is the random
     numbers of an identifier, of which the median counts.
 
-    Parameters
-    ----------
-    scores : mapping
-        Name to score by seed, the same seeds in each; None is a failure.
+    - ``scores``: name to score by seed, the same seeds in each; None is a failure
 
     Examples
     --------
@@ -199,12 +189,8 @@ class Ranking:
 def ranking(blocks: Sequence[Mapping[str, float | None]], places: Sequence[str] = ()) -> Ranking | None:
     """Return average ranks and the critical difference, or None with fewer than two names or five blocks.
 
-    Parameters
-    ----------
-    blocks : sequence of mapping
-        Name to score, the same names in each; None (a failure) ranks last, ties share their ranks.
-    places : sequence of str
-        Where they come from, for a caption.
+    - ``blocks``: name to score, the same names in each; None (a failure) ranks last, ties share their ranks
+    - ``places``: where they come from, for a caption
 
     Examples
     --------

@@ -113,12 +113,8 @@ def load_suite(suite: str | Path) -> Suite:
 def tasks_of(suite: Suite, seeds: Sequence[int] | None = None) -> tuple[Task, ...]:
     """Return the work of a suite in its fixed order.
 
-    Parameters
-    ----------
-    suite : Suite
-        What to run.
-    seeds : sequence of int, optional
-        Instead of the seeds of the file.
+    - ``suite``: what to run
+    - ``seeds``: instead of the seeds of the file
 
     Examples
     --------

@@ -58,18 +58,11 @@ def coarsest(
 ) -> Coarsest:
     """Return the coarsest step and tolerance at which finer ones change less than a part of the noise.
 
-    Parameters
-    ----------
-    outputs : callable
-        From settings to the readings (N, ny) of a run; NaN where there are none.
-    own : Settings
-        What is tried first.
-    sample_time : float
-        Of the readings [s].
-    told : float or None
-        Tolerance of the FMU's default experiment.
-    noise : array (ny,)
-        Standard deviation of the sensors.
+    - ``outputs``: from settings to the readings (N, ny) of a run; NaN where there are none
+    - ``own``: what is tried first
+    - ``sample_time``: of the readings [s]
+    - ``told``: tolerance of the FMU's default experiment
+    - ``noise`` (ny,): standard deviation of the sensors
     """
 
     def apart(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -99,22 +92,12 @@ def coarsest(
 def settled(system: FmuSystem, record: Trajectory, noise: FloatArray, x0: FloatArray, told: float | None) -> FmuSystem:
     """Return an FMU with a step and a tolerance at which finer ones change its readings by less than their noise.
 
-    Parameters
-    ----------
-    system : FmuSystem
-    record : Trajectory
-        Its inputs drive the comparison.
-    noise : array (ny,)
-        Standard deviation of the sensors.
-    x0 : array (nx,)
-        Where the states start.
-    told : float or None
-        Tolerance of the FMU's default experiment.
-
-    Returns
-    -------
-    FmuSystem
-        With the coarsest settings that suffice; ``notes`` say where they are not the FMU's own, and where none does.
+    - ``record``: its inputs drive the comparison
+    - ``noise`` (ny,): standard deviation of the sensors
+    - ``x0`` (nx,): where the states start
+    - ``told``: tolerance of the FMU's default experiment
+    - returns with the coarsest settings that suffice; ``notes`` say where they are not the FMU's own, and where none
+      does
     """
     run = record[:ROWS]
 

@@ -32,15 +32,10 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
     positive start value without bounds stays positive. Raises InputError if the file is no FMU, a name is no real
     parameter, or outputs depend directly on inputs.
 
-    Parameters
-    ----------
-    path : path
-        The FMU.
-    spec : PlantSpec
-        Channels and sample time of the data; names are the FMU's variables.
-    parameters : mapping, optional
-        Parameters to calibrate: a start value, or a :class:`harness.physics.Parameter` (bounds, fixed). Fixed ones
-        are set and not calibrated.
+    - ``path``: the FMU
+    - ``spec``: channels and sample time of the data; names are the FMU's variables
+    - ``parameters``: parameters to calibrate: a start value, or a :class:`harness.physics.Parameter` (bounds, fixed).
+      Fixed ones are set and not calibrated.
 
     Examples
     --------

@@ -92,21 +92,12 @@ class OwnSlopes:
 def sensitivities(told: FloatArray, nx: int, dt: float, start: FloatArray, forced: FloatArray) -> FloatArray:
     """Return the derivatives of the outputs along a run.
 
-    Parameters
-    ----------
-    told : array (N - 1, 2, nx + ny, nx + k)
-        Partial derivatives of (x', y) by (x, p) at the beginning and at the end of every sample.
-    nx : int
-    dt : float
-        [s].
-    start : array (nx, c)
-        dx(0) by the columns.
-    forced : array (k, c)
-        dp by the columns.
-
-    Returns
-    -------
-    array (N, ny, c)
+    - ``told`` (N - 1, 2, nx + ny, nx + k): partial derivatives of (x', y) by (x, p) at the beginning and at the end of
+      every sample
+    - ``dt``: [s]
+    - ``start`` (nx, c): dx(0) by the columns
+    - ``forced`` (k, c): dp by the columns
+    - returns array (N, ny, c)
 
     Examples
     --------

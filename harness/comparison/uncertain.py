@@ -38,16 +38,9 @@ def is_linear(model: Any) -> bool:
 def bode_lines(axes: Any, name: str, model: Any, frequency: FloatArray, recorded: Mapping[str, str] = NONE) -> None:
     """Draw gain and phase of a linear model with 95 % bands; dotted where its data do not determine it.
 
-    Parameters
-    ----------
-    axes : sequence of matplotlib axes
-        Gain and phase.
-    name : str
-    model : LinearModel
-    frequency : array (F,)
-        [Hz]
-    recorded : mapping
-        Units of the channels that are drawn (``Dataset.recorded``).
+    - ``axes``: gain and phase
+    - ``frequency`` (F,): [Hz]
+    - ``recorded``: units of the channels that are drawn (``Dataset.recorded``)
     """
     spec: PlantSpec = model.spec
     times = own_gains(spec, recorded)[1]

@@ -51,16 +51,10 @@ class Workload:
 def draw_workload(kind: str, seed: int, samples: int = SAMPLES, noise: float = 0.0) -> Workload:
     """Return the records of one system.
 
-    Parameters
-    ----------
-    kind : str
-        One of :data:`KINDS`, or ``plant:ID`` for records of a registered plant.
-    seed : int
-        Keys the system and its records.
-    samples : int
-        Length of each record.
-    noise : float
-        Sensor noise, relative to the standard deviation of each output (not on finite processes).
+    - ``kind``: one of :data:`KINDS`, or ``plant:ID`` for records of a registered plant
+    - ``seed``: keys the system and its records
+    - ``samples``: length of each record
+    - ``noise``: sensor noise, relative to the standard deviation of each output (not on finite processes)
 
     Examples
     --------

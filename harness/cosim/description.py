@@ -26,13 +26,9 @@ def expanded(
     Raises InputError if a terminal is connected to what is none, the two do not fit, or two variables are no output and
     input.
 
-    Parameters
-    ----------
-    connections : sequence of Connection
-        One whose ends are ``"part.terminal"`` joins two terminals; which end drives which is told by the variables.
-    parts : mapping of str to Plant
-    files : mapping of str to Path
-        The FMUs among the parts.
+    - ``connections``: one whose ends are ``"part.terminal"`` joins two terminals; which end drives which is told by the
+      variables
+    - ``files``: the FMUs among the parts
     """
     known: dict[str, dict[str, Terminal]] = {}
 

@@ -30,25 +30,13 @@ def initialise(
 ) -> list[str]:
     """Drive parts that initialise with what their inputs are connected to, until nothing moves.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        Those whose plants have ``drive`` and were entered.
-    signals : list of float
-        The common list of signals, which holds the outputs of all others.
-    wired : collection of int
-        Places of inputs that do not rest at their own start values.
-    put : callable
-        ``put(part, y)`` stores outputs among the signals.
-    agree : callable
-        Brings the signals of other parts into agreement that act within the instant.
-    tolerance : float
-        Relative change of an input that counts as none.
-
-    Returns
-    -------
-    list of str
-        The parts that begin at their own start values, as nothing else agrees.
+    - ``parts``: those whose plants have ``drive`` and were entered
+    - ``signals``: the common list of signals, which holds the outputs of all others
+    - ``wired``: places of inputs that do not rest at their own start values
+    - ``put``: ``put(part, y)`` stores outputs among the signals
+    - ``agree``: brings the signals of other parts into agreement that act within the instant
+    - ``tolerance``: relative change of an input that counts as none
+    - returns the parts that begin at their own start values, as nothing else agrees
     """
     own = {part.name: np.asarray(cast(Any, part.plant).input_starts, dtype=np.float64) for part in parts}
     for part in parts:

@@ -55,10 +55,7 @@ def refused_by_system(error: OSError, path: str | Path | None = None) -> InputEr
 def whole_file(path: str | Path) -> Iterator[Path]:
     """Give a scratch file beside a path; it takes the place of the path at the end, and is removed if that fails.
 
-    Raises
-    ------
-    InputError
-        If the disk is full or the folder cannot be written to, with the path.
+    Raises InputError if the disk is full or the folder cannot be written to, with the path.
     """
     path = Path(path)
     scratch = path.with_name(path.name + ".part")

@@ -35,10 +35,7 @@ def with_effects_of(given: Sequence[str | Effect]) -> list[Effect] | None:
 
     Raises InputError if a file has no effect of that name, or its name is taken.
 
-    Parameters
-    ----------
-    given : sequence of str or Effect
-        Each an effect, or ``FILE.py:NAME``.
+    - ``given``: each an effect, or ``FILE.py:NAME``
     """
     if not given:
         return None
@@ -65,10 +62,7 @@ def with_effects_of(given: Sequence[str | Effect]) -> list[Effect] | None:
 def laws_of(dictionary: Sequence[Effect] | None = None) -> Laws:
     """Return the laws of a run: the built-in ones with those of plug-ins, equal among each other, or those given.
 
-    Parameters
-    ----------
-    dictionary : sequence of Effect, optional
-        Effects to use in place of the built-in ones and those of plug-ins.
+    - ``dictionary``: effects to use in place of the built-in ones and those of plug-ins
     """
     if dictionary is not None:
         return Laws(Dictionary(dictionary))
@@ -100,13 +94,8 @@ def placed(
 ) -> tuple[list[Placed], list[str]]:
     """Return every effect at every port of a system that it fits, and what is wrong with plug-ins.
 
-    Parameters
-    ----------
-    system : AnySystem
-    laws : Laws
-        A fault of a built-in effect, or of one that was given, is raised.
-    composed : callable
-        Builds the system with one effect: a block is called there for the first time, and may fail.
+    - ``laws``: a fault of a built-in effect, or of one that was given, is raised
+    - ``composed``: builds the system with one effect: a block is called there for the first time, and may fail
 
     Returns
     -------

@@ -14,18 +14,9 @@ from harness.diagnosis.search.scores import ScoreTest
 def unseen(test: ScoreTest, form: Form, fit: Fit) -> list[dict[str, Any]]:
     """Return the effects that an experiment cannot show, each with what does the same.
 
-    Parameters
-    ----------
-    test : ScoreTest
-        Of the dictionary beside the fit.
-    form : Form
-    fit : Fit
-
-    Returns
-    -------
-    list of dict
-        ``name``, ``at``, ``reason``; ``parameter``, the nominal parameter whose change is most like the effect's (None
-        where that is an initial state); ``left``, the share of the effect that nothing free can take up.
+    - ``test``: of the dictionary beside the fit
+    - returns ``name``, ``at``, ``reason``; ``parameter``, the nominal parameter whose change is most like the effect's
+      (None where that is an initial state); ``left``, the share of the effect that nothing free can take up
     """
     linear = form.linearised(fit)
     hidden = sorted(test.hidden, key=lambda lead: str(lead.placed))

@@ -25,17 +25,9 @@ def misfit_reasons(
 ) -> tuple[str, ...]:
     """Return why the model does not fit the data, and what probably is wrong; empty if it fits.
 
-    Parameters
-    ----------
-    form : WholeForm
-    final : Fit
-        With all effects that were accepted.
-    runs : FreeRuns
-    policy : Policy
-    wrong : sequence of str
-        Why nothing was looked for in the records: columns that are probably wrong, or noise.
-    factor : int
-        Samples of the data for each that the form judges.
+    - ``final``: with all effects that were accepted
+    - ``wrong``: why nothing was looked for in the records: columns that are probably wrong, or noise
+    - ``factor``: samples of the data for each that the form judges
     """
     if wrong:  # it says what is to be done
         return tuple(wrong)

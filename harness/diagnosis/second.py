@@ -34,15 +34,8 @@ def searched_unless_carried(
     Where an unmeasured force does most of what moves the nominal model, and what a first effect makes of it, nothing is
     built on that effect before free runs were asked; where these do not follow either, the search goes on.
 
-    Parameters
-    ----------
-    form : WholeForm
-    nominal : Fit
-    policy : Policy
-    searched : callable
-        The search; takes ``lost`` and ``begun``, see :func:`harness.diagnosis.search.search.search`.
-    again : callable or None
-        None where nothing judges by free runs.
+    - ``searched``: the search; takes ``lost`` and ``begun``, see :func:`harness.diagnosis.search.search.search`
+    - ``again``: none where nothing judges by free runs
     """
     if again is None or not overwhelmed(form, nominal, policy):
         return searched(), None
@@ -62,12 +55,7 @@ def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) ->
     1999, sec. 7.4), sees less, and errs otherwise. It stands where it brings free runs nearer; what the halves of all
     records tell has to bring the validation records as near as the others were, or they are of another machine.
 
-    Parameters
-    ----------
-    first : Diagnosis
-    simple : SimpleFits or None
-        What compares the two in free runs.
-    again : callable
+    - ``simple``: what compares the two in free runs
     """
     policy, weak = first.policy, overwhelmed(first.form, first.final, first.policy)
     if weak:

@@ -179,11 +179,7 @@ def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
     states and unmeasured forces begin anew: those of the fewer belong to other instants, and lead a model that leaves
     nothing unexplained astray. One that does not come to its end, or to what physics allows, stays as it was.
 
-    Parameters
-    ----------
-    whole : Remembered, optional
-        The likelihood of all readings; without it the outcome stays as it is.
-    outcome : Outcome
+    - ``whole``: the likelihood of all readings; without it the outcome stays as it is
     """
     fit = outcome.model
     found = None if whole is None else whole.fit(fit.effects, [fit.values], None)

@@ -130,14 +130,9 @@ class ClaimedForce:
     ) -> FloatArray:
         """Return the force on each coordinate (N, n) [force units].
 
-        Parameters
-        ----------
-        signals : Signals
-            The motion; hidden states are simulated along it from rest.
-        values : mapping
-            Parameters of the effect by short name; those not given have their start values.
-        parameters : mapping, optional
-            Values of the system's parameters.
+        - ``signals``: the motion; hidden states are simulated along it from rest
+        - ``values``: parameters of the effect by short name; those not given have their start values
+        - ``parameters``: values of the system's parameters
         """
         known = dict(parameters or {})
         own = {**self.start, **values}

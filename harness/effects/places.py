@@ -203,12 +203,8 @@ def carried_load(system: System, name: str) -> Any:
 def unforced(system: System, name: str) -> tuple[Any, Any]:
     """Return the nominal forces on a coordinate that no input makes: what the speeds add, and what pulls at rest.
 
-    Parameters
-    ----------
-    system : harness.physics.System
-        The nominal system: what else brakes the joint is no part of its drive.
-    name : str
-        The coordinate.
+    - ``system``: the nominal system: what else brakes the joint is no part of its drive
+    - ``name``: the coordinate
     """
     import casadi as ca
 

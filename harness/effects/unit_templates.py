@@ -15,11 +15,8 @@ def tokens(text: str) -> dict[str, int]:
 
     Raises InputError if the text cannot be read.
 
-    Parameters
-    ----------
-    text : str
-        Products with spaces or ``*``, one or more quotients with ``/``, exponents with ``^`` or ``**``; parentheses
-        only around a denominator.
+    - ``text``: products with spaces or ``*``, one or more quotients with ``/``, exponents with ``^`` or ``**``;
+      parentheses only around a denominator
 
     Examples
     --------

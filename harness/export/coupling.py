@@ -17,12 +17,8 @@ def write_coupling(path: Path, target: Path) -> Path:
     Raises InputError if the coupling cannot be built, a part is no FMU, or it needs what SSP 1.0 does not know: delays,
     sums of wires, signals as lines, passes, an error bound, arrays.
 
-    Parameters
-    ----------
-    path : Path
-        The TOML file.
-    target : Path
-        The ``.ssp``.
+    - ``path``: the TOML file
+    - ``target``: the ``.ssp``
 
     Notes
     -----

@@ -53,18 +53,11 @@ def describe(
 
     Raises InputError if two variables have one name, which FMI forbids.
 
-    Parameters
-    ----------
-    name, text : str
-        Of the model.
-    token : str
-        Names this version of the model.
-    variables : sequence of Variable
-        Inputs, then outputs, then the others: value references count from 1.
-    sample_time : float
-        [s], the step that is suggested.
-    direct : sequence of int
-        Inputs (counted from 0) on which the outputs of the same instant depend.
+    - ``name, text``: of the model
+    - ``token``: names this version of the model
+    - ``variables``: inputs, then outputs, then the others: value references count from 1
+    - ``sample_time``: [s], the step that is suggested
+    - ``direct``: inputs (counted from 0) on which the outputs of the same instant depend
 
     Examples
     --------

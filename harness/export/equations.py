@@ -205,10 +205,7 @@ def written_model(model: Any) -> WrittenModel:
 
     Raises InputError if it is no model of equations.
 
-    Parameters
-    ----------
-    model : System, Mechanism, Ode or fitted model
-        Nominal, or with effects built in; a fitted model is written with the values that were found.
+    - ``model``: nominal, or with effects built in; a fitted model is written with the values that were found
     """
     import casadi as ca
 

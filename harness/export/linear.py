@@ -197,11 +197,7 @@ def linear_description(model: Linear, x0: Mapping[str, float] | None = None) -> 
 
     Raises InputError if a state is unknown.
 
-    Parameters
-    ----------
-    model : Linear
-    x0 : mapping, optional
-        Start values of the states ``x1``, ``x2``, ...; 0 where not given.
+    - ``x0``: start values of the states ``x1``, ``x2``, ...; 0 where not given
     """
     spec = model.spec
     starts = dict.fromkeys((f"x{k + 1}" for k in range(model.a_matrix.shape[0])), 0.0)

@@ -34,16 +34,10 @@ def write_package(content: Mapping[str, Any], folder: Path, target: Path, *, ver
 
     Raises InputError if the FMU is missing or another one, or there is no C compiler.
 
-    Parameters
-    ----------
-    content : mapping
-        What ``model.json`` of kind ``fmu`` holds.
-    folder : Path
-        Where the nominal FMU lies.
-    target : Path
-        The ``.ssp``.
-    version : {2, 3}
-        FMI version of the effects' FMU.
+    - ``content``: what ``model.json`` of kind ``fmu`` holds
+    - ``folder``: where the nominal FMU lies
+    - ``target``: the ``.ssp``
+    - ``version`` {2, 3}: FMI version of the effects' FMU
     """
     system, sample_time = _stored(content, folder)
     with tempfile.TemporaryDirectory(prefix="sysid-package-") as scratch:

@@ -15,16 +15,10 @@ def packed(source: str, text: str, target: Path, version: int) -> Path:
 
     Raises InputError if there is no C compiler.
 
-    Parameters
-    ----------
-    source : str
-        model.c.
-    text : str
-        modelDescription.xml.
-    target : path
-        The FMU; an existing file is replaced.
-    version : {2, 3}
-        Of FMI.
+    - ``source``: model.c
+    - ``text``: modelDescription.xml
+    - ``target``: the FMU; an existing file is replaced
+    - ``version`` {2, 3}: of FMI
     """
     from harness.fmi import build
 

@@ -25,12 +25,8 @@ def write_robot(content: Mapping[str, Any], target: Path) -> Path:
     Raises InputError if the arm's own file is missing, ``target`` is of the other kind, or a body is one that cannot
     be.
 
-    Parameters
-    ----------
-    content : mapping
-        What ``model.json`` holds.
-    target : Path
-        ``.urdf`` for an arm read from a URDF, ``.xml`` or ``.mjcf`` for one read from an MJCF.
+    - ``content``: what ``model.json`` holds
+    - ``target``: ``.urdf`` for an arm read from a URDF, ``.xml`` or ``.mjcf`` for one read from an MJCF
     """
     arm = load_arm(content["model"])
     kinds = (".urdf",) if arm.mjcf is None else (".xml", ".mjcf")
@@ -56,14 +52,10 @@ def repaired_mjcf(arm: ArmModel, effects: Sequence[Mapping[str, Any]], bodies: F
     It holds viscous and Coulomb friction and rotors of joints, a payload, inertia tensors, and bodies that were
     calibrated. Raises InputError if the arm was not read from an MJCF, or a body or joint cannot be found in its text.
 
-    Parameters
-    ----------
-    arm : ArmModel
-        Read from an MJCF.
-    effects : sequence of mapping
-        As in ``report.json``: ``name``, ``at``, and ``parameters`` by name with their ``value``.
-    bodies : array (10 * bodies,), optional
-        Inertial parameters in the order of :attr:`harness.physics.arms.rigid_tree.Arm.parameters`.
+    - ``arm``: read from an MJCF
+    - ``effects``: as in ``report.json``: ``name``, ``at``, and ``parameters`` by name with their ``value``
+    - ``bodies`` (10 * bodies,): inertial parameters in the order of
+      :attr:`harness.physics.arms.rigid_tree.Arm.parameters`
     """
     places = {channel.name: k for k, channel in enumerate(arm.positions)}
     at_joints = {

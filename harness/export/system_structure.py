@@ -91,12 +91,8 @@ def ports_of(description: Mapping[str, Any], names: Sequence[str]) -> dict[str, 
 
     Raises InputError if one is an array, or of a type that SSP 1.0 does not know.
 
-    Parameters
-    ----------
-    description : mapping
-        What :func:`harness.parts.files.describe_fmu` returns.
-    names : sequence of str
-        Variables that are wanted.
+    - ``description``: what :func:`harness.parts.files.describe_fmu` returns
+    - ``names``: variables that are wanted
     """
     rows = {row["name"]: row for row in description["variables"]}
     found = {}

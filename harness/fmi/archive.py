@@ -27,19 +27,12 @@ def check_entries(
 
     Raises InputError if an entry leaves the folder, is a link or encrypted, shares its name with another, or is a bomb.
 
-    Parameters
-    ----------
-    path : Path
-        For the message.
-    archive : zipfile.ZipFile
-        Open for reading.
-    entries, total : int
-        Most entries; most bytes unpacked.
-    ratio : float
-        Most bytes unpacked for each byte packed, of large entries.
-    windows : bool
-        Let entries separate folders by backslashes, as some tools on Windows write them; the caller unpacks them by
-        :func:`plain_name`.
+    - ``path``: for the message
+    - ``archive``: open for reading
+    - ``entries, total``: most entries; most bytes unpacked
+    - ``ratio``: most bytes unpacked for each byte packed, of large entries
+    - ``windows``: let entries separate folders by backslashes, as some tools on Windows write them; the caller unpacks
+      them by :func:`plain_name`
     """
     found = archive.infolist()
     if len(found) > entries:

@@ -144,27 +144,15 @@ def build_fmu(
 ) -> tuple[str, ...]:
     """Write an FMU with its C sources and its licence.
 
-    Parameters
-    ----------
-    model : Path
-        Folder with ``model.c`` and ``modelDescription.xml`` (FMI 2.0). Beside them there
-        may be an ``entry.c`` that includes ``fmi.c`` and changes its entry points, and a ``modelDescription-fmi3.xml``
-        where the derived one would not do.
-    version : {2, 3}
-        FMI version.
-    target : Path
-        The ``.fmu`` to write.
-    *options : str
-        More options for the compiler.
-    others : bool
-        Also compile for the systems of :data:`CROSS` whose compiler is at hand.
-    note : str
-        Text above the licence, such as whose the equations are.
-
-    Returns
-    -------
-    tuple of str
-        Names of the folders of binaries: the systems that the FMU runs on as it is.
+    - ``model``: folder with ``model.c`` and ``modelDescription.xml`` (FMI 2.0). Beside them there may be an ``entry.c``
+      that includes ``fmi.c`` and changes its entry points, and a ``modelDescription-fmi3.xml`` where the derived one
+      would not do.
+    - ``version`` {2, 3}: FMI version
+    - ``target``: the ``.fmu`` to write
+    - ``*options``: more options for the compiler
+    - ``others``: also compile for the systems of :data:`CROSS` whose compiler is at hand
+    - ``note``: text above the licence, such as whose the equations are
+    - returns names of the folders of binaries: the systems that the FMU runs on as it is
 
     Raises
     ------

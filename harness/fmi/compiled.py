@@ -40,20 +40,11 @@ def cache_folder() -> Path:
 def build_once(key: str, name: str, make: Callable[[Path], None]) -> Path:
     """Return a cached file, made at the first call.
 
-    Parameters
-    ----------
-    key : str
-        Hash of everything that the file depends on.
-    name : str
-        File name.
-    make : callable
-        ``make(target)`` writes the file. It is renamed into place when it is complete, so other processes see all of
-        it or nothing; two that build at once both succeed.
-
-    Returns
-    -------
-    Path
-        In :func:`cache_folder`.
+    - ``key``: hash of everything that the file depends on
+    - ``name``: file name
+    - ``make``: ``make(target)`` writes the file. It is renamed into place when it is complete, so other processes see
+      all of it or nothing; two that build at once both succeed.
+    - returns in :func:`cache_folder`
     """
     folder = cache_folder() / "fmu" / key
     final = folder / name
@@ -75,11 +66,8 @@ def build_once(key: str, name: str, make: Callable[[Path], None]) -> Path:
 def library_of(source: Path, *options: str, program: tuple[str, ...] | None = None) -> Path:
     """Return the shared library of one C source, compiled at the first call and whenever source or compiler change.
 
-    Parameters
-    ----------
-    source : Path
-    *options, program
-        As of :func:`harness.fmi.build.compile_library`, which raises what keeps it from being built.
+    - ``*options, program``: as of :func:`harness.fmi.build.compile_library`, which raises what keeps it from being
+      built
     """
     from harness.fmi import build
 

@@ -51,10 +51,7 @@ def read_terminals(path: str | Path) -> dict[str, Terminal]:
 
     Raises InputError if the entry is no XML of terminals.
 
-    Parameters
-    ----------
-    path : path
-        The FMU; one without terminals has none.
+    - ``path``: the FMU; one without terminals has none
 
     Examples
     --------

@@ -16,10 +16,7 @@ def alone_in(folder: Path | None) -> Iterator[None]:
 
     Raises InputError if another run holds it, or it cannot be made.
 
-    Parameters
-    ----------
-    folder : Path or None
-        Made if it is not there; None where nothing is written.
+    - ``folder``: made if it is not there; None where nothing is written
 
     Examples
     --------

@@ -17,18 +17,11 @@ def read_manifest(path: Path, form: str, kind: type[msgspec.Struct], *, what: st
     Raises InputError if there is none, it is damaged, or it is of another format: then its name, and the version that
     wrote it, are said.
 
-    Parameters
-    ----------
-    path : Path
-        A JSON file with the key ``format``.
-    form : str
-        The format that this version reads.
-    kind : type
-        What the content is, key by key; keys with a default may be missing.
-    what : str
-        What the folder holds, for a message (``"benchmark"``).
-    command : str
-        What writes such a folder.
+    - ``path``: a JSON file with the key ``format``
+    - ``form``: the format that this version reads
+    - ``kind``: what the content is, key by key; keys with a default may be missing
+    - ``what``: what the folder holds, for a message (``"benchmark"``)
+    - ``command``: what writes such a folder
     """
     wanted = f"a folder with a {path.name} of format {form}"
     try:

@@ -77,12 +77,8 @@ def jackknifed(
     Delete-a-group jackknife (Efron & Tibshirani 1993, *An Introduction to the Bootstrap*, sec. 11.5). A mode that one
     of the fits does not find has no deviation.
 
-    Parameters
-    ----------
-    name, options, records, seed
-        As for :func:`fitted`.
-    poles : sequence of Pole
-        Of one order.
+    - ``name, options, records, seed``: as for :func:`fitted`
+    - ``poles``: of one order
     """
     found: list[list[Pole | None]] = []
     for part in _without(records):

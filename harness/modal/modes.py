@@ -28,16 +28,9 @@ def notes_of(
 ) -> list[str]:
     """Return sentences on inputs, lengths and modes that the records leave undetermined.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    shown : Ladder
-        Of the records.
-    identifier : str or None
-        None for the subspace fit of this room.
-    passing : int
-        Rows of poles that are no modes.
-    modes : sequence of Mode
+    - ``shown``: of the records
+    - ``identifier``: none for the subspace fit of this room
+    - ``passing``: rows of poles that are no modes
     """
     spec = records[0].spec
     notes = []

@@ -26,15 +26,9 @@ def stabilisation_diagram(
 ) -> Any:
     """Draw the poles of every order over frequency, and damping over frequency with intervals.
 
-    Parameters
-    ----------
-    modes : sequence of Mode
-    tracks : sequence of Track
-        The poles of all orders, sorted into modes.
-    criteria : Criteria
-        Of stabilisation, for the title.
-    sample_time : float
-        [s]; the axis ends at half of the sampling rate.
+    - ``tracks``: the poles of all orders, sorted into modes
+    - ``criteria``: of stabilisation, for the title
+    - ``sample_time``: [s]; the axis ends at half of the sampling rate
     """
     from harness.plots import sheet
 
@@ -83,16 +77,10 @@ def shapes_and_coordinates(
 ) -> Any:
     """Draw every mode in space (size with its interval, real and imaginary part) and in time (its coordinate).
 
-    Parameters
-    ----------
-    modes : sequence of Mode
-        M of them.
-    names : sequence of str
-        Of the outputs.
-    time : array (K,)
-        [s].
-    coordinates : array (K, M)
-        Complex coordinate of each mode.
+    - ``modes``: M of them
+    - ``names``: of the outputs
+    - ``time`` (K,): [s]
+    - ``coordinates`` (K, M): complex coordinate of each mode
     """
     from harness.plots import sheet
 
@@ -120,11 +108,7 @@ def shapes_over_places(modes: Sequence[Mode], places: FloatArray) -> Any:
 
     Raises InputError if the outputs stand on one line, or one is nowhere.
 
-    Parameters
-    ----------
-    modes : sequence of Mode
-    places : array (ny, 2)
-        Of the outputs [m].
+    - ``places`` (ny, 2): of the outputs [m]
     """
     from harness.plots import sheet
 

@@ -160,12 +160,8 @@ def poles_of(a: FloatArray, c: FloatArray, sample_time: float, spread: Spread | 
     First-order perturbation of eigenvalues and eigenvectors (Reynders, Pintelon & De Roeck 2008, Mech. Syst. Signal
     Process. 22:948, eq. 51 to 56).
 
-    Parameters
-    ----------
-    a, c : array (nx, nx), (ny, nx)
-    sample_time : float
-        [s].
-    spread : Spread, optional
+    - ``a, c`` (nx, nx), (ny, nx)
+    - ``sample_time``: [s]
 
     Examples
     --------

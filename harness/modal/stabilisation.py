@@ -115,11 +115,7 @@ def tracks_of(ladder: Mapping[int, Sequence[Pole]], criteria: Criteria) -> list[
     Every pole is compared with the last of each mode so far, and takes the nearest that no other pole is nearer to: two
     poles of one order are two modes, however close they are.
 
-    Parameters
-    ----------
-    ladder : mapping
-        Poles by order, orders rising.
-    criteria : Criteria
+    - ``ladder``: poles by order, orders rising
 
     Examples
     --------

@@ -132,12 +132,10 @@ def ladder_of(records: Sequence[Trajectory], window: int | None = None) -> Ladde
 
     Raises FitError if the records are too short, or nothing moves.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-        No window crosses from one to the next. Without inputs the excitation is taken to be white and unknown.
-    window : int, optional
-        Samples of past and future; by default 240 over the number of outputs, 8 to 60, less where records are short.
+    - ``records``: no window crosses from one to the next. Without inputs the excitation is taken to be white and
+      unknown.
+    - ``window``: samples of past and future; by default 240 over the number of outputs, 8 to 60, less where records are
+      short
 
     Examples
     --------

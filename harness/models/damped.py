@@ -34,17 +34,10 @@ def damped_descent(
 ) -> Point:
     """Return the point where no damped step lowers a sum of squares any more, or not by enough.
 
-    Parameters
-    ----------
-    point : any
-        Where it begins.
-    cost : callable
-        The sum of squares at a point; infinite where there is none.
-    linearised : callable
-        What the steps from a point are made of, such as J'J and J'r; None ends the descent there.
-    moved : callable
-        ``moved(point, system, lambda)``: where the damped step leads.
-    damping : Damping
+    - ``point``: where it begins
+    - ``cost``: the sum of squares at a point; infinite where there is none
+    - ``linearised``: what the steps from a point are made of, such as J'J and J'r; None ends the descent there
+    - ``moved``: ``moved(point, system, lambda)``: where the damped step leads
 
     Examples
     --------

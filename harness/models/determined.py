@@ -107,16 +107,9 @@ def determined_bands(matrices: Matrices, records: Sequence[Trajectory]) -> dict[
     band is determined where the response stands out of what the noise leaves open given the power that the input has
     there beside the other inputs (Bendat & Piersol 2010, eq. 9.90), and the residual does not take half of it back.
 
-    Parameters
-    ----------
-    matrices : (A, B, C, D)
-    records : sequence of Trajectory
-        That the model was fitted to.
-
-    Returns
-    -------
-    dict
-        ``{"y per u": [[low, high], ...]}``; empty where the records are too short to say, or the pairs too many.
+    - ``matrices`` (A, B, C, D)
+    - ``records``: that the model was fitted to
+    - returns ``{"y per u": [[low, high], ...]}``; empty where the records are too short to say, or the pairs too many
 
     Examples
     --------

@@ -31,16 +31,10 @@ def agreeing(response: Complex, deviation: FloatArray, turn: Complex, lit: Told)
     coefficients of size 1: common factors of numerator and denominator change no response, what vanishes at the lines
     does.
 
-    Parameters
-    ----------
-    response : array (F,)
-        Of the model, from an input to an output.
-    deviation : array (F,)
-        Its standard deviation as the records tell it, where the input has lines.
-    turn : array (F,)
-        ``exp(2 pi i f)``, f in cycles per sample.
-    lit : array of bool (F,)
-        Where the input has lines.
+    - ``response`` (F,): of the model, from an input to an output
+    - ``deviation`` (F,): its standard deviation as the records tell it, where the input has lines
+    - ``turn`` (F,): ``exp(2 pi i f)``, f in cycles per sample
+    - ``lit`` array of bool (F,): where the input has lines
     """
     found = np.ones(len(turn), dtype=bool)
     if not lit.any():

@@ -18,17 +18,10 @@ def recurrence(a: FloatArray, x: FloatArray, w: FloatArray) -> FloatArray:
     A long run is cut into blocks that run beside each other, from rest first, and, once the powers of A have led from
     block to block, from their own first states: about ``2 sqrt(N)`` steps instead of N.
 
-    Parameters
-    ----------
-    a : array (nx, nx)
-    x : array (M, nx)
-        First states.
-    w : array (M, N, nx)
-        What is added at each step; the last row is not used.
-
-    Returns
-    -------
-    array (M, N, nx)
+    - ``a`` (nx, nx)
+    - ``x`` (M, nx): first states
+    - ``w`` (M, N, nx): what is added at each step; the last row is not used
+    - returns array (M, N, nx)
 
     Examples
     --------

@@ -26,14 +26,9 @@ def read_model(path: str | Path, *, kinds: Sequence[str] = (), use: str = "read"
     Raises InputError if the file is missing or is no model, or names code that is not trusted
     (:func:`harness.trust.trusting`).
 
-    Parameters
-    ----------
-    path : path
-        The file, or the folder of ``close-loop``.
-    kinds : sequence of str
-        Kinds that serve; all that an identifier reads if empty.
-    use : str
-        What a model of another kind cannot be, for the message.
+    - ``path``: the file, or the folder of ``close-loop``
+    - ``kinds``: kinds that serve; all that an identifier reads if empty
+    - ``use``: what a model of another kind cannot be, for the message
     """
     path = Path(path)
     whole = path.is_dir()

@@ -145,21 +145,12 @@ def predictive_score(
     outputs. Weights as in :func:`harness.scoring.control.control_score`. Raises InputError if the model is none that
     acts on a plant.
 
-    Parameters
-    ----------
-    model : Model
-    plant : Plant
-        With the ability ``"truth"``.
-    around : LinearPlantModel
-        The plant linearised at the point.
-    centre : mapping
-        The point, by state name.
-    target, hold : array (ny,), (nu,)
-        Outputs and inputs there.
-    size : array (nu,)
-        Of the inputs that the model was fitted to.
-    rng : numpy.random.Generator
-        Of the disturbance.
+    - ``plant``: with the ability ``"truth"``
+    - ``around``: the plant linearised at the point
+    - ``centre``: the point, by state name
+    - ``target, hold`` (ny,), (nu,): outputs and inputs there
+    - ``size`` (nu,): of the inputs that the model was fitted to
+    - ``rng``: of the disturbance
     """
     spec = model.spec
     if spec.nu == 0 or any(channel.kind == "category" for channel in (*spec.inputs, *spec.outputs)):

@@ -48,11 +48,8 @@ def factors(text: str) -> Factors:
 
     Raises ValueError if the text is anything else, longer than 80 characters, or has an exponent above 9.
 
-    Parameters
-    ----------
-    text : str
-        ``product = factor {["*" | "." | "/"] factor}``, ``factor = (name | "1" | "(" product ")") ["^" exponent]``. An
-        exponent is a number or a fraction in parentheses, also as raised signs; ``**`` is ``^``.
+    - ``text``: ``product = factor {["*" | "." | "/"] factor}``, ``factor = (name | "1" | "(" product ")") ["^"
+      exponent]``. An exponent is a number or a fraction in parentheses, also as raised signs; ``**`` is ``^``.
 
     Examples
     --------

@@ -42,16 +42,11 @@ def started(
     Inputs and outputs are measured, so their stops are known signals: a regression of high order on past outputs,
     inputs and stops is linear. Of its states the balanced ones that count most are kept (Moore 1981, IEEE TAC 26:17).
 
-    Parameters
-    ----------
-    layout : Layout
-    pairs : sequence of (u, y)
-    radii : array (nz, m)
-        Of the stops.
-    by : {"inputs", "outputs"}
-        What the hystereses are drawn by: the signals themselves, and of more hystereses weighted sums of them.
-    direct : bool
-        Outputs answer the input of the same sample.
+    - ``pairs`` sequence of (u, y)
+    - ``radii`` (nz, m): of the stops
+    - ``by`` {"inputs", "outputs"}: what the hystereses are drawn by: the signals themselves, and of more hystereses
+      weighted sums of them
+    - ``direct``: outputs answer the input of the same sample
     """
     width = layout.nu if by == "inputs" else layout.ny
     mixing = np.eye(layout.nz, width)

@@ -115,15 +115,10 @@ def shared_out(b: FloatArray, f: FloatArray, records: Sequence[Pair], count: int
     *Initializing Wiener-Hammerstein models based on partitioning of the best linear approximation*, Automatica 48, with
     the curve fitted for every way instead of after a scan).
 
-    Parameters
-    ----------
-    b, f : array
-        Polynomials in the delay; ``b`` without its first ``first`` coefficients, which are 0.
-    records : sequence of (u, y)
-    count : int
-        Basis functions of the curve.
-    first : int
-        Samples by which the output lags the input at least, 0 or 1; the back block carries them.
+    - ``b, f``: polynomials in the delay; ``b`` without its first ``first`` coefficients, which are 0
+    - ``records`` sequence of (u, y)
+    - ``count``: basis functions of the curve
+    - ``first``: samples by which the output lags the input at least, 0 or 1; the back block carries them
     """
     pairs = [(u[:_PROBE], y[:_PROBE]) for u, y in records]
     judged: list[tuple[float, int, Pair, Pair]] = []

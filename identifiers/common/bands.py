@@ -155,13 +155,8 @@ class Bands:
         Of a mixture the deviations of its parts are scaled; their disagreement shrinks with them and does not grow.
         Raises FitError as :meth:`of`.
 
-        Parameters
-        ----------
-        model : Model
-            That predicts distributions; NaN where a run has diverged.
-        runs : sequence of Ahead
-        what : str
-            Name of the identifier.
+        - ``model``: that predicts distributions; NaN where a run has diverged
+        - ``what``: name of the identifier
         """
         return cls.crossed([(model, runs)], what)
 
@@ -247,22 +242,12 @@ def held_out_runs(
 ) -> list[Ahead]:
     """Return what a model predicts of the held-out ends of records, 1, 2, 4, ... steps ahead.
 
-    Parameters
-    ----------
-    model : Model
-    records : sequence of Trajectory
-    cuts : sequence of int
-        First held-out sample of each.
-    start : callable, optional
-        ``start(stretch) -> state`` (nx,) where a guess will do, as up to 300 samples are filtered before the first that
-        counts; by default the model's own ``initial_state``.
-    least : int
-        Windows that have to fit into what is held out: 9, or fewer where these are joined with those of other models.
-
-    Returns
-    -------
-    list of Ahead
-        Up to the longest horizon of which as many windows fit.
+    - ``cuts``: first held-out sample of each
+    - ``start``: ``start(stretch) -> state`` (nx,) where a guess will do, as up to 300 samples are filtered before the
+      first that counts; by default the model's own ``initial_state``
+    - ``least``: windows that have to fit into what is held out: 9, or fewer where these are joined with those of other
+      models
+    - returns up to the longest horizon of which as many windows fit
     """
     held = [len(record) - cut for record, cut in zip(records, cuts, strict=True)]
     horizons = [h for h in _STEPS if sum((length - 1) // h for length in held) >= least]
@@ -293,11 +278,7 @@ def held_out_folds(lengths: Sequence[int], folds: int) -> list[list[tuple[int, i
     Whole records in turn where there are as many as folds, else a stretch in turn of every record. At the begin of a
     record samples count only after those that a first state takes.
 
-    Parameters
-    ----------
-    lengths : sequence of int
-        Samples of the records.
-    folds : int
+    - ``lengths``: samples of the records
 
     Examples
     --------
@@ -415,19 +396,11 @@ def banded(
     Raises FitError if held-out free runs diverge, or predict one output worse than its mean does, a few steps ahead
     already.
 
-    Parameters
-    ----------
-    model : Model
-        Whose state counts the steps since an output was seen.
-    records : sequence of Trajectory
-    cuts : sequence of int
-        First held-out sample of each.
-    size : array (ny,)
-        Standard deviation of the outputs.
-    what : str
-        Name of the identifier.
-    start : callable, optional
-        As of :func:`held_out_runs`.
+    - ``model``: whose state counts the steps since an output was seen
+    - ``cuts``: first held-out sample of each
+    - ``size`` (ny,): standard deviation of the outputs
+    - ``what``: name of the identifier
+    - ``start``: as of :func:`held_out_runs`
     """
     runs = held_out_runs(model, records, cuts, start)
     wrong = [misses(model, one) for one in runs]

@@ -46,13 +46,8 @@ def instruments_of(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return regressors ``[y[k], u[k], 1]``, instruments of :func:`instrumental_variables`, and next outputs.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-        Those of fewer than ``lags + 2`` samples have no part.
-    offset : bool
-        With the constant.
-    lags : int
+    - ``records``: those of fewer than ``lags + 2`` samples have no part
+    - ``offset``: with the constant
     """
     spec = records[0].spec
     regressors = [np.zeros((0, spec.ny + spec.nu + offset))]
@@ -78,10 +73,7 @@ def total_least_squares(records: Sequence[Trajectory], offset: bool, what: str) 
     Exact columns are projected out first; outputs weigh by the least-squares residual (Golub, Hoffman & Stewart 1987,
     Linear Algebra Appl. 88:317; Van Huffel & Vandewalle 1991, algorithm 3.1).
 
-    Parameters
-    ----------
-    records, offset, what
-        As of :func:`instrumental_variables`.
+    - ``records, offset, what``: as of :func:`instrumental_variables`
     """
     before = np.concatenate([record.y[:-1] for record in records])
     after = np.concatenate([record.y[1:] for record in records])
@@ -130,13 +122,9 @@ def absolute_deviations(x: FloatArray, y: FloatArray, what: str, *, largest: boo
 
     Linear programs, solved by HiGHS (Boyd & Vandenberghe 2004, *Convex Optimization*, sec. 6.1).
 
-    Parameters
-    ----------
-    x, y : array (N, p), (N, m)
-    what : str
-        For messages.
-    largest : bool
-        l-infinity in place of l1.
+    - ``x, y`` (N, p), (N, m)
+    - ``what``: for messages
+    - ``largest``: l-infinity in place of l1
 
     Examples
     --------
@@ -161,10 +149,7 @@ def largest_components(x: FloatArray, y: FloatArray, what: str) -> FloatArray:
     The l-infinity criterion of the exercise on objectives in Tedrake, *Underactuated Robotics*, ch. 18: the largest
     component of each sample's error, summed over samples.
 
-    Parameters
-    ----------
-    x, y, what
-        As of :func:`absolute_deviations`.
+    - ``x, y, what``: as of :func:`absolute_deviations`
 
     Examples
     --------

@@ -86,17 +86,11 @@ def refuse_feedback(solution: Solution, columns: Columns, least: float, what: st
     noise, nor one that departs from it by a tenth of its size: a controller that acts on the noisy outputs themselves
     gives consistent fits with any departure, and the two cases look alike.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of the one-step equations, least squares.
-    columns : Columns
-    least : float
-        Least ratio of departure to noise, about 2; 0 refuses nothing.
-    what : str
-        For messages.
-    ridge : float
-        Tikhonov weight of the fit, which hides an exact law from its rank decision: then one is looked for here.
+    - ``solution``: of the one-step equations, least squares
+    - ``least``: least ratio of departure to noise, about 2; 0 refuses nothing
+    - ``what``: for messages
+    - ``ridge``: tikhonov weight of the fit, which hides an exact law from its rank decision: then one is looked for
+      here
     """
     if least <= 0 or not columns.now:
         return
@@ -170,17 +164,9 @@ def nearly_dependent(
     is that of least squares over the F of the regressors on the instruments (Staiger & Stock 1997, Econometrica 65:557,
     sec. 2).
 
-    Parameters
-    ----------
-    solution, columns, least, what
-        As of :func:`refuse_feedback`; here the outputs are the states (one lag).
-    records : sequence of Trajectory
-        Where the samples before are looked up; without them every combination that is small counts as noise.
-
-    Returns
-    -------
-    Dependence or None
-        None where there is no such combination.
+    - ``solution, columns, least, what``: as of :func:`refuse_feedback`; here the outputs are the states (one lag)
+    - ``records``: where the samples before are looked up; without them every combination that is small counts as noise
+    - returns none where there is no such combination
     """
     if least <= 0:
         return None
@@ -300,13 +286,8 @@ def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: 
     As :func:`refuse_feedback`, with the noise of each output taken to be no more than its fourth difference leaves
     (``/ sqrt(70)``, what white noise makes of it): the residual of a linear equation may be the plant's nonlinearity.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    lags : int
-        Samples of the past that the fit uses.
-    least, what
-        As of :func:`refuse_feedback`.
+    - ``lags``: samples of the past that the fit uses
+    - ``least, what``: as of :func:`refuse_feedback`
     """
     spec = records[0].spec
     few = sum(max(0, len(record) - lags) for record in records) <= 2 * (lags * (spec.ny + spec.nu) + 1)
@@ -325,15 +306,9 @@ def law_of_part(rows: FloatArray, targets: FloatArray, columns: Columns, least: 
     For fits that give some samples a model of their own (modes, regions): all samples may tell what the inputs do, and
     those of a part follow a law, as where the fast part of a motion from a start has died away in it.
 
-    Parameters
-    ----------
-    rows : array (n, p)
-        Regressors of the part, those of ``columns`` without the constant.
-    targets : array (n, ny)
-        Next outputs.
-    columns : Columns
-    least : float
-        As of :func:`refuse_feedback`; 0 asks nothing.
+    - ``rows`` (n, p): regressors of the part, those of ``columns`` without the constant
+    - ``targets`` (n, ny): next outputs
+    - ``least``: as of :func:`refuse_feedback`; 0 asks nothing
 
     Examples
     --------

@@ -49,17 +49,10 @@ def coefficients_without(
     left out: exact for least squares, so that residuals that are correlated within a stretch, or larger here than
     there, count as they are.
 
-    Parameters
-    ----------
-    blocks : callable
-        Yields ``(Phi (n, p), Y (n, m))`` in the order of time, as for :func:`identifiers.common.regression.solve`.
-    solution : Solution
-        Over all rows; with a ridge in its factor where there was one.
-
-    Returns
-    -------
-    (array (G, p, m), float) or None
-        None of too few rows or too many regressors.
+    - ``blocks``: yields ``(Phi (n, p), Y (n, m))`` in the order of time, as for
+      :func:`identifiers.common.regression.solve`
+    - ``solution``: over all rows; with a ridge in its factor where there was one
+    - returns (array (G, p, m), float) or None: None of too few rows or too many regressors
 
     Examples
     --------
@@ -97,12 +90,8 @@ def coefficients_without(
 def steps_without(gradients: FloatArray, errors: FloatArray) -> FloatArray | None:
     """Return the shifts of parameters (G, k) at the minimum of a sum of squares, one stretch of errors left out each.
 
-    Parameters
-    ----------
-    gradients : array (N, k)
-        Of the errors; columns of zeros belong to parameters that are not fitted.
-    errors : array (N,)
-        Record by record.
+    - ``gradients`` (N, k): of the errors; columns of zeros belong to parameters that are not fitted
+    - ``errors`` (N,): record by record
     """
     bounds = edges(len(errors), GROUPS)
     if not bounds:
@@ -150,17 +139,9 @@ def triangles_without(blocks: Iterable[FloatArray], rows: int, width: int) -> li
 
     The rows are read once: each stretch gets a triangle, and those before and after it are put together.
 
-    Parameters
-    ----------
-    blocks : iterable of array (n, width)
-        In the order of time.
-    rows, width : int
-        Of all blocks together.
-
-    Returns
-    -------
-    list of (array (width, width), int)
-        Empty where a stretch less would leave too few rows.
+    - ``blocks`` iterable of array (n, width): in the order of time
+    - ``rows, width``: of all blocks together
+    - returns list of (array (width, width), int): Empty where a stretch less would leave too few rows
 
     Examples
     --------
@@ -201,17 +182,10 @@ def spread_of(
 ) -> Spread | None:
     """Return the spread of neighbours; None where there are none, or they are too large to keep.
 
-    Parameters
-    ----------
-    near : sequence of (A, B, C, D)
-        In the model's units and its number of states; one for each stretch left out.
-    factor : float, optional
-        By default (G - 1) / G, that of the jackknife.
-    freedom : float, optional
-        By default G - 1.
-    method : str
-        By default says how many stretches.
-    warning : str
+    - ``near`` sequence of (A, B, C, D): in the model's units and its number of states; one for each stretch left out
+    - ``factor``: by default (G - 1) / G, that of the jackknife
+    - ``freedom``: by default G - 1
+    - ``method``: by default says how many stretches
     """
     if len(near) < 2 or len(near[0][0]) > LARGEST:
         return None

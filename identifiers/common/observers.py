@@ -32,13 +32,9 @@ def alpha_beta_gains(positions: int, dt: float) -> FloatArray:
 def riccati_gains(a: FloatArray, c: FloatArray, scale: FloatArray, noise: FloatArray) -> FloatArray:
     """Return stationary Kalman gains (G, nx, ny) of ``x+ = A x``, ``y = C x`` for growing disturbance.
 
-    Parameters
-    ----------
-    a, c : array (nx, nx), (ny, nx)
-    scale : array (nx,)
-        Size of each state: the disturbance has this standard deviation times 1e-5 .. 1 in a step.
-    noise : array (ny,)
-        Size of each output: the sensor is taken for a thousandth of it.
+    - ``a, c`` (nx, nx), (ny, nx)
+    - ``scale`` (nx,): size of each state: the disturbance has this standard deviation times 1e-5 .. 1 in a step.
+    - ``noise`` (ny,): size of each output: the sensor is taken for a thousandth of it
     """
     from scipy.linalg import LinAlgError, solve_discrete_are
 
@@ -67,17 +63,10 @@ def best_gain(
 ) -> FloatArray:
     """Return the gain (nx, ny) with the least one-step prediction error on records.
 
-    Parameters
-    ----------
-    gains : array (G, nx, ny)
-        Candidates; all are run at once.
-    step, output : callable
-        Of states (G, nx) and an input (G, nu).
-    starts : sequence of array (nx,)
-        Initial state of each record.
-    records : sequence of Trajectory
-    samples : int
-        Use so many samples in all.
+    - ``gains`` (G, nx, ny): candidates; all are run at once
+    - ``step, output``: of states (G, nx) and an input (G, nu)
+    - ``starts`` sequence of array (nx,): initial state of each record
+    - ``samples``: use so many samples in all
     """
     channels = records[0].spec.outputs
     spread = divisor(np.concatenate([record.y for record in records]).std(axis=0))
@@ -107,17 +96,10 @@ def fitted_start(
 ) -> FloatArray:
     """Return the initial state whose free run fits the start of a record best (Levenberg-Marquardt, differences).
 
-    Parameters
-    ----------
-    run : callable
-        ``run(x (M, nx), u (M, N, nu)) -> y (M, N, ny)``.
-    channels : sequence of Channel
-    data : Trajectory
-    guess : array (nx,)
-    scale : array (nx,)
-        Size of each state, for differences and damping.
-    lengths : sequence of int
-        Samples used, in turn: a short stretch first, since over a long one the error has many minima.
+    - ``run``: ``run(x (M, nx), u (M, N, nu)) -> y (M, N, ny)``
+    - ``guess`` (nx,)
+    - ``scale`` (nx,): size of each state, for differences and damping
+    - ``lengths``: samples used, in turn: a short stretch first, since over a long one the error has many minima
     """
     spread = divisor(data.y.std(axis=0))
     best = np.array(guess, dtype=float)
@@ -160,15 +142,10 @@ def likeliest_start(
 ) -> FloatArray:
     """Return the initial state (nx,) whose residuals are least, from the best of several starts.
 
-    Parameters
-    ----------
-    residuals : callable
-        Of some states (M, nx) what is wrong with each, (M, N): errors over their deviation, and how far the states are
-        from what is believed of them. Not finite where a run diverges.
-    starts : sequence of array (nx,)
-    steps : array (nx,)
-        Differences by which derivatives are taken.
-    rule : Damping
+    - ``residuals``: of some states (M, nx) what is wrong with each, (M, N): errors over their deviation, and how far
+      the states are from what is believed of them. Not finite where a run diverges.
+    - ``starts`` sequence of array (nx,)
+    - ``steps`` (nx,): differences by which derivatives are taken
     """
 
     def cost(x: FloatArray) -> float:
@@ -243,10 +220,7 @@ def stationary_gain(a: FloatArray, c: FloatArray) -> FloatArray:
 
     Shapes: ``a, c`` (nx, nx), (ny, nx).
 
-    Returns
-    -------
-    array (nx, ny)
-        ``L`` of ``x + L (y - C x)``; zeros where the Riccati equation has no solution.
+    - returns array (nx, ny): ``L`` of ``x + L (y - C x)``; zeros where the Riccati equation has no solution
 
     Examples
     --------

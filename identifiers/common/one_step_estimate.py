@@ -38,18 +38,8 @@ def least_squares_estimate(
     residuals that the ones before foretell (Breusch 1978, Aust. Econ. Papers 17:334; Godfrey 1978, Econometrica
     46:1293), and then no interval is claimed.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    solution : Solution
-        Of ``y[k+1] = theta' [y[k], ..., u[k], ..., 1]`` over all of them.
-    lags : int
-    offset : bool
-
-    Returns
-    -------
-    Estimate or None
-        None beyond 200 coefficients.
+    - ``solution``: of ``y[k+1] = theta' [y[k], ..., u[k], ..., 1]`` over all of them
+    - returns none beyond 200 coefficients
     """
     spec = records[0].spec
     theta = solution.coefficients
@@ -86,16 +76,9 @@ def jackknife_estimate(
     Delete-a-group jackknife (Kott 2001, J. Official Statistics 17:521): what the noise is, and how long it remembers,
     need not be known; a stretch is 5 % of the samples and none reaches across a seam.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    solution : Solution
-        The least-squares fit, for rank and condition.
-    theta : array (p, ny)
-        The fit to all records.
-    refit : callable
-        Returns theta (p, ny) of other records.
-    groups : int
+    - ``solution``: the least-squares fit, for rank and condition
+    - ``theta`` (p, ny): the fit to all records
+    - ``refit``: returns theta (p, ny) of other records
     """
     from scipy.stats import t
 
@@ -122,18 +105,9 @@ def lifted_estimate(functions: Sequence[str], spec: PlantSpec, solution: Solutio
     Functions of noisy outputs are regressors with errors that the residuals do not show, and a dictionary that is not
     closed leaves errors that are no noise: a covariance of least squares would claim too much.
 
-    Parameters
-    ----------
-    functions : sequence of str
-        Names of the functions, without units.
-    spec : PlantSpec
-    solution : Solution
-        Of ``z[k+1] = theta' [z[k], u[k]]``.
-
-    Returns
-    -------
-    Estimate or None
-        None beyond 200 coefficients.
+    - ``functions``: names of the functions, without units
+    - ``solution``: of ``z[k+1] = theta' [z[k], u[k]]``
+    - returns none beyond 200 coefficients
     """
     if solution.coefficients.size > LARGEST:
         return None
@@ -209,12 +183,8 @@ def foretold_output(
 ) -> str | None:
     """Return the output whose residuals those one sample before foretell most, None where chance explains all.
 
-    Parameters
-    ----------
-    records, theta, lags, offset
-        As of :func:`least_squares_estimate`.
-    columns : sequence of sequence of int, optional
-        Regressors of each output, where not all are.
+    - ``records, theta, lags, offset``: as of :func:`least_squares_estimate`
+    - ``columns``: regressors of each output, where not all are
     """
     from scipy.stats import chi2
 
@@ -256,10 +226,7 @@ def _without(records: Sequence[Trajectory], low: int, high: int) -> list[Traject
 def whiteness(residuals: Sequence[FloatArray]) -> float:
     """Return the probability of residuals at least so correlated in time, were they white (Ljung & Box 1978).
 
-    Parameters
-    ----------
-    residuals : sequence of array (N_i,)
-        Record by record: no product crosses a seam.
+    - ``residuals`` sequence of array (N_i,): record by record: no product crosses a seam
 
     Examples
     --------

@@ -27,15 +27,9 @@ def usable(
     What stands where a reading is missing is never taken for one: a hole ends a record. Raises FitError if there is no
     record of that length, or the records speak different languages.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-    samples : int
-        Least number of samples of a record; shorter ones are left out.
-    what : str
-        Name of the identifier, for messages.
-    holes : {"seams", "kept"}
-        ``"kept"`` for a fit that passes over missing readings itself.
+    - ``samples``: least number of samples of a record; shorter ones are left out
+    - ``what``: name of the identifier, for messages
+    - ``holes`` {"seams", "kept"}: ``"kept"`` for a fit that passes over missing readings itself
     """
     if not trajectories:
         raise FitError(f"{what}: no records", expected="at least one", got="none", remedy="give estimation data")
@@ -83,14 +77,9 @@ def without_holes(trajectories: Sequence[Trajectory], *, samples: int, what: str
     For fits to windows of all signals: a window with a missing reading is no equation, and a hole is a seam. Raises
     FitError if no stretch is so long.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        What stands where a reading is missing is not looked at.
-    samples : int
-        Least number of samples of a stretch.
-    what : str
-        Name of the identifier, for messages.
+    - ``trajectories``: what stands where a reading is missing is not looked at
+    - ``samples``: least number of samples of a stretch
+    - ``what``: name of the identifier, for messages
 
     Examples
     --------
@@ -144,14 +133,9 @@ def missing_notes(
 ) -> dict[str, Any]:
     """Return the notes of a model on missing readings; empty where none is.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        As they were given.
-    used : sequence of Trajectory, optional
-        Stretches that were used, where not all samples were.
-    how : str
-        What the fit did about them.
+    - ``trajectories``: as they were given
+    - ``used``: stretches that were used, where not all samples were
+    - ``how``: what the fit did about them
     """
     gone = sum(0 if record.missing is None else int(record.missing.sum()) for record in trajectories)
     if not gone:
@@ -220,17 +204,9 @@ def _moved(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
 def lagged(trajectory: Trajectory, lags: int) -> FloatArray:
     """Return the rows ``[y[k], ..., y[k - lags + 1], u[k], ..., u[k - lags + 1]]`` for k = lags - 1 .. N - 2.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        One record: no row reaches across a seam.
-    lags : int
-        At least 1.
-
-    Returns
-    -------
-    array (N - lags, lags * (ny + nu))
-        Row i belongs to the next output ``y[lags + i]``.
+    - ``trajectory``: one record: no row reaches across a seam
+    - ``lags``: at least 1
+    - returns array (N - lags, lags * (ny + nu)): Row i belongs to the next output ``y[lags + i]``
 
     Examples
     --------
@@ -245,16 +221,9 @@ def lagged(trajectory: Trajectory, lags: int) -> FloatArray:
 def recent(past: FloatArray, lags: int, u: FloatArray, y: FloatArray) -> FloatArray:
     """Return ``[y[k], ..., y[k - lags + 1], u[k - 1], ..., u[k - lags + 1]]`` of every sample, begun with a past.
 
-    Parameters
-    ----------
-    past : array (p,)
-        The same at the first sample, whose own output is not looked at.
-    lags : int
-    u, y : array (N, nu), (N, ny)
-
-    Returns
-    -------
-    array (N, p)
+    - ``past`` (p,): the same at the first sample, whose own output is not looked at
+    - ``u, y`` (N, nu), (N, ny)
+    - returns array (N, p)
 
     Examples
     --------
@@ -277,16 +246,10 @@ def lagged_blocks(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield regressors and next outputs of one-step equations in blocks, so that memory stays bounded.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        No row reaches across a seam.
-    lags : int
-        As of :func:`lagged`.
-    offset : bool
-        With a last column of ones.
-    direct : bool
-        With the inputs of the instant that is predicted, after the lags.
+    - ``trajectories``: no row reaches across a seam
+    - ``lags``: as of :func:`lagged`
+    - ``offset``: with a last column of ones
+    - ``direct``: with the inputs of the instant that is predicted, after the lags
 
     Yields
     ------
@@ -306,12 +269,8 @@ def lagged_blocks(
 def snapshot_sums(trajectories: Sequence[Trajectory], *, offset: bool = False) -> NormalEquations:
     """Return the sums of ``y[k+1] = theta' [y[k], u[k], 1]``, whose rows need not be put together.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        No pair reaches across a seam.
-    offset : bool
-        With a last column of ones.
+    - ``trajectories``: no pair reaches across a seam
+    - ``offset``: with a last column of ones
 
     Examples
     --------

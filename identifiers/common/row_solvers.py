@@ -18,10 +18,7 @@ HUBER = 1.345
 def whitening(residuals: FloatArray) -> FloatArray:
     """Return L' (n, n) such that the residuals of one instant, times it, have the unit covariance.
 
-    Parameters
-    ----------
-    residuals : array (N, n)
-        Of the equations of n coordinates.
+    - ``residuals`` (N, n): of the equations of n coordinates
 
     Notes
     -----
@@ -79,14 +76,10 @@ def instrumental(rows: FloatArray, target: FloatArray, instruments: FloatArray, 
 
     Raises FitError if the instruments do not determine theta.
 
-    Parameters
-    ----------
-    rows, target : array (M, k), (M,)
-    instruments : array (M, k)
-        The rows of a simulated motion, which sensor noise has not reached (Janot, Vandanjon & Gautier 2014, IEEE Trans.
-        Control Syst. Technol. 22:132).
-    what : str
-        For messages.
+    - ``rows, target`` (M, k), (M,)
+    - ``instruments`` (M, k): the rows of a simulated motion, which sensor noise has not reached (Janot, Vandanjon &
+      Gautier 2014, IEEE Trans. Control Syst. Technol. 22:132).
+    - ``what``: for messages
     """
     size, length = column_norms(rows), column_norms(instruments)
     cross = (instruments / length).T @ (rows / size)

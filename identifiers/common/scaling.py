@@ -118,10 +118,7 @@ def lively(errors: FloatArray) -> npt.NDArray[np.bool_]:
 
     The others hold noise alone: whatever they say of an order or a rank is chance.
 
-    Parameters
-    ----------
-    errors : array (candidates, ny)
-        Mean square on samples held out, relative to that about the output's mean.
+    - ``errors`` (candidates, ny): mean square on samples held out, relative to that about the output's mean
 
     Examples
     --------

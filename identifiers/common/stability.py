@@ -78,17 +78,10 @@ def nearest_stable(
     of inputs and constants solved for at each trial. (Projection on eigenvalues as in Mamakoukas, Abraham & Murphey
     2023, IEEE Trans. Robotics 39:3; the problem is not convex, and a step is kept only if it is nearer.)
 
-    Parameters
-    ----------
-    theta : array (p, ny)
-        The unconstrained fit; its first ``own`` rows are the coefficients of states or lagged outputs.
-    factor : array (p, p)
-        R with ``R' R`` the Gram matrix of the regressors.
-    own : int
-    project : callable
-        Returns stable coefficients (own, ny) for any.
-    weights : array (ny,)
-        One over the size of each output.
+    - ``theta`` (p, ny): the unconstrained fit; its first ``own`` rows are the coefficients of states or lagged outputs
+    - ``factor`` (p, p): R with ``R' R`` the Gram matrix of the regressors
+    - ``project``: returns stable coefficients (own, ny) for any
+    - ``weights`` (ny,): one over the size of each output
     """
     left, remaining = factor[:, :own], factor[:, own:]
 
@@ -127,10 +120,7 @@ def convex_stable(theta: FloatArray, factor: FloatArray, own: int, weights: Floa
     1.28 times as far from the fit as :func:`nearest_stable`, in the median 1.01 times. Raises FitError if the program
     is not solved.
 
-    Parameters
-    ----------
-    theta, factor, own, weights
-        As of :func:`nearest_stable`.
+    - ``theta, factor, own, weights``: as of :func:`nearest_stable`
     """
     cp: Any = importlib.import_module("cvxpy")
     scale = np.concatenate([weights, np.ones(len(theta) - own)])

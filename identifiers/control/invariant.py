@@ -117,18 +117,11 @@ def widened(
     on points of the boundary, to first order, while the disturbance grows. Whether it holds between the points is not
     known (:func:`certified`).
 
-    Parameters
-    ----------
-    loop : Loop
-    first : Ellipsoid
-        Where to begin; about the target, which it must go on to contain.
-    moving : bool
-        Whether the centre may move: for a disturbance of one sign, constant. Else d has both signs, and may change.
-    margin : float
-        Relative to V = 1 on the boundary [1/s].
-    within : array (nx,)
-        Largest departure of each state from the target; infinite where it may be any.
-    rng : Generator
+    - ``first``: where to begin; about the target, which it must go on to contain
+    - ``moving``: whether the centre may move: for a disturbance of one sign, constant. Else d has both signs, and may
+      change.
+    - ``margin``: relative to V = 1 on the boundary [1/s]
+    - ``within`` (nx,): largest departure of each state from the target; infinite where it may be any
     """
     from scipy.optimize import linprog
 

@@ -105,15 +105,9 @@ def limited_change(
     3:1, sec. 3.1.1 and 5.2): one part is the quadratic cost, the other the limits on the inputs and on their changes,
     which meet in ``z = [w; D w]``, ``w = u + moves v``. The first is a linear solve, the second a clip.
 
-    Parameters
-    ----------
-    h, g : array (M, M), (M,)
-        H positive definite.
-    moves : array (N nu, M)
-        What v does to the inputs.
-    u : array (N, nu)
-        Inputs that are changed.
-    limits : Limits
+    - ``h, g`` (M, M), (M,): H positive definite
+    - ``moves`` (N nu, M): what v does to the inputs
+    - ``u`` (N, nu): inputs that are changed
 
     Examples
     --------
@@ -167,15 +161,9 @@ def riccati(model: TimeVarying, cost: Quadratic, y: FloatArray, u: FloatArray, p
     The backward pass of iterative LQR (Li & Todorov 2004, *ICINCO*, sec. 3): ``dx+ = A[k] dx + B[k] du``, ``dy = C[k]
     dx``, the cost quadratic in what departs from the measured motion.
 
-    Parameters
-    ----------
-    model : TimeVarying
-        Without feedthrough.
-    cost : Quadratic
-    y, u : array (N, ny), (N, nu)
-        Of the motion.
-    proximity : float
-        What changes of an input cost more, relative to the mean curvature by it.
+    - ``model``: without feedthrough
+    - ``y, u`` (N, ny), (N, nu): of the motion
+    - ``proximity``: what changes of an input cost more, relative to the mean curvature by it
     """
     n, nu = u.shape
     nx = model.a_matrices.shape[1]

@@ -133,14 +133,11 @@ def bounded(function: Any, middle: FloatArray, half: FloatArray, *fixed: tuple[F
 
     Raises InputError if the function holds another operation.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX expressions of sums, products, quotients, squares, roots, sines and cosines; one scalar output, dense.
-    middle, half : array (n, m)
-        Middles and half widths of n boxes.
-    *fixed : (value, error), arrays (size,)
-        The other inputs, by columns, the same for all boxes, and how far each may be off.
+    - ``function``: of SX expressions of sums, products, quotients, squares, roots, sines and cosines; one scalar
+      output, dense
+    - ``middle, half`` (n, m): middles and half widths of n boxes
+    - ``*fixed`` (value, error), arrays (size,): the other inputs, by columns, the same for all boxes, and how far each
+      may be off
 
     Examples
     --------

@@ -32,15 +32,11 @@ def probability_errors(
     is inverted where it is positive. What has no information has the error :data:`UNKNOWN`; no error is below the one
     of an event that its row, visited so many times, has not shown.
 
-    Parameters
-    ----------
-    records : sequence of (observations, actions)
-    initial : array (S,)
-        Held.
-    transition : array (S, A, S)
-    emission : array (S, O)
-    prior : float
-        Pseudo-counts of the fit.
+    - ``records`` sequence of (observations, actions)
+    - ``initial`` (S,): held
+    - ``transition`` (S, A, S)
+    - ``emission`` (S, O)
+    - ``prior``: pseudo-counts of the fit
 
     Examples
     --------

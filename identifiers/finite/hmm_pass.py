@@ -44,12 +44,9 @@ def expected_counts(
 ) -> Counts:
     """Return the expected counts of all records under a model (Rabiner 1989, *Proc. IEEE* 77, eq. 40 and 109).
 
-    Parameters
-    ----------
-    records : sequence of (observations, actions)
-    initial, transition, emission : array (S,), (S, A, S), (S, O)
-    native : bool
-        False computes in numpy even where the compiled recursions are there.
+    - ``records`` sequence of (observations, actions)
+    - ``initial, transition, emission`` (S,), (S, A, S), (S, O)
+    - ``native``: false computes in numpy even where the compiled recursions are there
     """
     states, actions, _ = transition.shape
     turned = np.ascontiguousarray(transition.transpose(1, 0, 2))

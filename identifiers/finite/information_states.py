@@ -46,13 +46,8 @@ def windows_of(records: Sequence[Trajectory], memory: int, *, least: int = 10) -
 
     Raises FitError if the channels are others, or no window was visited often enough with every action.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-        One category input, one category and one real output (the reward of the step that led to it).
-    memory : int
-        Pairs of action and observation.
-    least : int
+    - ``records``: one category input, one category and one real output (the reward of the step that led to it)
+    - ``memory``: pairs of action and observation
     """
     actions, observations, seen, earned = _channels(records[0].spec)
     table, rewards = [], []

@@ -23,15 +23,8 @@ SHOWN = 6  # Pairs that were never tried that are named; the model has all.
 def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:
     """Count the transitions of records of one finite process.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        One category input (the action) or none, one category output (the state).
-
-    Returns
-    -------
-    array (S, A, S)
-        How often action a in state s led to s'. No transition is counted across a seam.
+    - ``trajectories``: one category input (the action) or none, one category output (the state)
+    - returns array (S, A, S): How often action a in state s led to s'. No transition is counted across a seam.
     """
     spec = trajectories[0].spec
     states, actions = finite_sizes(spec, "mdp-counting")
@@ -52,14 +45,9 @@ def weissman_bound(count: FloatArray, states: int, confidence: float = 0.95) -> 
     ``||P_hat - P||_1 <= sqrt(2 ln((2^S - 2) / delta) / n)`` with probability ``confidence`` (Weissman et al. 2003, HP
     Labs HPL-2003-97, theorem 2.1).
 
-    Parameters
-    ----------
-    count : array
-        Number of samples n; 0 gives infinity.
-    states : int
-        Number of outcomes, at least 2.
-    confidence : float
-        1 - delta.
+    - ``count``: number of samples n; 0 gives infinity
+    - ``states``: number of outcomes, at least 2
+    - ``confidence``: 1 - delta
 
     Examples
     --------

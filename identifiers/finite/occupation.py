@@ -59,15 +59,9 @@ def ulam(samples: FloatArray, following: FloatArray, edges: Sequence[FloatArray]
     17; Dellnitz & Junge 1999, *SIAM J. Numerical Analysis* 36, sec. 4). Boxes that no sample left are left out; what
     would lead there is put on the others of the same box.
 
-    Parameters
-    ----------
-    samples, following : array (N, d)
-    edges : sequence of array
-        Of the boxes along each axis.
-
-    Returns
-    -------
-    transition (B, B), boxes (B,) as flat indices of the grid
+    - ``samples, following`` (N, d)
+    - ``edges`` sequence of array: of the boxes along each axis
+    - returns transition (B, B), boxes (B,) as flat indices of the grid
     """
     shape = tuple(len(edge) - 1 for edge in edges)
 

@@ -35,17 +35,10 @@ def grouped(
     Govaert 2000, *IEEE Trans. PAMI* 22:719): it counts what it takes to say which plane a place belongs to, so noise
     about one plane is not cut in two.
 
-    Parameters
-    ----------
-    places : array (n, m)
-        Positions at the jumps, each scaled to a size of 1.
-    count : int, optional
-        Of the planes; None chooses it.
-    least : int
-        Members that a plane needs.
-    reset : int
-        Parameters that each plane brings beside its own.
-    rng : Generator
+    - ``places`` (n, m): positions at the jumps, each scaled to a size of 1
+    - ``count``: of the planes; None chooses it
+    - ``least``: members that a plane needs
+    - ``reset``: parameters that each plane brings beside its own
 
     Examples
     --------

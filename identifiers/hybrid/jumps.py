@@ -39,16 +39,10 @@ def find_jumps(
 
     The instant within the gap is where those outputs meet that do not jump.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    continuous : array (n,) of int
-        Outputs that do not jump, such as positions.
-    roles : array (ny,) of int
-        Output i before a jump is output ``roles[i]`` after it (legs that change roles).
-    width : int
-        Samples on each side that a parabola is fitted to, at least 3. Jumps nearer to each other or to the ends of a
-        record are left out.
+    - ``continuous`` array (n,) of int: outputs that do not jump, such as positions
+    - ``roles`` array (ny,) of int: output i before a jump is output ``roles[i]`` after it (legs that change roles)
+    - ``width``: samples on each side that a parabola is fitted to, at least 3. Jumps nearer to each other or to the
+      ends of a record are left out.
 
     Examples
     --------

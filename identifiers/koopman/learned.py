@@ -51,20 +51,12 @@ def learned_functions(
     and the matrix is eliminated, that of least squares for every choice of functions (variable projection, Golub &
     Pereyra 2003, *Inverse Problems* 19:R1), so that the model fitted with them afterwards is the one that was judged.
 
-    Parameters
-    ----------
-    stretches : sequence of Stretch
-        At least two; one of five is held out, and no window reaches from one to the next.
-    outputs : int
-        The first columns of the arguments, whose errors count.
-    count : int
-        Functions.
-    horizon : int
-        Samples.
-    ridge : float
-        Tikhonov weight, relative to the squares of every column.
-    rng : numpy.random.Generator
-        Draws the start.
+    - ``stretches``: at least two; one of five is held out, and no window reaches from one to the next
+    - ``outputs``: the first columns of the arguments, whose errors count
+    - ``count``: functions
+    - ``horizon``: samples
+    - ``ridge``: tikhonov weight, relative to the squares of every column
+    - ``rng``: draws the start
     """
     held = [one for k, one in enumerate(stretches) if k % HELD_OUT == HELD_OUT - 1] or [stretches[-1]]
     fit = [one for one in stretches if not any(one is other for other in held)]

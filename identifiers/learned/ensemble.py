@@ -26,12 +26,8 @@ def own_spread(misses: FloatArray, disagreement: FloatArray) -> FloatArray:
 
     What the members disagree by widens the mixture besides; it is the part that grows outside the data.
 
-    Parameters
-    ----------
-    misses : array (n, ny)
-        Measured minus the mean of the members, held out.
-    disagreement : array (n, ny)
-        Variance of the members' predictions there.
+    - ``misses`` (n, ny): measured minus the mean of the members, held out
+    - ``disagreement`` (n, ny): variance of the members' predictions there
 
     Examples
     --------

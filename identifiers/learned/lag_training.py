@@ -85,15 +85,9 @@ class LagTask:
     ) -> tuple[list[FloatArray], list[list[float]]]:
         """Return the trained tables (members, ...) and the held-out losses.
 
-        Parameters
-        ----------
-        tables : sequence of array (members, ...)
-        network : callable
-            ``network(torch, tables, rows (members, n, p))`` returns (members, n, ny).
-        how : Trained
-        rng : numpy.random.Generator
-        what : str
-            Name of the identifier.
+        - ``tables`` sequence of array (members, ...)
+        - ``network``: ``network(torch, tables, rows (members, n, p))`` returns (members, n, ny)
+        - ``what``: name of the identifier
         """
         torch = need_torch(what)
         members = len(tables[0])

@@ -31,12 +31,7 @@ def library() -> Any:
 def exponents(variables: int, degree: int, bent: int) -> Counts:
     """Return the exponents (m, variables) of the monomials up to a total degree, by degree: the constant, then linear.
 
-    Parameters
-    ----------
-    variables : int
-    degree : int
-    bent : int
-        So many variables, the first ones, enter the monomials of degree 2 and more; the others are linear.
+    - ``bent``: so many variables, the first ones, enter the monomials of degree 2 and more; the others are linear
 
     Examples
     --------

@@ -135,18 +135,9 @@ def descend(
 ) -> Fitted:
     """Return the state with the least held-out error on one descent from a random start.
 
-    Parameters
-    ----------
-    layout : Layout or Integrating
-    problems : sequence of Problem
-    rng : numpy.random.Generator
-    ridge : float
-        Cost of the squares of the weights.
-    iterations : int
-    direct : bool
-        Let outputs depend on the inputs of the same instant.
-    lags : bool
-        Begin at a cascade of lags; else at a subspace model, where there is one.
+    - ``ridge``: cost of the squares of the weights
+    - ``direct``: let outputs depend on the inputs of the same instant
+    - ``lags``: begin at a cascade of lags; else at a subspace model, where there is one
     """
     begun, levels = list(problems), np.zeros((len(problems), 0))
     if isinstance(layout, Integrating):
@@ -175,19 +166,11 @@ def descend_from(
 ) -> Fitted:
     """Return the state with the least held-out error on the descent from given coefficients.
 
-    Parameters
-    ----------
-    layout : Recurrence
-    problems : sequence of Problem
-        Where none of them holds anything out, the least error counts.
-    theta : array (p,)
-    starts : array (R, nx)
-        Initial states.
-    weight : array (p,)
-        Cost of the square of each coefficient.
-    free : array of bool (p,)
-        Which coefficients are fitted.
-    iterations : int
+    - ``problems``: where none of them holds anything out, the least error counts
+    - ``theta`` (p,)
+    - ``starts`` (R, nx): initial states
+    - ``weight`` (p,): cost of the square of each coefficient
+    - ``free`` array of bool (p,): which coefficients are fitted
     """
     best, since = Fitted(theta, starts, np.inf, np.inf), 0
 
@@ -224,15 +207,10 @@ def fit_start(
 ) -> FloatArray:
     """Return the likeliest initial state (nx,) of a record under a normal belief of mean and std.
 
-    Parameters
-    ----------
-    layout, theta
-        The model.
-    problem : Problem
-        The first samples of the record.
-    mean, std : array (nx,)
-    error : float
-        Standard deviation of the errors of a free run, in scaled units.
+    - ``layout, theta``: the model
+    - ``problem``: the first samples of the record
+    - ``mean, std`` (nx,)
+    - ``error``: standard deviation of the errors of a free run, in scaled units
     """
     precision = (max(error, 1e-6) / std) ** 2
 

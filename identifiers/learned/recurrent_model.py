@@ -215,18 +215,10 @@ def vouched(
 
     Raises FitError if more than one in twenty held-out free runs leaves that range one step ahead.
 
-    Parameters
-    ----------
-    spec : PlantSpec
-    layout : Recurrence
-    best : sequence of Fitted
-        One for each member.
-    problems, records : sequences
-        The records, scaled and as they are.
-    what : str
-        Name of the identifier, for messages.
-    bounded : bool
-        Hold free runs at three times the range of the states in the data.
+    - ``best``: one for each member
+    - ``problems, records``: the records, scaled and as they are
+    - ``what``: name of the identifier, for messages
+    - ``bounded``: hold free runs at three times the range of the states in the data
     """
     members = [own_member(spec, layout, fitted, problems, records, bounded=bounded) for fitted in best]
     cuts = [problem.cut for problem in problems]

@@ -108,28 +108,13 @@ def train(
 ) -> list[list[float]]:
     """Minimise a loss by Adam (Kingma and Ba 2015) with a rate that falls as a cosine; ends at the best held-out state.
 
-    Parameters
-    ----------
-    torch : module
-    parameters : sequence of tensor
-        Changed in place. The first axis goes over the members, each of which ends at its own best state.
-    loss : callable
-        ``loss(index (members, batch))`` returns the sum over the members.
-    held_out : callable
-        Returns the held-out loss of each member (members,).
-    count : int
-        Rows or windows that batches are drawn from.
-    how : Trained
-        Its ``checkpoint`` is written now and then, and continued from if it belongs to the same training.
-    rng : numpy.random.Generator
-    title : str
-        Of the bar.
-    members : int
-
-    Returns
-    -------
-    list of list of float
-        The held-out loss of each member at every look.
+    - ``parameters``: changed in place. The first axis goes over the members, each of which ends at its own best state.
+    - ``loss``: ``loss(index (members, batch))`` returns the sum over the members
+    - ``held_out``: returns the held-out loss of each member (members,)
+    - ``count``: rows or windows that batches are drawn from
+    - ``how``: its ``checkpoint`` is written now and then, and continued from if it belongs to the same training
+    - ``title``: of the bar
+    - returns the held-out loss of each member at every look
     """
     steps, rate = how.steps, how.rate
     size = min(how.batch, count)
@@ -234,20 +219,11 @@ def train_tables(
 
     Raises InputError if torch is not installed.
 
-    Parameters
-    ----------
-    what : str
-        Name of the identifier.
-    start : mapping
-        Tables by name where the training begins.
-    miss : callable
-        ``miss(torch, tables, *parts)`` returns the loss of windows.
-    learn, held : sequence of array (w, ...)
-        Windows to learn from, and held-out ones.
-    how : Trained
-    rng : numpy.random.Generator
-    fixed : sequence of str
-        Tables that stay what they are.
+    - ``what``: name of the identifier
+    - ``start``: tables by name where the training begins
+    - ``miss``: ``miss(torch, tables, *parts)`` returns the loss of windows
+    - ``learn, held`` sequence of array (w, ...): windows to learn from, and held-out ones
+    - ``fixed``: tables that stay what they are
     """
     torch = need_torch(what)
     with one_thread(torch):

@@ -102,14 +102,7 @@ def arx_by_channel(
 ) -> tuple[FloatArray, list[Solution], Estimate | None]:
     """Return the coefficients (lags (ny + nu) + offset, ny) of all lags, the regressions, and their record.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    orders : ArxOrders
-    offset : bool
-    ridge, least_excitation : float
-        As of ``arx``.
-    what : str
+    - ``ridge, least_excitation``: as of ``arx``
     """
     spec = records[0].spec
     full = Columns(spec, orders.lags)

@@ -95,11 +95,7 @@ def leading_triplets(matrix: Hankel, count: int) -> tuple[FloatArray, FloatArray
     7:149) from a random start, carried on until ``||H' u - s v||`` of every triplet is rounding: as accurate as a dense
     decomposition.
 
-    Parameters
-    ----------
-    matrix : Hankel
-    count : int
-        Number of triplets.
+    - ``count``: number of triplets
 
     Returns
     -------

@@ -219,14 +219,9 @@ def completed(
 def ridge_by_cross_validation(columns: FloatArray, targets: FloatArray, samples: int) -> FloatArray:
     """Return the ridge solution of least generalised cross-validation (Golub, Heath & Wahba 1979, eq. 1.4).
 
-    Parameters
-    ----------
-    columns : array (n, k)
-        Centred columns of similar size, or the triangle of their QR decomposition.
-    targets : array (n, m)
-        What they explain, in the same rows.
-    samples : int
-        Rows before the decomposition.
+    - ``columns`` (n, k): centred columns of similar size, or the triangle of their QR decomposition
+    - ``targets`` (n, m): what they explain, in the same rows
+    - ``samples``: rows before the decomposition
 
     Examples
     --------

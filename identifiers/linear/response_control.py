@@ -100,12 +100,7 @@ def estimated_response(
     union bound. What lies beyond the length is added as if it fell on as the last tenth does. Raises FitError if the
     inputs do not excite so many lags, or the response has not died out.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-    length : int
-        L, long enough for the response to die out.
-    confidence : float
+    - ``length``: L, long enough for the response to die out
     """
     records, spec = usable(trajectories, samples=length + 2, what=what)
     real_signals(spec, what)
@@ -146,12 +141,8 @@ def response_controller(response: Response, q: FloatArray, r: FloatArray, taps: 
     With inputs linear in nature's y, outputs are linear in the controller: least squares (Simchowitz, Singh & Hazan
     2020, *COLT*, "Improper learning for non-stochastic control", sec. 2; after Youla).
 
-    Parameters
-    ----------
-    response : Response
-    q, r : array (ny, ny), (nu, nu)
-    taps : int
-        m.
+    - ``q, r`` (ny, ny), (nu, nu)
+    - ``taps``: m
     """
     from scipy.linalg import sqrtm
     from scipy.signal import fftconvolve

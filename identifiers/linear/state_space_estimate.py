@@ -22,18 +22,9 @@ def state_space_estimate(model: LinearModel, singular_values: Sequence[float], r
     Intervals follow from the model's spread, the fits without one stretch of the records each, to first order; that the
     order was chosen from the same data is not in them.
 
-    Parameters
-    ----------
-    model : LinearModel
-    singular_values : sequence of float
-        That the order was read from, largest first.
-    rule : str
-        What decided the order.
-
-    Returns
-    -------
-    Estimate or None
-        None beyond 200 parameters.
+    - ``singular_values``: that the order was read from, largest first
+    - ``rule``: what decided the order
+    - returns none beyond 200 parameters
 
     Examples
     --------

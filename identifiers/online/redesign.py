@@ -47,10 +47,7 @@ def repeatable_coverage(first: FloatArray, second: FloatArray) -> float:
     not that of the other: the symmetric cross-Gram matrix of both holds only what the excitation moves. Each column is
     scaled to an rms of 1; 1 is white, 0 leaves a direction out.
 
-    Parameters
-    ----------
-    first, second : array (n, p)
-        Regressors of the same samples of both runs.
+    - ``first, second`` (n, p): regressors of the same samples of both runs
 
     Examples
     --------

@@ -118,17 +118,11 @@ def rotated(
 ) -> FloatArray:
     """Return ``[R z]`` (p, p + 1) after equations (n, p + 1), regressors and target, were rotated in one by one.
 
-    Parameters
-    ----------
-    triangle : array (p, p + 1)
-        Zeros before any data; ``R theta = z``.
-    rows : array (n, p + 1)
-    group : int
-        Equations of one instant, which are forgotten together.
-    forgetting : float
-        Weight of all that came before, for every group.
-    native : bool
-        False computes in numpy even where the compiled recursion is there.
+    - ``triangle`` (p, p + 1): zeros before any data; ``R theta = z``
+    - ``rows`` (n, p + 1)
+    - ``group``: equations of one instant, which are forgotten together
+    - ``forgetting``: weight of all that came before, for every group
+    - ``native``: false computes in numpy even where the compiled recursion is there
 
     Examples
     --------

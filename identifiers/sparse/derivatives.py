@@ -74,18 +74,13 @@ def derivative_rows(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield blocks of rows ``(Phi (p, n), target (ny, n))`` for the derivative of the given order of the outputs.
 
-    Parameters
-    ----------
-    record : Trajectory
-    functions : callable
-        The candidate functions of ``[y, rates if order is 2, u]``.
-    order : int
-        1 or 2.
-    method : {"weak", "smooth", "difference"}
-        Both sides averaged with a test function and the derivative moved onto it by parts (Messenger & Bortz 2021, SIAM
-        Multiscale Model. Simul. 19:1474, eq. 2.4); local cubics; central differences.
-    half : int, optional
-        Half width of the test function in samples; by default from the amount of smoothing that the signals ask for.
+    - ``functions``: the candidate functions of ``[y, rates if order is 2, u]``
+    - ``order``: 1 or 2
+    - ``method`` {"weak", "smooth", "difference"}: both sides averaged with a test function and the derivative moved
+      onto it by parts (Messenger & Bortz 2021, SIAM Multiscale Model. Simul. 19:1474, eq. 2.4); local cubics; central
+      differences.
+    - ``half``: half width of the test function in samples; by default from the amount of smoothing that the signals ask
+      for
 
     Notes
     -----

@@ -48,13 +48,8 @@ def frols(equations: NormalEquations, column: int, most: int) -> Path:
     one of the largest error reduction ratio ``(w'y)^2 / (w'w y'y)`` is next. Here on the Gram matrix, as a Cholesky
     factorisation with that pivot: memory and time do not grow with the records.
 
-    Parameters
-    ----------
-    equations : NormalEquations
-    column : int
-        Of the target.
-    most : int
-        Terms at most.
+    - ``column``: of the target
+    - ``most``: terms at most
 
     Examples
     --------
@@ -131,13 +126,9 @@ def criterion_value(lost: float, terms: int, rows: int, choices: int, criterion:
     ``"aic"`` asks 2 (Akaike 1974), ``"bic"`` ln N (Schwarz 1978), ``"ebic"`` counts beside that how many sets of so
     many terms there were to choose from (Chen & Chen 2008, Biometrika 95:759): a dictionary of hundreds asks for it.
 
-    Parameters
-    ----------
-    lost : float
-        Share of the square that is left.
-    terms, rows, choices : int
-        Terms chosen, equations, and terms to choose from.
-    criterion : {"ebic", "bic", "aic"}
+    - ``lost``: share of the square that is left
+    - ``terms, rows, choices``: terms chosen, equations, and terms to choose from
+    - ``criterion`` {"ebic", "bic", "aic"}
 
     Examples
     --------

@@ -108,19 +108,10 @@ def pruned(
     that error is white: then it is the likelihood, and sees terms that the disturbance hides from a free run. Offered
     are the terms of the largest error reduction ratios, where that paper simulates all.
 
-    Parameters
-    ----------
-    equations : NormalEquations
-    library : Library
-    windows : Windows
-    supports : list of list of int
-        Terms of each output to begin with.
-    most : int
-        Terms of an output at most; 0 changes nothing.
-    criterion : {"ebic", "bic", "aic"}
-        As of :func:`identifiers.sparse.orthogonal.criterion_value`.
-    white : sequence of bool
-        Whether the one-step errors of each output are white under the terms to begin with.
+    - ``supports``: terms of each output to begin with
+    - ``most``: terms of an output at most; 0 changes nothing
+    - ``criterion`` {"ebic", "bic", "aic"}: as of :func:`identifiers.sparse.orthogonal.criterion_value`
+    - ``white``: whether the one-step errors of each output are white under the terms to begin with
     """
     supports = [list(one) for one in supports]
     cost, errors = _judged(equations, library, windows, [supports], criterion)

@@ -27,13 +27,9 @@ def lasso_path(gram: FloatArray, right: FloatArray, penalties: FloatArray) -> Fl
     Coordinate descent with warm starts (Friedman, Hastie & Tibshirani 2010, J. Stat. Softw. 33:1, sec. 2.2), columns of
     unit length.
 
-    Parameters
-    ----------
-    gram : array (p, p)
-        Of columns of unit length.
-    right : array (p,)
-    penalties : array (L,)
-        Falling.
+    - ``gram`` (p, p): of columns of unit length
+    - ``right`` (p,)
+    - ``penalties`` (L,): falling
 
     Examples
     --------

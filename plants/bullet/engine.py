@@ -109,22 +109,14 @@ def explicit_urdf(
     Raises InputError if it cannot be read, has no moving joint, has no such link, or holds what Bullet would leave out
     in silence: joints of other kinds, joints that follow others, impossible inertias, rotors behind a gear.
 
-    Parameters
-    ----------
-    source : str or Path
-        A file, or the text of one (it starts with ``<``).
-    damping : float or sequence
-        Viscous damping of the moving joints [N m s/rad or N s/m].
-    limits : bool
-        Keep the joint limits of the file.
-    payload : (link, mass, offset), optional
-        Point mass [kg] fixed to a link at an offset [m] from its frame.
-    shapes : bool
-        Keep the shapes for collisions; without them loading and stepping are faster.
-    locked : sequence of str
-        Joints that are made rigid.
-    tensors : bool
-        The inertia tensors of the file are used: Bullet makes one that no body has zero, so that it is refused.
+    - ``source``: a file, or the text of one (it starts with ``<``)
+    - ``damping``: viscous damping of the moving joints [N m s/rad or N s/m]
+    - ``limits``: keep the joint limits of the file
+    - ``payload`` (link, mass, offset): point mass [kg] fixed to a link at an offset [m] from its frame
+    - ``shapes``: keep the shapes for collisions; without them loading and stepping are faster
+    - ``locked``: joints that are made rigid
+    - ``tensors``: the inertia tensors of the file are used: Bullet makes one that no body has zero, so that it is
+      refused
     """
     root, folder = _parsed(source)
     joints = {str(joint.get("name")): joint for joint in root.iter("joint")}

@@ -76,13 +76,8 @@ def receive(channel: socket.socket, *, largest: int | None = None, limit: float 
     Raises OSError if the other side is gone (``EOFError``), too slow (``TimeoutError``), or announces more than
     ``largest``.
 
-    Parameters
-    ----------
-    channel : socket
-    largest : int, optional
-        Most bytes that a frame may have.
-    limit : float, optional
-        Longest time [s] for the whole frame.
+    - ``largest``: most bytes that a frame may have
+    - ``limit``: longest time [s] for the whole frame
     """
     end = None if limit is None else time.monotonic() + limit
     (length,) = _LENGTH.unpack(_exactly(channel, _LENGTH.size, end))

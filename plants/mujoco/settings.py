@@ -58,11 +58,7 @@ def built(source: str | Path, given: Settings) -> Any:
 
     Raises InputError if the file cannot be used or an option does not fit it.
 
-    Parameters
-    ----------
-    source : str or Path
-        An MJCF or URDF, or the text of one.
-    given : Settings
+    - ``source``: an MJCF or URDF, or the text of one
     """
     root, file = parsed(source)
     urdf = root.tag == "robot"

@@ -153,15 +153,9 @@ def mechanism_spec(places: Sequence[Channel], unit: str, u_limit: float, sample_
 
     Raises InputError if the limit or the sample time is not positive.
 
-    Parameters
-    ----------
-    places : sequence of Channel
-        Positions and angles.
-    unit : str
-        Of the input.
-    u_limit : float
-        Declared range of the input; may be infinite.
-    sample_time : float
+    - ``places``: positions and angles
+    - ``unit``: of the input
+    - ``u_limit``: declared range of the input; may be infinite
 
     Examples
     --------

@@ -18,12 +18,8 @@ STYLE_SHEET = Path(__file__).with_name("page.css")
 def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) -> str:
     """Return the page as text; it loads nothing from outside.
 
-    Parameters
-    ----------
-    result : BenchResult
-        What to show.
-    overlays : mapping, optional
-        Job to the picture of its trajectory, relative to the page; the only links that it has.
+    - ``result``: what to show
+    - ``overlays``: job to the picture of its trajectory, relative to the page; the only links that it has
     """
     lines = result.summary()
     links = _links(result.rows, overlays or {})

@@ -35,11 +35,7 @@ class Tried:
 def parted(train: Sequence[Trajectory], share: float) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
     """Return the records to learn from in two parts, the second to choose between models.
 
-    Parameters
-    ----------
-    train : sequence of Trajectory
-    share : float
-        Of whole records where there are at least four; otherwise of each record, at its end.
+    - ``share``: of whole records where there are at least four; otherwise of each record, at its end
 
     Examples
     --------

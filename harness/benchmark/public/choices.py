@@ -76,10 +76,7 @@ def read_choices(path: str | Path | None = None) -> Choices:
 
     Raises InputError if the file is missing or no TOML, or names an unknown set or key.
 
-    Parameters
-    ----------
-    path : path, optional
-        By default the declared choices of this program.
+    - ``path``: by default the declared choices of this program
 
     Examples
     --------

@@ -58,10 +58,7 @@ def refitted(rule: Rule, structure: Structure, records: Sequence[Trajectory]) ->
 def halves_figure(rule: Rule, structure: Structure, records: Sequence[Trajectory]) -> float:
     """Return the rule's figure where each half of every record is foretold by a fit to the other halves.
 
-    Returns
-    -------
-    float
-        Root mean square of both, in the rule's unit; infinite where a fit fails.
+    - returns root mean square of both, in the rule's unit; infinite where a fit fails
     """
     halves = [[one[: len(one) // 2] for one in records], [one[len(one) // 2 :] for one in records]]
     found = []
@@ -85,18 +82,11 @@ def grown(
 ) -> tuple[Structure, float]:
     """Return the best structure that effects of the dictionary lead to, and its figure over both halves.
 
-    Parameters
-    ----------
-    rule : Rule
-    starts : sequence of Structure
-        From each of them effects are added, the best one each time; not from one that does worse as it stands than what
-        an earlier one has led to.
-    records : sequence of Trajectory
-        The records to learn from, in the model's channels.
-    most : int
-        Effects that are added.
-    progress : callable, optional
-        Called with what is fitted next.
+    - ``starts``: from each of them effects are added, the best one each time; not from one that does worse as it stands
+      than what an earlier one has led to
+    - ``records``: the records to learn from, in the model's channels
+    - ``most``: effects that are added
+    - ``progress``: called with what is fitted next
     """
     best, error = starts[0], np.inf
     for start in starts:

@@ -38,14 +38,9 @@ def flatten(description: Description, describe: Describe, *, parameters: dict[st
 
     Raises InputError if the system breaks the standard, or needs what is not understood here.
 
-    Parameters
-    ----------
-    description : Description
-        What the file says.
-    describe : callable
-        Tells what is in an FMU.
-    parameters : dict, optional
-        Values by hierarchical name in SI, which go before those of the file.
+    - ``description``: what the file says
+    - ``describe``: tells what is in an FMU
+    - ``parameters``: values by hierarchical name in SI, which go before those of the file
     """
     return _Flattening(description, describe).result(parameters or {})
 

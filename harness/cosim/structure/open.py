@@ -58,12 +58,8 @@ def open_structure(path: str | Path, *, within: str | Path | None = None) -> Ope
 
     Raises InputError if the file is missing, unsafe to unpack, breaks its standard, or uses what is not understood.
 
-    Parameters
-    ----------
-    path : path
-        An ``.ssp`` package, an ``.ssd`` file, an OSP structure, or a folder that holds one of them.
-    within : path, optional
-        Folder that the files of an unpacked system may lie in; by default the one that holds the description.
+    - ``path``: an ``.ssp`` package, an ``.ssd`` file, an OSP structure, or a folder that holds one of them
+    - ``within``: folder that the files of an unpacked system may lie in; by default the one that holds the description
     """
     path = Path(path)
     name = path.name

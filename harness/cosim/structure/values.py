@@ -42,14 +42,9 @@ class Reader(Protocol):
 def read_bindings(reader: Reader, element: Any, fmu: Path | None) -> list[Binding]:
     """Return the bindings of an element in their order; of two at one level the later counts (SSP 2.0 sec. 5.2.2).
 
-    Parameters
-    ----------
-    reader : Reader
-        Of the file that holds the element.
-    element : lxml element
-        A component or a system.
-    fmu : Path, optional
-        The component's FMU, for values that lie in it (``sourceBase="component"``).
+    - ``reader``: of the file that holds the element
+    - ``element``: a component or a system
+    - ``fmu``: the component's FMU, for values that lie in it (``sourceBase="component"``)
     """
     found = []
     for binding in children(element, "ParameterBindings", "ParameterBinding"):

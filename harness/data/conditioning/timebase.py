@@ -92,33 +92,21 @@ def pieces_of(
 ) -> tuple[list[Piece], list[str]]:
     """Turn the columns of one run into pieces with a uniform time axis.
 
-    Parameters
-    ----------
-    time : array (N,) or None
-        Time stamps [s]; None where only a sample time is declared.
-    values : array (N, m)
-        Signals; NaN where nothing was recorded.
-    names : tuple of str
-        Names of the m signals, for messages.
-    inputs : tuple of bool
-        Which of them are inputs: resampled as they are held between samples.
-    rules : TimeRules
-        What the data set declares.
-    common : float, optional
-        Sample time [s] of the runs before: all share one.
-    where : callable
-        Returns what a person calls a row (from 0), for messages.
+    Raises InputError if the time is not usable and no declared remedy covers it.
+
+    - ``time`` (N,): time stamps [s]; None where only a sample time is declared
+    - ``values`` (N, m): signals; NaN where nothing was recorded
+    - ``names``: names of the m signals, for messages
+    - ``inputs``: which of them are inputs: resampled as they are held between samples
+    - ``rules``: what the data set declares
+    - ``common``: sample time [s] of the runs before: all share one
+    - ``where``: returns what a person calls a row (from 0), for messages
 
     Returns
     -------
     pieces : list of Piece
     notes : list of str
         What was noticed and done, for the warnings of the data set.
-
-    Raises
-    ------
-    InputError
-        If the time is not usable and no declared remedy covers it.
     """
     notes: list[str] = []
     pieces = _pieces_within(_Run(names, inputs, rules, notes), time, values, common, where)
@@ -198,10 +186,7 @@ def _jumps(
 ) -> BoolArray:
     """Return after which rows others are lost.
 
-    Raises
-    ------
-    InputError
-        If rows are, and gaps are refused.
+    Raises InputError if rows are, and gaps are refused.
     """
     steps = np.diff(stamps)
     jumps = np.abs(steps - dt) > 0.5 * dt
@@ -266,10 +251,7 @@ def _refuse_empty(
 ) -> None:
     """Refuse empty cells that nothing is declared for, by a remedy that helps.
 
-    Raises
-    ------
-    InputError
-        If a signal holds nothing at all, or rows are empty and neither split nor resampled.
+    Raises InputError if a signal holds nothing at all, or rows are empty and neither split nor resampled.
     """
     names, inputs, rules, _ = run
     there = np.isfinite(values)

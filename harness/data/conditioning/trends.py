@@ -15,10 +15,7 @@ Trend = Literal["none", "constant", "linear"]
 def conditioned(record: Trajectory, trend: Trend, band: FilterSection | None) -> Trajectory:
     """Return a record without its trend, inside a band; limits and periods of its channels no longer hold.
 
-    Raises
-    ------
-    InputError
-        If a channel counts or switches, or the band does not fit the sample time.
+    Raises InputError if a channel counts or switches, or the band does not fit the sample time.
     """
     if trend == "none" and band is None:
         return record

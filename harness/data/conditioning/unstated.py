@@ -31,17 +31,10 @@ NEAR = 5e-3
 def refuse_unlikely_seconds(time: FloatArray, title: str) -> None:
     """Refuse time stamps without a unit whose steps would be rare ones in seconds, or are those of a count of days.
 
-    Parameters
-    ----------
-    time : array (N,)
-        Stamps as they were read.
-    title : str
+    Raises InputError if the median step is :data:`SLOWEST_UNSTATED` or more, or the stamps are days of this century at
+    a step that is a usual number of seconds.
 
-    Raises
-    ------
-    InputError
-        If the median step is :data:`SLOWEST_UNSTATED` or more, or the stamps are days of this century at a step that
-        is a usual number of seconds.
+    - ``time`` (N,): stamps as they were read
 
     Examples
     --------

@@ -20,10 +20,6 @@ def mismatched(runs: Sequence[Run]) -> list[Oddity]:
 
     The test of Chow 1960 (Econometrica 28:591) of one model against two. Where a linear model leaves errors that are
     no noise, the plant is not linear, and other amplitudes look like another plant: nothing is said then.
-
-    Parameters
-    ----------
-    runs : sequence of Run
     """
     found = []
     for use in ("estimation", "validation", "test"):

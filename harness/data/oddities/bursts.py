@@ -31,10 +31,8 @@ def bursts_of(y: FloatArray, u: FloatArray) -> list[tuple[int, int, float]]:
     plant, leaves (von Neumann 1941, Ann. Math. Stat. 12:367). The errors of nearly all other windows must be alike.
     What is below a thousandth of the range is no matter.
 
-    Parameters
-    ----------
-    y : array (N,)
-    u : array (N, nu)
+    - ``y`` (N,)
+    - ``u`` (N, nu)
 
     Examples
     --------

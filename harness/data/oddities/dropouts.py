@@ -22,11 +22,8 @@ def dropouts_of(outputs: FloatArray, u: FloatArray, column: int) -> list[Stretch
     before and after: a prediction with a line across the stretch is far likelier than with what was logged. Where the
     outputs do not decide, it may be one if the input jumps into it and out of it as it does nowhere else.
 
-    Parameters
-    ----------
-    outputs : array (N, ny)
-    u : array (N, nu)
-    column : int
+    - ``outputs`` (N, ny)
+    - ``u`` (N, nu)
 
     Examples
     --------

@@ -60,15 +60,11 @@ def foretold(
 ) -> Foretold:
     """Return the prediction of a signal from its past and from inputs, odd rows left out.
 
-    Parameters
-    ----------
-    y : array (N,)
-    u : array (N, nu)
-        nu may be 0.
-    odd : array of bool (N,), optional
-        Rows that say nothing, of the signal or of an input.
-    smooth : bool
-        True for inputs that are smooth over these rows: they tell what all lags do together, and no more is asked.
+    - ``y`` (N,)
+    - ``u`` (N, nu): nu may be 0
+    - ``odd`` array of bool (N,): rows that say nothing, of the signal or of an input
+    - ``smooth``: true for inputs that are smooth over these rows: they tell what all lags do together, and no more is
+      asked
 
     Examples
     --------

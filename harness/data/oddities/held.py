@@ -96,10 +96,8 @@ def held_readings(y: FloatArray, u: FloatArray) -> Held | None:
     A repeated reading is held if the next one catches up: a plant that stands still starts slowly, and the readings of
     an encoder are steps apart.
 
-    Parameters
-    ----------
-    y : array (N,)
-    u : array (N, nu)
+    - ``y`` (N,)
+    - ``u`` (N, nu)
 
     Examples
     --------
@@ -150,10 +148,8 @@ def filled_readings(y: FloatArray, u: FloatArray) -> Held | None:
     A log that was filled in, or brought to a faster clock, goes on straight and bends where a reading was: in a rhythm
     that no input has, or in stretches as :func:`stuck_rows` has them of a slope that scatters with the sensor's noise.
 
-    Parameters
-    ----------
-    y : array (N,)
-    u : array (N, nu)
+    - ``y`` (N,)
+    - ``u`` (N, nu)
 
     Examples
     --------
@@ -203,9 +199,7 @@ def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     signal was on its way before each, as one that settles is not, and went on at once, as one that sticks does not, by
     more than a few steps of its readings, as an encoder at rest does not.
 
-    Parameters
-    ----------
-    y : array (N,)
+    - ``y`` (N,)
 
     Examples
     --------

@@ -58,10 +58,8 @@ def hum_of(y: FloatArray, u: FloatArray) -> Hum | None:
     second, and if it is no multiple of a line of an input or of the largest line of the signal: so a nonlinear plant
     answers.
 
-    Parameters
-    ----------
-    y : array (N,)
-    u : array (N, nu)
+    - ``y`` (N,)
+    - ``u`` (N, nu)
 
     Examples
     --------

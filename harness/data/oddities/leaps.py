@@ -27,12 +27,8 @@ def leaps_of(y: FloatArray, step: float = 0.0) -> tuple[npt.NDArray[np.intp], Fl
     The motion before and after, each followed by a parabola of its own, would have to meet between two rows. A kick or
     a stop bends it there, and it still meets.
 
-    Parameters
-    ----------
-    y : array (N,)
-        A position, an angle without the jumps of a turn.
-    step : float
-        Of the sensor: at rest a reading goes to and fro by one.
+    - ``y`` (N,): a position, an angle without the jumps of a turn
+    - ``step``: of the sensor: at rest a reading goes to and fro by one
 
     Returns
     -------

@@ -44,12 +44,9 @@ def slips_of(y: FloatArray, u: FloatArray, odd: npt.NDArray[np.bool_]) -> list[S
     numbers. A row that was written twice is equal in every channel, and the outputs are as well foretold as elsewhere
     without it; of readings that were held it would have to stay. Outputs that often repeat a reading tell nothing.
 
-    Parameters
-    ----------
-    y : array (N, ny)
-    u : array (N, nu)
-    odd : array of bool (N,)
-        Rows with a reading that is none.
+    - ``y`` (N, ny)
+    - ``u`` (N, nu)
+    - ``odd`` array of bool (N,): rows with a reading that is none
 
     Examples
     --------

@@ -51,11 +51,8 @@ def spikes_of(y: FloatArray, u: FloatArray) -> Spikes:
     count as odd if their pattern explains nearly all of the errors about them, and far better than as many kicks do
     (additive and innovational outliers: Fox 1972, J. R. Stat. Soc. B 34:350; Chen & Liu 1993).
 
-    Parameters
-    ----------
-    y : array (N,)
-    u : array (N, nu)
-        What may move it; nu may be 0.
+    - ``y`` (N,)
+    - ``u`` (N, nu): what may move it; nu may be 0
 
     Examples
     --------
@@ -223,14 +220,10 @@ def unfelt(
     Outputs are foretold twice, with the input as it was logged and as its neighbours foretell it. A glitch of the log
     is one that the outputs would have to show and do not: without it they are as well foretold as elsewhere.
 
-    Parameters
-    ----------
-    outputs : array (N, ny)
-    u : array (N, nu)
-    column : int
-        Of the input.
-    spikes : Spikes
-        Its odd readings.
+    - ``outputs`` (N, ny)
+    - ``u`` (N, nu)
+    - ``column``: of the input
+    - ``spikes``: its odd readings
     """
     gained, strange = np.zeros(len(u)), np.zeros(len(u))
     mended, told = u.copy(), 0

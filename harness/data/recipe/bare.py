@@ -32,16 +32,10 @@ def describe_bare(
 ) -> tuple[Description, Ports | None]:
     """Return the description that a bare file amounts to, and the ports that name its columns.
 
-    Parameters
-    ----------
-    chosen : Chosen
-        What the caller says of the columns. The names are those of the model's ports where there is a model that has
-        some, else those that the caller chose as inputs and outputs.
+    Raises InputError if neither a model nor the caller says which columns are meant, or a column is not there.
 
-    Raises
-    ------
-    InputError
-        If neither a model nor the caller says which columns are meant, or a column is not there.
+    - ``chosen``: what the caller says of the columns. The names are those of the model's ports where there is a model
+      that has some, else those that the caller chose as inputs and outputs.
     """
     table = open_table(path, tables, chosen.sheet)
     known = _known_ports(table, model, ports, chosen)

@@ -148,10 +148,7 @@ class Chosen:
     def by_signal(self, table: Table, ports: Ports | None) -> Chosen:
         """Return the same with every unit under the name of its signal, where the caller gave its column's own title.
 
-        Raises
-        ------
-        InputError
-            If a signal gets two units.
+        Raises InputError if a signal gets two units.
         """
         known = () if ports is None else (*ports.inputs, *ports.outputs)
         names = {TIME, *self.columns, *(channel.name for channel in known)}
@@ -176,16 +173,11 @@ class Chosen:
     def sections(self, table: Table, ports: Ports | None) -> tuple[Found, list[str]]:
         """Return name and signal of each chosen column, by its title, and what there is to say.
 
-        Parameters
-        ----------
-        table : Table
-        ports : Ports or None
-            Of a model, which give the signals their units; without, a column that states none holds plain numbers.
+        Raises InputError if inputs or outputs are not named, a name or a column is used twice, or a column is not
+        there.
 
-        Raises
-        ------
-        InputError
-            If inputs or outputs are not named, a name or a column is used twice, or a column is not there.
+        - ``ports``: of a model, which give the signals their units; without, a column that states none holds plain
+          numbers
         """
         if self.outputs is None or self.inputs is None:
             raise self._unnamed(table)
@@ -225,16 +217,9 @@ class Chosen:
     def placed(self, table: Table, units: Mapping[str, str | None]) -> dict[str | int, str]:
         """Return by title which signal the caller said that it holds, or ``time``.
 
-        Parameters
-        ----------
-        table : Table
-        units : mapping
-            Unit (or None) by name of every signal that there can be.
+        Raises InputError if a name is none of these, a column is not there, or holds two.
 
-        Raises
-        ------
-        InputError
-            If a name is none of these, a column is not there, or holds two.
+        - ``units``: unit (or None) by name of every signal that there can be
         """
         self._refuse_unknown((*units, TIME))
         found: dict[str | int, str] = {}
@@ -251,10 +236,7 @@ class Chosen:
     def _refuse_unknown(self, names: Sequence[str]) -> None:
         """Refuse a column or a unit of a signal that is none of these.
 
-        Raises
-        ------
-        InputError
-            If there is one.
+        Raises InputError if there is one.
         """
         for word, given in (("column", self.columns), ("unit", self.units)):
             for name in given:

@@ -84,10 +84,7 @@ def draft_dataset(
 def _roles(first: Contents, ports: Ports | None, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, str]:
     """Return by column the role that was said.
 
-    Raises
-    ------
-    InputError
-        If there is no such channel, it is said twice, or has the name of a port of the other role.
+    Raises InputError if there is no such channel, it is said twice, or has the name of a port of the other role.
     """
     roles: dict[str, str] = {}
     for role, names in (("input", inputs), ("output", outputs)):

@@ -85,17 +85,10 @@ def load_dataset(
 def load_record(data: Any, spec: PlantSpec) -> Trajectory:
     """Return one table, or the one run of a data set, as a record in the language of a model.
 
-    Parameters
-    ----------
-    data : path or table
-        As for :func:`load_dataset`; the columns carry the names of the model's channels.
-    spec : PlantSpec
-        The model's inputs, outputs and sample time.
+    Raises InputError if the data cannot be used, or are several records.
 
-    Raises
-    ------
-    InputError
-        If the data cannot be used, or are several records.
+    - ``data``: as for :func:`load_dataset`; the columns carry the names of the model's channels
+    - ``spec``: the model's inputs, outputs and sample time
     """
     found = _load(data, None, None, (spec.inputs, spec.outputs), (), Chosen(whole=True)).dataset
     if len(found.runs) != 1:

@@ -45,28 +45,18 @@ def check_run(
 ) -> list[str]:
     """Return the warnings about one run, and refuse one that cannot be used.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Any length.
-    measured : sequence of (port, derivative)
-        What each output is; ``theta_rate`` in rad/s beside ``theta`` in rad is its derivative.
-    recorded : mapping
-        Unit by channel in which the data came: warnings tell values in it.
-    inverse_dynamics : bool
-        The model gives the inputs of a motion (an arm): where a controller holds the motion, the torque follows it.
-    fitted : bool
-        False where no model is learned from the run: then it may be short, and rest.
-    whole : bool
-        False for one of several pieces of a record, which the longest of them speaks for: in a short one chance may
-        make an input follow an output.
-    of : int, optional
-        Rows of the table whose last third was set aside without being asked for.
+    Raises InputError if the run has one sample, no output ever moves, or a measured rate contradicts its position.
 
-    Raises
-    ------
-    InputError
-        If the run has one sample, no output ever moves, or a measured rate contradicts its position.
+    - ``trajectory``: any length
+    - ``measured`` sequence of (port, derivative): what each output is; ``theta_rate`` in rad/s beside ``theta`` in rad
+      is its derivative
+    - ``recorded``: unit by channel in which the data came: warnings tell values in it
+    - ``inverse_dynamics``: the model gives the inputs of a motion (an arm): where a controller holds the motion, the
+      torque follows it
+    - ``fitted``: false where no model is learned from the run: then it may be short, and rest
+    - ``whole``: false for one of several pieces of a record, which the longest of them speaks for: in a short one
+      chance may make an input follow an output
+    - ``of``: rows of the table whose last third was set aside without being asked for
     """
     notes: list[str] = []
     recorded = recorded or {}
@@ -130,16 +120,9 @@ def _refuse_other_categories(channel: Channel, values: FloatArray) -> None:
 def check_runs(runs: Sequence[Run], records: Sequence[int] = ()) -> list[str]:
     """Return the warnings about runs beside each other, and refuse data that are used twice.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-    records : sequence of int
-        Of which record each run is a piece; by default each is one.
+    Raises InputError if a validation or test run repeats data that another use already holds.
 
-    Raises
-    ------
-    InputError
-        If a validation or test run repeats data that another use already holds.
+    - ``records``: of which record each run is a piece; by default each is one
     """
     seen: dict[bytes, tuple[int, Run]] = {}
     for number, run in enumerate(runs):

@@ -28,22 +28,12 @@ def refuse_other_pace(
     SCADA systems write ``Time_ms`` that counts millionths of a day, and exports carry clocks that were left behind by
     a change of rate: the title alone would be wrong without a word.
 
-    Parameters
-    ----------
-    table : Table
-    column : str or int
-        The column that was taken for the clock.
-    time : array (N,)
-        Its stamps [s].
-    stated : bool
-        True if its unit was stated: else a column without a unit is compared as seconds too.
-    used : collection of str, int or None
-        Titles that are signals.
+    Raises InputError with both spans.
 
-    Raises
-    ------
-    InputError
-        With both spans.
+    - ``column``: the column that was taken for the clock
+    - ``time`` (N,): its stamps [s]
+    - ``stated``: true if its unit was stated: else a column without a unit is compared as seconds too
+    - ``used``: titles that are signals
     """
     own = table.find(column)
     for title in table.titles:

@@ -76,10 +76,7 @@ def is_unit_cell(cell: str) -> bool:
 def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None:
     """Return the titles with the units of the row below them; None if that row is no row of units.
 
-    Raises
-    ------
-    InputError
-        If a title and the row below it state two units.
+    Raises InputError if a title and the row below it state two units.
 
     Examples
     --------
@@ -314,18 +311,10 @@ def _one_unit(units: Sequence[str]) -> str | None:
 def refuse_thousands(cells: Sequence[str], where: Callable[[int], str], *, commas: bool = False) -> None:
     """Refuse numbers with points that may stand between thousands: ``1.234`` beside ``12``, or beside decimal commas.
 
-    Parameters
-    ----------
-    cells : sequence of str
-        Without blanks about them.
-    where : callable
-    commas : bool
-        True where other columns of the table have decimal commas.
+    Raises InputError with the first of them.
 
-    Raises
-    ------
-    InputError
-        With the first of them.
+    - ``cells``: without blanks about them
+    - ``commas``: true where other columns of the table have decimal commas
     """
     points = [row for row, cell in enumerate(cells) if "." in cell and cell.lower() not in EMPTY]
     if len(points) < POINTED or not all(_THOUSANDS[1].fullmatch(cells[row]) for row in points):

@@ -100,10 +100,7 @@ def _as_per_cent(path: Path, sheet: str, column: int, first: int, cells: list[An
 def sheets_of(path: Path) -> list[str]:
     """Return the sheets that have rows of numbers, where the first has none; empty where there is no choice to make.
 
-    Raises
-    ------
-    InputError
-        If it is no workbook.
+    Raises InputError if it is no workbook.
     """
     sheets, rows = _read(path, None)
     if len(sheets) < 2 or _has_numbers(rows):

@@ -173,13 +173,9 @@ def _bare(name: str) -> str:
 def stated_unit(title: str, like: str) -> tuple[str, str] | None:
     """Return name and unit of a title that states the unit without brackets; None where none fits what is expected.
 
-    Parameters
-    ----------
-    title : str
-        Such as ``theta_deg``, ``U / V``, ``speed_rad_s``, ``torque, Nm``.
-    like : str
-        A unit of what the column is expected to measure: of several readings the one that fits counts, and a word that
-        is a unit of something else is a part of the name.
+    - ``title``: such as ``theta_deg``, ``U / V``, ``speed_rad_s``, ``torque, Nm``
+    - ``like``: a unit of what the column is expected to measure: of several readings the one that fits counts, and a
+      word that is a unit of something else is a part of the name
 
     Examples
     --------
@@ -202,17 +198,10 @@ def clock_unit(title: str, *, path: bool = False) -> str | None:
 
     A word where a unit would stand that is none is refused: nobody can say that it means seconds.
 
-    Parameters
-    ----------
-    title : str
-        In any of a dozen languages, with brackets and signs of any kind.
-    path : bool
-        True where the title is a path in a file, whose steps may be called anything.
+    Raises InputError if the title states something that is no unit of time, or two of them.
 
-    Raises
-    ------
-    InputError
-        If the title states something that is no unit of time, or two of them.
+    - ``title``: in any of a dozen languages, with brackets and signs of any kind
+    - ``path``: true where the title is a path in a file, whose steps may be called anything
 
     Examples
     --------
@@ -356,16 +345,9 @@ def clock_of(titles: Sequence[str], taken: Collection[str | int] = ()) -> str | 
     ``time``, ``t`` and ``timestamp`` come first, then any title that holds words for time and its units only, then one
     that is a unit of time.
 
-    Parameters
-    ----------
-    titles : sequence of str
-    taken : collection of str
-        Titles that are signals.
+    Raises InputError if two columns may be meant.
 
-    Raises
-    ------
-    InputError
-        If two columns may be meant.
+    - ``taken``: titles that are signals
 
     Examples
     --------

@@ -89,16 +89,10 @@ def _titled(
 ) -> tuple[list[str], tuple[float, float] | None] | None:
     """Return the titles of rows, and start and step of a clock that stands in the head alone; None if they do not fit.
 
-    Parameters
-    ----------
-    by_key : dict
-        Rows of the head.
-    key : str
-        Of the row of names.
-    rows : sequence of sequence of str
-        Cells below the head, without those of keys.
-    paired : bool
-        True where each channel has a key and a clock of its own.
+    - ``by_key``: rows of the head
+    - ``key``: of the row of names
+    - ``rows``: cells below the head, without those of keys
+    - ``paired``: true where each channel has a key and a clock of its own
     """
     width = len(rows[0])
     names = by_key[key][1 :: 2 if paired else 1]

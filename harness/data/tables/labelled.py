@@ -63,15 +63,10 @@ _VARIABLE = re.compile(
 def labelled(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
     """Return the table that readings with names amount to, titles first, and what to say; None for any other lines.
 
-    Parameters
-    ----------
-    lines : sequence of (int, str)
+    Raises InputError if the log is one of a bus whose messages hold signals only by a description of them, or a line
+    among the others holds no readings.
 
-    Raises
-    ------
-    InputError
-        If the log is one of a bus whose messages hold signals only by a description of them, or a line among the
-        others holds no readings.
+    - ``lines`` sequence of (int, str)
 
     Examples
     --------
@@ -244,10 +239,7 @@ def _of_influx(line: str) -> Named | None:
 def _of_bus(lines: Sequence[Line], kind: str) -> tuple[list[Line], str]:
     """Return the variables in a CAN log of Vector in text; its messages hold signals only by a DBC file.
 
-    Raises
-    ------
-    InputError
-        If there are none, or the stamps count from line to line.
+    Raises InputError if there are none, or the stamps count from line to line.
     """
     found = [(number, one) for number, line in lines if (one := _VARIABLE.fullmatch(line)) and is_number(one["value"])]
     if not found or kind == "relative":

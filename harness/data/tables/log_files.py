@@ -126,12 +126,8 @@ def _drop_quietly(error: BaseException) -> None:
 def open_tdms(path: Path) -> MemoryTable | Waveforms:
     """Return the reader of a TDMS file: waveforms, where all channels state their sampling, else columns.
 
-    A channel goes by its name, and by ``group/name`` where two groups have one.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or holds no numbers.
+    A channel goes by its name, and by ``group/name`` where two groups have one. Raises InputError if the file cannot be
+    read, or holds no numbers.
     """
     nptdms = optional("nptdms", "TDMS")
     try:

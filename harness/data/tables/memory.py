@@ -17,14 +17,9 @@ from harness.signals import Trajectory
 def in_memory(data: Any) -> MemoryTable | None:
     """Return the table of data in memory; None for a path.
 
-    Parameters
-    ----------
-    data : DataFrame, Dataset of xarray, structured array, mapping of arrays, or Trajectory
+    Raises InputError if its columns have no names.
 
-    Raises
-    ------
-    InputError
-        If its columns have no names.
+    - ``data`` DataFrame, Dataset of xarray, structured array, mapping of arrays, or Trajectory
 
     Examples
     --------
@@ -60,16 +55,12 @@ def in_memory(data: Any) -> MemoryTable | None:
 def input_and_output(u: Any, y: Any) -> tuple[dict[str, Any], list[str], list[str]]:
     """Return one table of an input and an output that came apart, and the names of both.
 
-    Parameters
-    ----------
-    u, y : array (N,) or (N, k), list, or a Series or DataFrame of pandas or polars
-        Arrays are called ``u`` and ``y``, several columns ``u1``, ``u2``, ...; a Series or a DataFrame keeps its names
-        (with units: ``"torque [N m]"``), and an index of times that both share is the clock.
+    Raises InputError if the lengths differ, an array has more than two dimensions or complex numbers, or both sides use
+    one name.
 
-    Raises
-    ------
-    InputError
-        If the lengths differ, an array has more than two dimensions or complex numbers, or both sides use one name.
+    - ``u, y`` array (N,) or (N, k), list, or a Series or DataFrame of pandas or polars: arrays are called ``u`` and
+      ``y``, several columns ``u1``, ``u2``, ...; a Series or a DataFrame keeps its names (with units: ``"torque [N
+      m]"``), and an index of times that both share is the clock
 
     Examples
     --------

@@ -28,22 +28,12 @@ def merged(
     as ``[resample]`` says, and filtered before where the grid is coarser. The grid begins with the last signal to begin
     and ends with the first to end; a command holds on to the end.
 
-    Parameters
-    ----------
-    clocks, signals : sequence of array
-        Stamps [s] from one origin, and values, of each signal.
-    names : sequence of str
-    inputs : sequence of bool
-        Which signals are commands.
-    rules : TimeRules
-        With the sample time of ``resample``, or of the record.
-    notes : list of str
-        What was done is added.
+    Raises InputError if no grid is declared, stamps run back, or the signals do not overlap.
 
-    Raises
-    ------
-    InputError
-        If no grid is declared, stamps run back, or the signals do not overlap.
+    - ``clocks, signals`` sequence of array: stamps [s] from one origin, and values, of each signal
+    - ``inputs``: which signals are commands
+    - ``rules``: with the sample time of ``resample``, or of the record
+    - ``notes``: what was done is added
     """
     rates = {name: _step(clock) for name, clock in zip(names, clocks, strict=True)}
     shown = ", ".join(f"{name} every {step:.4g} s" for name, step in list(rates.items())[:8])

@@ -219,10 +219,7 @@ class Columns:
     def read_time(self, column: str | int, declared: str | None = None) -> tuple[FloatArray, bool]:
         """Return a column (N,) of time stamps [s], and whether their unit was stated or declared.
 
-        Raises
-        ------
-        InputError
-            If the column is not there, or its title states something that is no unit of time.
+        Raises InputError if the column is not there, or its title states something that is no unit of time.
         """
         title = self.find(column)
         if title is not None:
@@ -274,15 +271,9 @@ class Columns:
     def second_clock(self, title: str, rows: int, most: int, *, seconds: bool) -> FloatArray | None:
         """Return the first stamps [s] of another column that tells the time of the same rows; None if it does not.
 
-        Parameters
-        ----------
-        title : str
-        rows : int
-            Rows that the column must have: in some files those of other groups have more or fewer.
-        most : int
-            Rows that are read.
-        seconds : bool
-            True if a column without a unit counts seconds, as the clock itself.
+        - ``rows``: rows that the column must have: in some files those of other groups have more or fewer
+        - ``most``: rows that are read
+        - ``seconds``: true if a column without a unit counts seconds, as the clock itself
         """
         texts = getattr(self._source, "texts", None)
         try:
@@ -322,10 +313,7 @@ class Columns:
     def _with_fraction(self, title: str, whole: FloatArray, part: str) -> FloatArray:
         """Return whole seconds with the fraction that another column holds.
 
-        Raises
-        ------
-        InputError
-            If either is no such number.
+        Raises InputError if either is no such number.
         """
         fraction = convert(self.read(part)[0], clock_unit(part, path=True) or "s", "s")
         bad = (whole != np.round(whole)) | (fraction < 0) | (fraction >= 1)
@@ -379,10 +367,7 @@ class Columns:
     def read(self, column: str | int, like: str | None = None) -> tuple[FloatArray, str | None]:
         """Return one column (N,) and the unit that its title states, or None.
 
-        Parameters
-        ----------
-        column, like
-            As for :meth:`find`.
+        - ``column, like``: as for :meth:`find`
 
         Raises
         ------

@@ -35,16 +35,9 @@ def most_unpacked(packed: int) -> int:
 def refuse_large(path: Path, size: int) -> None:
     """Refuse a table that says itself that it needs more memory than any packed table may.
 
-    Parameters
-    ----------
-    path : Path
-    size : int
-        Bytes; equal values pack without any limit, so there is no ratio to hold it against.
+    Raises InputError with the size.
 
-    Raises
-    ------
-    InputError
-        With the size.
+    - ``size``: bytes; equal values pack without any limit, so there is no ratio to hold it against
     """
     if size > LARGEST:
         raise InputError(
@@ -59,10 +52,7 @@ def refuse_large(path: Path, size: int) -> None:
 def refuse_bomb(path: Path) -> None:
     """Refuse a zip archive (an Excel workbook) that unpacks to more; what is no archive passes, its reader says so.
 
-    Raises
-    ------
-    InputError
-        With the size.
+    Raises InputError with the size.
     """
     if not zipfile.is_zipfile(path):
         return
@@ -86,16 +76,9 @@ def refuse_bomb(path: Path) -> None:
 def unzipped(path: Path, is_log: Callable[[Path], bool]) -> Iterator[Path]:
     """Unpack the one log of a zip archive into a folder that goes when it has been read.
 
-    Parameters
-    ----------
-    path : Path
-    is_log : callable
-        Whether a file is one, by its name.
+    Raises InputError if it is no archive, unpacks to too much, or holds no log or several.
 
-    Raises
-    ------
-    InputError
-        If it is no archive, unpacks to too much, or holds no log or several.
+    - ``is_log``: whether a file is one, by its name
     """
     refuse_bomb(path)
     with tempfile.TemporaryDirectory(prefix="sysid-") as folder:

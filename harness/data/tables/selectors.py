@@ -32,12 +32,7 @@ def parse_selector(text: str) -> Selector:
 
     ``NAME{i}`` is cell i of a MAT cell array (counted down the columns), ``NAME.field`` a field of a struct,
     ``NAME[i]`` (or ``NAME[i,:]``) row i of a matrix, or element i of a row of structs, and ``NAME[:,i]`` its column i.
-    They may be chained; indices count from 0.
-
-    Raises
-    ------
-    InputError
-        If the text is no selector.
+    They may be chained; indices count from 0. Raises InputError if the text is no selector.
 
     Examples
     --------

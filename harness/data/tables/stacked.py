@@ -104,12 +104,8 @@ def begin_of(rows: Sequence[Row], below: Sequence[Row] | None = None) -> int:
     Rows of readings are those in which numbers and times stand where the last rows have them. Titles stand right above
     the first of them, perhaps above units; of two rows that could be titles, that which names a clock counts.
 
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-        The first rows of a file or sheet.
-    below : sequence of sequence of str, optional
-        Its last rows, where these are not among ``rows``.
+    - ``rows``: the first rows of a file or sheet
+    - ``below``: its last rows, where these are not among ``rows``
 
     Examples
     --------
@@ -189,15 +185,9 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
     an empty cell of an upper row belongs to the text on its left, as cells are merged. What stands below a row of units
     is a remark (OriginLab, *Origin Help*: long name, units, comments).
 
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-        The first rows of a table, numbers included, all cells without blanks about them.
-
-    Returns
-    -------
-    (titles, count), or None
-        None also where two rows name every column once: nobody can say which are the names.
+    - ``rows``: the first rows of a table, numbers included, all cells without blanks about them
+    - returns (titles, count), or None: None also where two rows name every column once: nobody can say which are the
+      names
 
     Examples
     --------

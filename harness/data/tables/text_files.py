@@ -217,10 +217,7 @@ class TextFile:
     def _look_between(self, lines: list[str]) -> None:
         """Refuse empty lines among rows that no clock tells apart, as they part two records; say which are comments.
 
-        Raises
-        ------
-        InputError
-            With the first of them, unless there is one behind every row.
+        Raises InputError with the first of them, unless there is one behind every row.
         """
         numbers = [number for number, _ in self._lines]
         between = [
@@ -469,10 +466,7 @@ class TextFile:
     def _refuse_header(self, row: int) -> None:
         """Refuse a row of words alone: other columns, or another order of them, begin there.
 
-        Raises
-        ------
-        InputError
-            If it is one.
+        Raises InputError if it is one.
         """
         number, line = self._lines[row]
         cells = [cell for cell in self._cells(line) if cell]

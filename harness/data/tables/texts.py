@@ -62,10 +62,7 @@ MOST_BROKEN = 30
 def _refuse_other_text(text: str) -> None:
     """Refuse texts of another kind that would pass for one strange title.
 
-    Raises
-    ------
-    InputError
-        If it is JSON, XML or HTML.
+    Raises InputError if it is JSON, XML or HTML.
     """
     begin = text[:200].lstrip().lower()
     if begin.startswith(('{"', '[{"', "[[")):

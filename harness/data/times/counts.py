@@ -35,12 +35,8 @@ def unwrapped(counts: FloatArray, *, of_day: bool = False) -> tuple[FloatArray, 
     What falls by the period of a counter, but for the usual step, is one: a second record would begin where the first
     began.
 
-    Parameters
-    ----------
-    counts : array (N,)
-        In the unit of the counter.
-    of_day : bool
-        True for times of day in seconds, whose clock may have twelve hours.
+    - ``counts`` (N,): in the unit of the counter
+    - ``of_day``: true for times of day in seconds, whose clock may have twelve hours
 
     Returns
     -------

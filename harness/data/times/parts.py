@@ -24,10 +24,8 @@ def of_parts(columns: Mapping[str, FloatArray]) -> FloatArray | None:
     A coarsest part below the day begins anew with the next coarser one (after 23 comes 0); the finest may hold a
     fraction. A finer part that leaves its range (a count of milliseconds beyond 999) is a clock of its own.
 
-    Parameters
-    ----------
-    columns : mapping of str to array (N,)
-        By name in :data:`PARTS`, from the coarsest to the finest without one left out.
+    - ``columns`` mapping of str to array (N,): by name in :data:`PARTS`, from the coarsest to the finest without one
+      left out
 
     Examples
     --------

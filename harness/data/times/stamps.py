@@ -104,10 +104,7 @@ def clock(
 def _other_clock(cells: Sequence[str], notes: list[str] | None, where: Callable[[int], str]) -> FloatArray | None:
     """Return spans, minutes with seconds, or dates alone as seconds; None if the cells are none of these.
 
-    Raises
-    ------
-    InputError
-        If all cells are of two parts such as 12:30, or dates that two orders read differently.
+    Raises InputError if all cells are of two parts such as 12:30, or dates that two orders read differently.
     """
     first = cells[0].strip() if len(cells) else ""
     for read in (span_of, minutes_of) if first else ():
@@ -192,12 +189,9 @@ def with_dates(times: Sequence[str], dates: Sequence[str], where: Callable[[int]
 def with_part(times: FloatArray, part: FloatArray) -> FloatArray | None:
     """Return stamps that stand still with what another column counts between them; None if it does not fit them.
 
-    Parameters
-    ----------
-    times : array (N,)
-        Stamps [s], such as whole seconds.
-    part : array (N,)
-        Part of the step of these [s], which begins anew with each; or the time from any instant, at the same pace.
+    - ``times`` (N,): stamps [s], such as whole seconds
+    - ``part`` (N,): part of the step of these [s], which begins anew with each; or the time from any instant, at the
+      same pace
 
     Examples
     --------
@@ -237,10 +231,7 @@ def _of_day(stamp: re.Match[str]) -> int | None:
 def _days(stamps: Sequence[re.Match[str]], where: Callable[[int], str]) -> np.ndarray | None:
     """Return the days of dates, counted from any; None where one is no date.
 
-    Raises
-    ------
-    InputError
-        If days and months can change places, and the dates are other ones then.
+    Raises InputError if days and months can change places, and the dates are other ones then.
     """
     first = stamps[0]
     if first["year"] is not None:

@@ -199,20 +199,12 @@ def ahead_of_utc(
     A zone is an offset (``+02:00``), a place of the IANA database (``Europe/Berlin``), whose summer time counts, or an
     abbreviation: of these, all must be those of one zone. Which zone ``IST`` means then does not matter.
 
-    Parameters
-    ----------
-    zones : sequence of str or None
-        By stamp.
-    local : array of int (N,)
-        Local times [s], counted from the day 0 of Python's proleptic calendar where they have dates.
-    dated : bool
-        True where they have.
-
-    Returns
-    -------
-    array of int (N,), or None
-        None where the zones do not say it: abbreviations of two zones, a place without dates, or an hour that came
-        twice and of which nobody can say which one is meant.
+    - ``zones``: by stamp
+    - ``local`` array of int (N,): local times [s], counted from the day 0 of Python's proleptic calendar where they
+      have dates
+    - ``dated``: true where they have
+    - returns array of int (N,), or None: None where the zones do not say it: abbreviations of two zones, a place
+      without dates, or an hour that came twice and of which nobody can say which one is meant
 
     Examples
     --------

@@ -25,23 +25,13 @@ def changed_share(
     the rms of what a rate changes by in a sample, and that of the readings over their scatter. What is left unchanged
     is the same however exact the sensors are, so this tells what matters from what can be seen.
 
-    Parameters
-    ----------
-    traces : sequence of Trace
-        Smoothed records of the whole model.
-    whole, less : System
-        With and without the part.
-    states : sequence of str
-        States that forces act on: rates of coordinates, levels of a process, a motor's speed behind an elastic joint.
-        Those that both systems have are looked at.
-    own : sequence of Trace, optional
-        The same records as the system without the part has smoothed them, for its own values and hidden states: what a
-        hidden state remembers shows in no single sample. By default it has those of the whole.
-
-    Returns
-    -------
-    float
-        0 where nothing changes, about 1 where it makes the motion.
+    - ``traces``: smoothed records of the whole model
+    - ``whole, less``: with and without the part
+    - ``states``: states that forces act on: rates of coordinates, levels of a process, a motor's speed behind an
+      elastic joint. Those that both systems have are looked at.
+    - ``own``: the same records as the system without the part has smoothed them, for its own values and hidden states:
+      what a hidden state remembers shows in no single sample. By default it has those of the whole.
+    - returns 0 where nothing changes, about 1 where it makes the motion
     """
     names, others = ([channel.name for channel in system.states] for system in (whole, less))
     both = [name for name in states if name in names and name in others]

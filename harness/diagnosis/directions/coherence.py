@@ -24,11 +24,7 @@ from harness.signals import FloatArray
 def in_parts(whole: Direction, parts: int) -> list[Direction]:
     """Return a direction in parts of every record of both uses: each is 0 outside its own part.
 
-    Parameters
-    ----------
-    whole : Direction
-    parts : int
-        Of every record.
+    - ``parts``: of every record
     """
     pieces = []
     for use, records in whole.forces.items():
@@ -75,14 +71,9 @@ def incoherence(linear: Linearised, whole: Sequence[Column], cuts: Sequence[Sequ
 
     The two amplitudes of every part are normal with a variance that is chosen by the evidence; both uses together.
 
-    Parameters
-    ----------
-    linear : Linearised
-        Of :func:`without`.
-    whole : sequence of Column
-        Of :func:`in_parts`, in one part each.
-    cuts : sequence of sequence of Column
-        The same, in more: the likeliest counts.
+    - ``linear``: of :func:`without`
+    - ``whole``: of :func:`in_parts`, in one part each
+    - ``cuts``: the same, in more: the likeliest counts
     """
     free = {"estimation": linear.nuisance["estimation"], "validation": _free_outside(linear)}
     bases = {use: _orthonormal(own) for use, own in free.items()}

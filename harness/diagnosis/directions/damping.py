@@ -24,16 +24,10 @@ def damping_along(
     It is the part of the force that turns with the direction, at the usual speed, over that speed: viscous and dry
     friction count, springs, weight and centrifugal forces do not.
 
-    Parameters
-    ----------
-    system : System
-        With its effects; None is returned for one whose forces are no expressions.
-    values : mapping
-        Of all parameters.
-    at : str
-        Name of the coordinate.
-    q, v : array (N,)
-        The coordinate and its rate along the records.
+    - ``system``: with its effects; None is returned for one whose forces are no expressions
+    - ``values``: of all parameters
+    - ``at``: name of the coordinate
+    - ``q, v`` (N,): the coordinate and its rate along the records
 
     Examples
     --------

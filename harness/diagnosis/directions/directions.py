@@ -440,14 +440,9 @@ def spline_directions(
 
     Knots lie between the quantiles of the estimation records.
 
-    Parameters
-    ----------
-    values : mapping of str to mapping of str to sequence of array (K,)
-        Axes by name, use and record.
-    pairs : sequence of (str, str)
-    ports : sequence of str
-    readings : mapping of str to sequence of array (K, ny)
-        Only their shapes count.
+    - ``values`` mapping of str to mapping of str to sequence of array (K,): axes by name, use and record
+    - ``pairs`` sequence of (str, str)
+    - ``readings`` mapping of str to sequence of array (K, ny): only their shapes count
     """
     directions: list[Direction] = []
     for group in [*((name,) for name in values), *pairs]:
@@ -479,15 +474,9 @@ def drift_directions(
 
     What warms up, wears or tires does so in every record; an unknown force has no part that follows the motion.
 
-    Parameters
-    ----------
-    values : mapping of str to mapping of str to sequence of array (K,)
-        Axes by name, use and record.
-    times : mapping of str to sequence of array (K,)
-        Of the samples; only what has passed since the first counts.
-    ports : sequence of str
-    readings : mapping of str to sequence of array (K, ny)
-        Only their shapes count.
+    - ``values`` mapping of str to mapping of str to sequence of array (K,): axes by name, use and record
+    - ``times`` mapping of str to sequence of array (K,): of the samples; only what has passed since the first counts
+    - ``readings`` mapping of str to sequence of array (K, ny): only their shapes count
     """
     longest = max(float(time[-1] - time[0]) for time in times["estimation"])
     knots = np.linspace(0.0, longest, EFFORT.joint_knots[0])

@@ -25,11 +25,7 @@ def instants(traces: Sequence[Trace], port: str) -> list[float]:
     The columns of a score test need the instant within some tenths of a second: beside it, a force that remembers has
     taken the step up.
 
-    Parameters
-    ----------
-    traces : sequence of Trace
-    port : str
-        Where it acts; what acts elsewhere, on an input say, is looked for in all of them.
+    - ``port``: where it acts; what acts elsewhere, on an input say, is looked for in all of them
     """
     trace = max(traces, key=lambda trace: len(trace.record))
     rows = [k for k, name in enumerate(trace.ports) if name == port] or list(range(trace.passes.nl))

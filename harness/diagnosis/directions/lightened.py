@@ -24,24 +24,12 @@ def lightened(
     A nominal fit holds the inertia of whatever turns along. Along the smoothed motion what the parameters change in
     ``M a - F`` is brought as near to ``-inertia a`` at the coordinate as they allow, by least squares.
 
-    Parameters
-    ----------
-    traces : sequence of Trace
-        Smoothed records.
-    nominal : System
-        Given by its equations of motion.
-    values : mapping
-        Of all nominal parameters.
-    free : sequence of str
-        Nominal parameters that may move.
-    at : str
-        The coordinate.
-    inertia : float
-
-    Returns
-    -------
-    dict
-        New values of ``free``.
+    - ``traces``: smoothed records
+    - ``nominal``: given by its equations of motion
+    - ``values``: of all nominal parameters
+    - ``free``: nominal parameters that may move
+    - ``at``: the coordinate
+    - returns new values of ``free``
     """
     place = [coordinate.name for coordinate in nominal.coordinates].index(at)
     columns = [nominal.parameter_names.index(name) for name in free]

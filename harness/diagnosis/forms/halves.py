@@ -24,17 +24,10 @@ def told_by_halves(
 
     A phase that is fitted where it is judged would let any line of a spectrum pass for something periodic.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    whole : Point
-        Parameters, initial states and noise of the whole records.
-    phases : sequence of str
-        Parameters that each half tells for itself.
-    likelihood : callable
-        Of half a record.
-    first_state : callable
-        The initial state that half a record tells.
+    - ``whole``: parameters, initial states and noise of the whole records
+    - ``phases``: parameters that each half tells for itself
+    - ``likelihood``: of half a record
+    - ``first_state``: the initial state that half a record tells
     """
     told = []
     for record, x0 in zip(records, whole.x0, strict=True):
@@ -54,15 +47,8 @@ def judged_by_halves(
 ) -> list[Filtered] | None:
     """Return passes over records with each half as the other tells its phases; None where one diverges.
 
-    Parameters
-    ----------
-    paths : list of Filtered
-        Of the whole records, changed in place.
-    passes : Pass
-    records : sequence of Trajectory
-    point : Point
-    told : sequence of (array, array)
-        Of :func:`told_by_halves`.
+    - ``paths``: of the whole records, changed in place
+    - ``told`` sequence of (array, array): of :func:`told_by_halves`
     """
     for passed, record, x0, (first, second) in zip(paths, records, point.x0, told, strict=True):
         middle = len(record) // 2

@@ -24,15 +24,9 @@ def linearised(
 ) -> Linearised:
     """Return the whitened innovations of a fit and their derivatives.
 
-    Parameters
-    ----------
-    fit : Fit
-    paths : mapping
-        By use, the pass over every record, with derivatives by what is free and by initial states.
-    spread : array (shared, k)
-        See :class:`harness.diagnosis.search.fit.Linearised`.
-    states : dict
-        Initial states of the estimation records.
+    - ``paths``: by use, the pass over every record, with derivatives by what is free and by initial states
+    - ``spread`` (shared, k): see :class:`harness.diagnosis.search.fit.Linearised`
+    - ``states``: initial states of the estimation records
     """
     residual, nuisance = {}, {}
     count = len(fit.free)
@@ -59,15 +53,9 @@ def answered(
 ) -> list[Column]:
     """Return the columns of directions.
 
-    Parameters
-    ----------
-    asked : sequence of Direction
-    paths : mapping
-        By use, the pass over every record, with derivatives.
-    held : callable
-        True for an effect whose force is held between samples.
-    rates_over : float or None
-        Sample time where forces are changes of rates; None for forces on coordinates.
+    - ``paths``: by use, the pass over every record, with derivatives
+    - ``held``: true for an effect whose force is held between samples
+    - ``rates_over``: sample time where forces are changes of rates; None for forces on coordinates
     """
     return [column for group in _portions(asked) for column in _together(group, paths, held, rates_over)]
 

@@ -42,13 +42,8 @@ def spread_of(best: LikelihoodFit, free: Sequence[str], own: Sequence[str]) -> F
 
     What is 0 in truth lies a few deviations from a small estimate, and infinitely many of its logarithm.
 
-    Parameters
-    ----------
-    best : LikelihoodFit
-        Of the estimation records.
-    free : sequence of str
-    own : sequence of str
-        Those among them that belong to a record, and are no knowledge about another one: rows of 0.
+    - ``best``: of the estimation records
+    - ``own``: those among them that belong to a record, and are no knowledge about another one: rows of 0
     """
     rows = [best.names.index(name) for name in free]
     scale = np.where(best.logarithmic[rows], [best.parameters[name] for name in free], 1.0)

@@ -22,20 +22,11 @@ def robust_covariance(
     output, from an autoregression fitted to them (White 1982, Econometrica 50:1, theorem 3.2). Errors of a free run
     move many samples together; taken as independent they would count many times.
 
-    Parameters
-    ----------
-    errors : sequence of array (K, ny)
-        By record; NaN where a reading is missing, which then counts nowhere.
-    jacobians : sequence of array (K, ny, p)
-        Their derivatives.
-    order : int
-        Coefficients of the autoregression.
-    floor : array (ny,)
-        Smallest deviations.
-
-    Returns
-    -------
-    array (p, p)
+    - ``errors`` sequence of array (K, ny): by record; NaN where a reading is missing, which then counts nowhere
+    - ``jacobians`` sequence of array (K, ny, p): their derivatives
+    - ``order``: coefficients of the autoregression
+    - ``floor`` (ny,): smallest deviations
+    - returns array (p, p)
 
     Examples
     --------
@@ -70,15 +61,9 @@ def robust_covariance(
 def coloured_deviations(fit: Fit, paths: Sequence[Filtered], order: int, floor: FloatArray) -> Fit:
     """Return a fit with deviations for a coloured error of its free runs.
 
-    Parameters
-    ----------
-    fit : Fit
-    paths : sequence of Filtered
-        Its free runs along the estimation records, with derivatives by what is free and by initial states.
-    order : int
-        Coefficients of the autoregression.
-    floor : array (ny,)
-        Smallest deviations.
+    - ``paths``: its free runs along the estimation records, with derivatives by what is free and by initial states
+    - ``order``: coefficients of the autoregression
+    - ``floor`` (ny,): smallest deviations
     """
     count = len(fit.free)
     own = paths[0].j.shape[2] - count if paths[0].j is not None else 0

@@ -56,16 +56,8 @@ class Doubt:
 def check_columns(system: System, dataset: Dataset) -> list[Doubt]:
     """Say which columns of a data set are probably wrong: see :func:`doubts`, for its longest estimation record.
 
-    Parameters
-    ----------
-    system : System
-        The nominal model, its parameters at what is known of them.
-    dataset : Dataset
-
-    Returns
-    -------
-    list of Doubt
-        Empty, or one.
+    - ``system``: the nominal model, its parameters at what is known of them
+    - returns empty, or one
     """
     return doubts(system, max(dataset.estimation, key=len), dataset.intersample)
 
@@ -80,17 +72,8 @@ def doubts(system: System, record: Trajectory, intersample: Intersample = "zoh")
     well are named beside it. Parameters of declared value 0 are free; a declared value wrong by 100 alone says nothing,
     unless it is by the factor between degrees and radians that all are off.
 
-    Parameters
-    ----------
-    system : System
-        With declared values.
-    record : Trajectory
-    intersample : str
-
-    Returns
-    -------
-    list of Doubt
-        Empty, or one with the channels and what to do.
+    - ``system``: with declared values
+    - returns empty, or one with the channels and what to do
     """
     cut = _plain(record)
     before, values = _fit(system, cut, intersample)

@@ -77,15 +77,10 @@ def motion_band(
 ) -> tuple[float, float]:
     """Return where the motion lives in the spectrum of ``position`` (N,).
 
-    Parameters
-    ----------
-    position : array (N,)
-    sample_time : float
-        [s]
-    above : float
-        Times by which a position that is clear stands above its noise, in power.
-    derivative : int
-        1 for the band of the rate, 2 for that of the acceleration: of the forces.
+    - ``position`` (N,)
+    - ``sample_time``: [s]
+    - ``above``: times by which a position that is clear stands above its noise, in power
+    - ``derivative``: 1 for the band of the rate, 2 for that of the acceleration: of the forces
 
     Returns
     -------
@@ -122,18 +117,12 @@ def smooth_motion(
     Zero-phase Butterworth low-pass of order 4 (Gautier, Janot & Vandanjon, IEEE Trans. Control Syst. Technol. 21:428,
     2013), then central differences; a measured rate is filtered and differenced once.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The record.
-    columns : dict
-        From :func:`measured_coordinates`.
-    intersample : {"zoh", "foh", "smooth"}
-        A held input jumps at the sample; the smoothed motion there belongs to the mean of both sides. Without this
-        every balance of forces would see half a sample of delay. Smooth signals are interpolated where the motion
-        reaches beyond a fifth of the sample rate.
-    by_rates : bool
-        Follow the motion as far as a measured rate is clear of its noise, beyond where its position is.
+    - ``run``: the record
+    - ``columns``: from :func:`measured_coordinates`
+    - ``intersample`` {"zoh", "foh", "smooth"}: a held input jumps at the sample; the smoothed motion there belongs to
+      the mean of both sides. Without this every balance of forces would see half a sample of delay. Smooth signals are
+      interpolated where the motion reaches beyond a fifth of the sample rate.
+    - ``by_rates``: follow the motion as far as a measured rate is clear of its noise, beyond where its position is
     """
     from scipy import signal
 
@@ -205,11 +194,7 @@ def _interpolated(run: Trajectory, positions: list[int]) -> Trajectory:
 def thinned(motion: Motion, most: int = 6000) -> Motion:
     """Return a motion with fewer samples where its band allows, the input averaged over each step.
 
-    Parameters
-    ----------
-    motion : Motion
-    most : int
-        Samples wanted at most; never thinned to less than five decimated samples in one.
+    - ``most``: samples wanted at most; never thinned to less than five decimated samples in one
     """
     n = motion.q.shape[0]
     step = max(1, min(motion.factor // 5, -(-n // most)))

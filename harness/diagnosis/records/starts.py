@@ -16,10 +16,6 @@ def with_known_starts(dataset: Dataset) -> Dataset:
 
     A plant at rest is no exception: its input was 0, or what holds it there, and not what stands in the first row.
 
-    Parameters
-    ----------
-    dataset : Dataset
-
     Notes
     -----
     The initial state is fitted, so a plant without dead time has no such readings.

@@ -44,17 +44,8 @@ _known: dict[tuple[int, int], list[Unfolding]] = {}
 def unfoldings(runs: Sequence[Trajectory], column: int, *, most: int = 3) -> list[Unfolding]:
     """Return the likeliest signs of an output that never changes its sign, best first.
 
-    Parameters
-    ----------
-    runs : sequence of Trajectory
-    column : int
-        Which output.
-    most : int
-
-    Returns
-    -------
-    list of Unfolding
-        Empty if the output changes its sign, or never turns near zero.
+    - ``column``: which output
+    - returns empty if the output changes its sign, or never turns near zero
 
     Notes
     -----

@@ -42,14 +42,9 @@ def drawn(found: Diagnosis) -> dict[str, str]:
 def render_evidence(data: dict[str, Any], figures: dict[str, str], odd: Sequence[str] = ()) -> str:
     """Return the page.
 
-    Parameters
-    ----------
-    data : dict
-        Content of ``report.json``.
-    figures : dict
-        SVG texts, see :func:`harness.diagnosis.report.figures.draw`.
-    odd : sequence of str
-        SVG texts of channels with odd rows.
+    - ``data``: content of ``report.json``
+    - ``figures``: SVG texts, see :func:`harness.diagnosis.report.figures.draw`
+    - ``odd``: SVG texts of channels with odd rows
     """
     rows = error_rows(data)
     return str(

@@ -25,14 +25,9 @@ LARGEST = 400_000
 def notebook(data: Mapping[str, Any], figures: Mapping[str, str], where: str = "") -> str:
     """Return the answer of a report as HTML that needs no file and whose every text is escaped.
 
-    Parameters
-    ----------
-    data : mapping
-        The content of ``report.json``.
-    figures : mapping
-        SVG texts by name; ``overlay`` (of an arm ``levels``) and ``residual`` are shown.
-    where : str
-        The whole page, if there is one.
+    - ``data``: the content of ``report.json``
+    - ``figures``: SVG texts by name; ``overlay`` (of an arm ``levels``) and ``residual`` are shown
+    - ``where``: the whole page, if there is one
     """
     parts = [
         _effects(data),

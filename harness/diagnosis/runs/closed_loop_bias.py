@@ -161,10 +161,7 @@ def driven_part(records: Sequence[Trajectory], signals: Sequence[FloatArray]) ->
     Inputs and outputs are regressed on the signals and on Laguerre filters of them (two time constants, those that
     explain most); what the regression explains keeps nothing of the disturbance.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    signals : sequence of array (N_i, m)
+    - ``signals`` sequence of array (N_i, m)
     """
     dt = records[0].spec.sample_time
     longest = max(len(run) for run in records)

@@ -98,10 +98,7 @@ def expressible(placed: Placed) -> bool:
 def equations_of(system: System) -> Equations:
     """Return the equation form of a system.
 
-    Parameters
-    ----------
-    system : System
-        With coordinates and without hidden states.
+    - ``system``: with coordinates and without hidden states
     """
     import casadi as ca
 

@@ -19,13 +19,9 @@ USES = ("estimation", "validation", "test")
 def figures(parts: Sequence[FloatArray], measured: Sequence[FloatArray], channels: Sequence[Any]) -> dict[str, Any]:
     """Return rms, NRMSE (over the standard deviation of the measurement) and unit by output; unknown ones are None.
 
-    Parameters
-    ----------
-    parts : sequence of array (N_i, ny)
-        Errors.
-    measured : sequence of array (N_i, ny)
-        What the NRMSE divides by the standard deviation of.
-    channels : sequence of (name, unit)
+    - ``parts`` sequence of array (N_i, ny): errors
+    - ``measured`` sequence of array (N_i, ny): what the NRMSE divides by the standard deviation of
+    - ``channels`` sequence of (name, unit)
     """
     if not parts:
         return {}

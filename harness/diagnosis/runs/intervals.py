@@ -56,21 +56,13 @@ def block_interval(
     (:func:`correlation_samples`), a twentieth of the data at least and a quarter at most, and no block joins parts of
     two windows. Few blocks may agree by chance: an interval is never narrower than with twentieths.
 
-    Parameters
-    ----------
-    values : array (p,)
-        The estimates.
-    jacobian : sequence of array (N_i, ny, p)
-        Weighted derivatives of the outputs, initial states projected out.
-    residual : sequence of array (N_i, ny)
-        Weighted residuals.
-    starts : sequence of array (L_w * ny, k_w), optional
-        For each window, in the order of the rows, an orthonormal basis of what its initial state can do; without it
-        every record is one window, of which the initial state is known.
-    blocks : int
-        Largest number of blocks.
-    adapt : bool
-        False keeps this number of blocks, however long the residual stays correlated.
+    - ``values`` (p,): the estimates
+    - ``jacobian`` sequence of array (N_i, ny, p): weighted derivatives of the outputs, initial states projected out
+    - ``residual`` sequence of array (N_i, ny): weighted residuals
+    - ``starts`` sequence of array (L_w * ny, k_w): for each window, in the order of the rows, an orthonormal basis of
+      what its initial state can do; without it every record is one window, of which the initial state is known
+    - ``blocks``: largest number of blocks
+    - ``adapt``: false keeps this number of blocks, however long the residual stays correlated
 
     Examples
     --------
@@ -118,10 +110,7 @@ def correlation_samples(residual: Sequence[FloatArray]) -> float:
     these means vary more than those of independent samples do (variance ratio: Lo & MacKinlay, Rev. Financ. Stud.
     1:41, 1988). The largest one counts; 1 for a white residual.
 
-    Parameters
-    ----------
-    residual : sequence of array (N_i, ny)
-        Records are not joined.
+    - ``residual`` sequence of array (N_i, ny): records are not joined
 
     Examples
     --------

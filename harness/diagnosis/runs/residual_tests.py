@@ -74,14 +74,9 @@ def cross_correlation(u: FloatArray, r: FloatArray, lags: int = 25) -> FloatArra
 def ljung_box(r: FloatArray, lags: int = 25, fitted: int = 0) -> Outcome:
     """Test ``r`` (N,) for whiteness (Ljung & Box 1978): Q = N (N + 2) sum rho_k^2 / (N - k).
 
-    Parameters
-    ----------
-    r : array (N,)
-        Residual.
-    lags : int
-        Lags in the sum.
-    fitted : int
-        Parameters fitted to the data, taken off the degrees of freedom.
+    - ``r`` (N,): residual
+    - ``lags``: lags in the sum
+    - ``fitted``: parameters fitted to the data, taken off the degrees of freedom
     """
     n = r.size
     rho = autocorrelation(r, lags)[1:]

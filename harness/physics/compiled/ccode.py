@@ -60,17 +60,9 @@ def c_function(name: str, function: Any) -> str:
 
     Raises ValueError if CasADi uses an operation that has no C text here.
 
-    Parameters
-    ----------
-    name : str
-        Name of the C function.
-    function : casadi.Function
-        Of SX; inputs and outputs dense columns.
-
-    Returns
-    -------
-    str
-        ``static void NAME(const double *i0, ..., double *o0, ...)``. An input without elements may be NULL.
+    - ``name``: name of the C function
+    - ``function``: of SX; inputs and outputs dense columns
+    - returns ``static void NAME(const double *i0, ..., double *o0, ...)``. An input without elements may be NULL.
 
     Examples
     --------
@@ -132,21 +124,11 @@ def system_source(system: Any, prefix: str = "model") -> str:
     Every function is static, so that a loader cannot bind it to another library's name, and needs ``math.h`` only.
     Delays and quantisers (``system.sampled``) act on samples and are not part of it.
 
-    Parameters
-    ----------
-    system : System
-    prefix : str
-        In front of each name.
-
-    Returns
-    -------
-    str
-        With the macros ``PREFIX_NX``, ``PREFIX_NU``, ``PREFIX_NY``, ``PREFIX_NP``, ``PREFIX_NZ`` (hidden states) and::
-
-            static void PREFIX_derivative(x, u, p, t, dx);   /* const double *x, *u, *p, *t; double *dx */
-            static void PREFIX_output(x, u, p, t, y);
-            static void PREFIX_initial(x, u, p, z);          /* start of the hidden states, the last of x */
-            static void PREFIX_step(double *x, u, p, double t, double h);
+    - ``prefix``: in front of each name
+    - returns with the macros ``PREFIX_NX``, ``PREFIX_NU``, ``PREFIX_NY``, ``PREFIX_NP``, ``PREFIX_NZ`` (hidden states)
+      and:: static void PREFIX_derivative(x, u, p, t, dx);   /* const double *x, *u, *p, *t; double *dx */ static void
+      PREFIX_output(x, u, p, t, y); static void PREFIX_initial(x, u, p, z);          /* start of the hidden states, the
+      last of x */ static void PREFIX_step(double *x, u, p, double t, double h);
 
     Examples
     --------

@@ -74,19 +74,10 @@ class FilterMachine:
     def __call__(self, wanted: Wanted, given: Mapping[str, FloatArray], times: FloatArray) -> dict[str, FloatArray]:
         """Run over a record.
 
-        Parameters
-        ----------
-        wanted : Wanted
-        given : mapping
-            ``x0`` (nx,), ``p0`` (nx, nx), ``p``, ``r``, ``w``, ``a``, ``q``, ``fade``, ``q_tau`` as the C code has,
-            ``u`` (rows, nu), ``d`` (rows, nu, delays), ``measured`` (samples, ny).
-        times : array (samples,)
-            [s]
-
-        Returns
-        -------
-        dict
-            By name, a row for each sample.
+        - ``given``: ``x0`` (nx,), ``p0`` (nx, nx), ``p``, ``r``, ``w``, ``a``, ``q``, ``fade``, ``q_tau`` as the C code
+          has, ``u`` (rows, nu), ``d`` (rows, nu, delays), ``measured`` (samples, ny)
+        - ``times`` (samples,): [s]
+        - returns by name, a row for each sample
         """
         n, nx = len(times), self.nx
         known = np.isfinite(given["measured"])

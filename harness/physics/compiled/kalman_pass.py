@@ -24,17 +24,9 @@ if TYPE_CHECKING:
 def filter_source(functions: Functions, delay_columns: tuple[int, ...]) -> str:
     """Return the C source of ``sysid_filter`` for a system whose last states are latent forces: held over a sample.
 
-    Parameters
-    ----------
-    functions : Functions
-        Of a system made by :func:`harness.physics.compiled.latent.with_latent_forces`.
-    delay_columns : tuple of int
-        Parameters through which the inputs depend on p.
-
-    Returns
-    -------
-    str
-        ``int sysid_filter(filter_job *in)``; :mod:`harness.physics.compiled.kalman_pass` calls it.
+    - ``functions``: of a system made by :func:`harness.physics.compiled.latent.with_latent_forces`
+    - ``delay_columns``: parameters through which the inputs depend on p
+    - returns ``int sysid_filter(filter_job *in)``; :mod:`harness.physics.compiled.kalman_pass` calls it
 
     Notes
     -----
@@ -304,25 +296,13 @@ class KalmanPass:
     ) -> Filtered | None:
         """Filter a record.
 
-        Parameters
-        ----------
-        record : Trajectory
-            Readings that are missing are passed over: they correct nothing and have no likelihood.
-        p : array (np,)
-        x0 : array (start_size,)
-            Known initial state; the latent forces start from their stationary distribution.
-        noise : Noise
-        columns : array of int, optional
-            Which of (p, x0) the innovations are differentiated by.
-        keep : bool
-            Keep what a smoother needs.
-        by_noise : bool
-            Differentiate by the noise too.
-
-        Returns
-        -------
-        Filtered or None
-            None if the state diverged.
+        - ``record``: readings that are missing are passed over: they correct nothing and have no likelihood
+        - ``p`` (np,)
+        - ``x0`` (start_size,): known initial state; the latent forces start from their stationary distribution
+        - ``columns`` array of int: which of (p, x0) the innovations are differentiated by
+        - ``keep``: keep what a smoother needs
+        - ``by_noise``: differentiate by the noise too
+        - returns none if the state diverged
         """
         p = np.ascontiguousarray(p, dtype=float)
         start, variance = np.zeros(self.nx), np.zeros((self.nx, self.nx))

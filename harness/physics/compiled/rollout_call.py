@@ -85,26 +85,17 @@ def call_rollout(
 ) -> float:
     """Simulate windows of equal length; returns what is left of the budget.
 
-    Parameters
-    ----------
-    library : ctypes.CDLL
-        Of :func:`harness.physics.compiled.rollout_source.rollout_source`.
-    dt : float
-        Time from one row of the inputs to the next [s].
-    substeps : int
-        Runge-Kutta steps from one row to the next.
-    foh : bool
-        Inputs move on straight lines.
-    every : int
-        Outputs are taken at every so many rows.
-    budget : float
-        Once the costs of all windows together exceed it the rest is not simulated; infinite for no limit.
-    **arrays
-        C-contiguous or None: ``p`` (M, np), ``x0`` (M, nx), ``u`` (M, N, nu), ``d`` (M, N, nu, delays), ``t0`` (M,),
-        ``columns`` of C int, the chosen ones of (p, x0); results ``x`` (M, K, nx), ``y`` (M, K, ny), ``s`` (M, K, ny,
-        chosen). With ``measured`` (M, K, ny), ``sigma`` (ny,), ``period`` (ny,) (0: none) and ``limit`` (M,) or None,
-        ``y`` are residuals and the sums go to ``cost`` (M,), ``squares`` (ny,), ``gram`` (M, ns, ns) and ``gradient``
-        (M, ns): entries of columns that are not chosen, and squares, are added to or left as they are.
+    - ``library``: of :func:`harness.physics.compiled.rollout_source.rollout_source`
+    - ``dt``: time from one row of the inputs to the next [s]
+    - ``substeps``: runge-Kutta steps from one row to the next
+    - ``foh``: inputs move on straight lines
+    - ``every``: outputs are taken at every so many rows
+    - ``budget``: once the costs of all windows together exceed it the rest is not simulated; infinite for no limit
+    - ``**arrays``: C-contiguous or None: ``p`` (M, np), ``x0`` (M, nx), ``u`` (M, N, nu), ``d`` (M, N, nu, delays),
+      ``t0`` (M,), ``columns`` of C int, the chosen ones of (p, x0); results ``x`` (M, K, nx), ``y`` (M, K, ny), ``s``
+      (M, K, ny, chosen). With ``measured`` (M, K, ny), ``sigma`` (ny,), ``period`` (ny,) (0: none) and ``limit`` (M,)
+      or None, ``y`` are residuals and the sums go to ``cost`` (M,), ``squares`` (ny,), ``gram`` (M, ns, ns) and
+      ``gradient`` (M, ns): entries of columns that are not chosen, and squares, are added to or left as they are.
     """
     job = _job(dt, substeps, foh, every, budget, arrays)
     library.sysid_rollout(ctypes.byref(job))
@@ -116,10 +107,8 @@ def repeated_rollout(library: ctypes.CDLL, dt: float, substeps: int, **arrays: F
 
     For one sample at a time, where packing the arguments would cost more than the simulation.
 
-    Parameters
-    ----------
-    library, dt, substeps, **arrays
-        As :func:`call_rollout` takes them: ``p``, ``x0``, ``u``, ``t0``, ``x`` and ``y``.
+    - ``library, dt, substeps, **arrays``: as :func:`call_rollout` takes them: ``p``, ``x0``, ``u``, ``t0``, ``x`` and
+      ``y``
     """
     job = _job(dt, substeps, False, 1, np.inf, arrays)
     job.kept = arrays

@@ -13,18 +13,10 @@ if TYPE_CHECKING:
 def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tuple[int, ...]) -> str:
     """Return the C source of ``sysid_rollout`` for a system.
 
-    Parameters
-    ----------
-    functions : Functions
-    sensitivities : bool
-        With the derivatives by (p, x0), as many columns of them as the caller chooses, and the sums over the samples.
-    delay_columns : tuple of int
-        Parameters through which the inputs depend on p.
-
-    Returns
-    -------
-    str
-        ``int sysid_rollout(job *in)``; :func:`harness.physics.compiled.rollout_call.call_rollout` calls it.
+    - ``sensitivities``: with the derivatives by (p, x0), as many columns of them as the caller chooses, and the sums
+      over the samples
+    - ``delay_columns``: parameters through which the inputs depend on p
+    - returns ``int sysid_rollout(job *in)``; :func:`harness.physics.compiled.rollout_call.call_rollout` calls it
 
     Notes
     -----
@@ -49,14 +41,8 @@ def shared_source(
 ) -> list[str]:
     """Return the parts of the C source that a roll-out and a Kalman filter share: rates, outputs, their derivatives.
 
-    Parameters
-    ----------
-    functions : Functions
-    sensitivities : bool
-    delay_columns : tuple of int
-        See :func:`rollout_source`.
-    extra : int
-        Columns to make room for beside the derivatives by (p, x0).
+    - ``delay_columns``: see :func:`rollout_source`
+    - ``extra``: columns to make room for beside the derivatives by (p, x0)
     """
     system = functions.system
     sizes = {

@@ -26,10 +26,7 @@ def smoothed(passed: Filtered) -> Smoothed:
     It runs backwards on the innovations and inverts no covariance: at a high sample rate that is nearly singular
     (Bierman 1973, Automatica 9:503, eqs. 12-17).
 
-    Parameters
-    ----------
-    passed : Filtered
-        With its path.
+    - ``passed``: with its path
     """
     path = passed.path
     assert path is not None
@@ -70,22 +67,13 @@ def innovation_response(
 ) -> FloatArray:
     """Return what small forces and sensor errors do to the innovations, gains held fixed.
 
-    Parameters
-    ----------
-    passed : Filtered
-        With its path.
-    forces : array (K, nl, m) or None
-        Added to the latent forces at every sample, m cases side by side.
-    rates_over : float, optional
-        The sample time [s], where ``forces`` are added to the rates of the first states instead.
-    readings : array (K, ny, m) or None
-        Added to what the model says that the sensors read.
-    held : array (m,), optional
-        Cases whose force is that of the sample until the next one, as that of a held input is; others change linearly.
-
-    Returns
-    -------
-    array (K, ny, m)
+    - ``passed``: with its path
+    - ``forces`` (K, nl, m): added to the latent forces at every sample, m cases side by side
+    - ``rates_over``: the sample time [s], where ``forces`` are added to the rates of the first states instead
+    - ``readings`` (K, ny, m): added to what the model says that the sensors read
+    - ``held`` (m,): cases whose force is that of the sample until the next one, as that of a held input is; others
+      change linearly
+    - returns array (K, ny, m)
     """
     path = passed.path
     assert path is not None

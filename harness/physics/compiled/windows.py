@@ -122,14 +122,10 @@ class Windows:
     def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False, jacobian: bool = False) -> Evaluation:
         """Simulate all windows.
 
-        Parameters
-        ----------
-        p : array (np,)
-        x0 : array (W, nx)
-        keep : bool
-            Keep residuals and states of every window.
-        jacobian : bool
-            Keep the Jacobian by the parameters as well, unless a window diverges.
+        - ``p`` (np,)
+        - ``x0`` (W, nx)
+        - ``keep``: keep residuals and states of every window
+        - ``jacobian``: keep the Jacobian by the parameters as well, unless a window diverges
         """
         return self._evaluated(p, x0, keep, jacobian)
 
@@ -145,17 +141,11 @@ class Windows:
     ) -> Evaluation:
         """Simulate all windows as far as a step of a fit needs it; more is computed where there is no compiled code.
 
-        Parameters
-        ----------
-        p, x0, keep
-            As for :meth:`evaluate`.
-        columns : array of int, optional
-            Which of (p, x0) are asked for; the rest of ``gram`` and ``gradient`` need not hold.
-        limits : array (W,), optional
-            A window whose cost exceeds its limit may be pruned, with an infinite cost; one with a negative limit is
-            not simulated.
-        budget : float
-            All windows may be pruned, with infinite costs, once their costs together exceed it.
+        - ``p, x0, keep``: as for :meth:`evaluate`
+        - ``columns`` array of int: which of (p, x0) are asked for; the rest of ``gram`` and ``gradient`` need not hold
+        - ``limits`` (W,): a window whose cost exceeds its limit may be pruned, with an infinite cost; one with a
+          negative limit is not simulated
+        - ``budget``: all windows may be pruned, with infinite costs, once their costs together exceed it
         """
         if not self._summing:
             return self.evaluate(p, x0, keep=keep)

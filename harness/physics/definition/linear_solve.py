@@ -10,11 +10,8 @@ import casadi as ca
 def solve_symmetric(matrix: Any, right: Any) -> Any:
     """Return the solution of a symmetric positive definite system.
 
-    Parameters
-    ----------
-    matrix : casadi.SX (n, n)
-        Only the lower triangle is read.
-    right : casadi.SX (n,)
+    - ``matrix`` casadi.SX (n, n): only the lower triangle is read
+    - ``right`` casadi.SX (n,)
 
     Examples
     --------

@@ -81,14 +81,10 @@ def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Paramete
 
     Raises InputError if the compact form is none of these.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    given : Parameter, float or tuple
-        A number is the value; a tuple is ``(unit, value[, minimum[, maximum]])``.
-    minimum : float
-        Lower bound where none is given and the value lies above it; a value of 0 (an offset) may go either way.
+    - ``name``: its name
+    - ``given``: a number is the value; a tuple is ``(unit, value[, minimum[, maximum]])``
+    - ``minimum``: lower bound where none is given and the value lies above it; a value of 0 (an offset) may go either
+      way
 
     Examples
     --------
@@ -158,16 +154,11 @@ def far_off(
 ) -> tuple[FarOff, ...]:
     """Return the fitted parameters that lie a factor from their declared values.
 
-    Parameters
-    ----------
-    parameters : iterable of Parameter
-        With the declared values; known ones and a declared 0 say nothing about the size.
-    values : mapping
-        The fitted values.
-    intervals : mapping, optional
-        Low and high where the data tell them: a large value counts only where its interval leaves the declared one out,
-        a small one only where it is told within a power of ten, as a friction that is not there is no mistake.
-    factor : float
+    - ``parameters``: with the declared values; known ones and a declared 0 say nothing about the size
+    - ``values``: the fitted values
+    - ``intervals``: low and high where the data tell them: a large value counts only where its interval leaves the
+      declared one out, a small one only where it is told within a power of ten, as a friction that is not there is no
+      mistake
 
     Examples
     --------

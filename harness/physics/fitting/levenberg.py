@@ -50,20 +50,11 @@ def eliminated(
 ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray] | None]:
     """Return the normal equations of the parameters with the states of the windows eliminated.
 
-    Parameters
-    ----------
-    gram, gradient : array (W, ns, ns), (W, ns)
-        J'J and J'r of each window by (p, x0).
-    count : int
-        Number of parameters.
-    damping : float
-        Marquardt's lambda, for the states.
-    states_free : bool
-
-    Returns
-    -------
-    (array (np, np), array (np,), back)
-        ``back`` = (C^-1 B' (W, nx, np), C^-1 g (W, nx)): dx0 = back[1] - back[0] dp.
+    - ``gram, gradient`` (W, ns, ns), (W, ns): J'J and J'r of each window by (p, x0)
+    - ``count``: number of parameters
+    - ``damping``: marquardt's lambda, for the states
+    - returns (array (np, np), array (np,), back): ``back`` = (C^-1 B' (W, nx, np), C^-1 g (W, nx)): dx0 = back[1] -
+      back[0] dp
     """
     a, g = gram[:, :count, :count].sum(axis=0), gradient[:, :count].sum(axis=0)
     nx = gram.shape[1] - count
@@ -96,24 +87,12 @@ def minimise(
 ) -> Solution:
     """Minimise the cost over the free parameters and the initial states.
 
-    Parameters
-    ----------
-    windows : Windows
-    p : array (np,)
-        Start.
-    x0 : array (W, nx)
-        Start.
-    free : array of bool (np,)
-    max_iterations : int
-    states_free : bool
-        False keeps x0.
-    decrease : float
-        Relative decrease of the cost at which a minimum counts as reached.
-
-    Returns
-    -------
-    Solution
-        With an infinite cost if the start diverges.
+    - ``p`` (np,): start
+    - ``x0`` (W, nx): start
+    - ``free`` array of bool (np,)
+    - ``states_free``: false keeps x0
+    - ``decrease``: relative decrease of the cost at which a minimum counts as reached
+    - returns with an infinite cost if the start diverges
     """
     system = windows.simulator.system
     logarithmic = log_scaled(system)

@@ -319,24 +319,16 @@ class Likelihood:
 
         Raises FitError if the filter diverges at the start.
 
-        Parameters
-        ----------
-        start : Point or LikelihoodFit
-            A fit of this likelihood to go on from.
-        free : sequence of str, optional
-            What is estimated (parameters, ``x0[k].state``, ``s@``, ``tau@``, ``w@``, ``r@``); all that is not fixed by
-            default.
-        most : int
-            Iterations.
-        reach : float
-            A value of minus the log-likelihood that must be come to. If the iterations that are left would not do so,
-            were each to bring as much as the last one, the search ends, not converged.
-        exact : bool
-            Whether the last steps count how parameters and initial states change the variances, too. That takes
-            difference quotients, and matters where the innovations are to be judged to less than a tenth. What they
-            add is kept until the steps with it have come to their end.
-        near : bool
-            Whether the start is where a search that was not exact ended: the last steps are taken at once.
+        - ``start``: a fit of this likelihood to go on from
+        - ``free``: what is estimated (parameters, ``x0[k].state``, ``s@``, ``tau@``, ``w@``, ``r@``); all that is not
+          fixed by default
+        - ``most``: iterations
+        - ``reach``: a value of minus the log-likelihood that must be come to. If the iterations that are left would not
+          do so, were each to bring as much as the last one, the search ends, not converged.
+        - ``exact``: whether the last steps count how parameters and initial states change the variances, too. That
+          takes difference quotients, and matters where the innovations are to be judged to less than a tenth. What they
+          add is kept until the steps with it have come to their end.
+        - ``near``: whether the start is where a search that was not exact ended: the last steps are taken at once
         """
         names, _, low, high = self.layout()
         if free is None:

@@ -48,21 +48,13 @@ def fit_likelihood(
     Jorgensen 2004, *Parameter estimation in stochastic grey-box models*, Automatica 40:225). Raises FitError if the
     filter stays finite from no start.
 
-    Parameters
-    ----------
-    system : System
-        Its outputs must be those of the records, in order.
-    trajectories : sequence of Trajectory
-        Separate records; nothing crosses a seam.
-    start : mapping, optional
-        Where some parameters start; the others start where equation errors are least, or where the model says.
-    fixed : sequence of str
-        Parameters that stay, besides those that the system declares fixed.
-    latent : bool
-        False for measurement noise only: output error.
-    white : bool
-        False for a latent force without a white part.
-    intersample : {"zoh", "foh", "smooth"}
+    - ``system``: its outputs must be those of the records, in order
+    - ``trajectories``: separate records; nothing crosses a seam
+    - ``start``: where some parameters start; the others start where equation errors are least, or where the model says
+    - ``fixed``: parameters that stay, besides those that the system declares fixed
+    - ``latent``: false for measurement noise only: output error
+    - ``white``: false for a latent force without a white part
+    - ``intersample`` {"zoh", "foh", "smooth"}
 
     Examples
     --------

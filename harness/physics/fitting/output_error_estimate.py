@@ -28,15 +28,9 @@ def output_error_estimate(
     correlation (Newey & West 1987, Econometrica 55:703). No interval is claimed where the fit did not converge, where a
     parameter ended on a bound, or where the residual stays correlated over more than a twentieth of the data.
 
-    Parameters
-    ----------
-    system : System
-    fit : OutputErrorFit
-        With its windows (as :func:`harness.physics.fit_output_error` returns it).
-    nothing : float
-        Relative eigenvalue of the scaled information below which a direction carries none.
-    rule : str
-        What makes that number, in words.
+    - ``fit``: with its windows (as :func:`harness.physics.fit_output_error` returns it)
+    - ``nothing``: relative eigenvalue of the scaled information below which a direction carries none
+    - ``rule``: what makes that number, in words
     """
     names = fit.names
     point = np.array([fit.parameters[name] for name in names])

@@ -82,14 +82,9 @@ def local_cubics(signal: FloatArray, width: int, dt: float) -> tuple[FloatArray,
 
     At the ends the cubic through the last ``width`` samples goes on (Savitzky & Golay 1964, Anal. Chem. 36:1627).
 
-    Parameters
-    ----------
-    signal : array (N,)
-        Uniformly sampled, N >= width.
-    width : int
-        Odd.
-    dt : float
-        Sample time [s].
+    - ``signal`` (N,): uniformly sampled, N >= width
+    - ``width``: odd
+    - ``dt``: sample time [s]
 
     Examples
     --------
@@ -112,10 +107,8 @@ def local_cubics(signal: FloatArray, width: int, dt: float) -> tuple[FloatArray,
 def local_taps(width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return weights of the value and its derivatives per sample, by a cubic through ``width`` samples.
 
-    Returns
-    -------
-    middle, first, last : array (3, width), (3, half, width), (3, half, width)
-        Value, first and second derivative at the middle, and at the samples before and after it.
+    - returns middle, first, last : array (3, width), (3, half, width), (3, half, width): Value, first and second
+      derivative at the middle, and at the samples before and after it
     """
     half = width // 2
     at = np.arange(-half, half + 1) / max(half, 1)

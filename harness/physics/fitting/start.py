@@ -34,22 +34,12 @@ def first_values(
 ) -> list[FloatArray]:
     """Return parameter vectors worth starting from, the plain one first.
 
-    Parameters
-    ----------
-    system : System
-    records : sequence of Trajectory
-    values : dict
-        A value for every parameter.
-    free : array of bool (np,)
-        Which parameters are fitted.
-    given : set of str
-        Those whose value the caller chose; they stay.
-    intersample : {"zoh", "foh", "smooth"}
-
-    Returns
-    -------
-    list of array (np,)
-        One or two: if nothing is left open, or the records do not tell all states, only the first.
+    - ``values``: a value for every parameter
+    - ``free`` array of bool (np,): which parameters are fitted
+    - ``given``: those whose value the caller chose; they stay
+    - ``intersample`` {"zoh", "foh", "smooth"}
+    - returns list of array (np,): One or two: if nothing is left open, or the records do not tell all states, only the
+      first
     """
     plain = np.array([values[name] for name in system.parameter_names], dtype=float)
     open_parameters = np.array(

@@ -44,14 +44,9 @@ def identifiability(rows: FloatArray, names: Sequence[str], *, tolerance: float 
 
     Raises InputError if the number of names is not that of the columns.
 
-    Parameters
-    ----------
-    rows : array (M, k)
-        The regressor.
-    names : sequence of str
-        One for each column.
-    tolerance : float
-        A column counts as dependent if what is new in it is smaller than this, relative to its norm.
+    - ``rows`` (M, k): the regressor
+    - ``names``: one for each column
+    - ``tolerance``: a column counts as dependent if what is new in it is smaller than this, relative to its norm
 
     Examples
     --------

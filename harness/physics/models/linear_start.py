@@ -15,16 +15,10 @@ def start_of(
 ) -> Callable[[Sequence[Trajectory]], Mapping[str, float]]:
     """Return the function that finds start values of :func:`harness.physics.models.linear` in records.
 
-    Parameters
-    ----------
-    n, nu : int
-        Number of states and inputs.
-    lengths : sequence of int
-        Length of the chain of each output.
-    time_scale : float
-        T of the model [s].
-    offsets : bool
-        The model has an offset for each output.
+    - ``n, nu``: number of states and inputs
+    - ``lengths``: length of the chain of each output
+    - ``time_scale``: T of the model [s]
+    - ``offsets``: the model has an offset for each output
     """
     return _Starts(n, nu, tuple(lengths), float(time_scale), offsets)
 

@@ -52,12 +52,8 @@ def to_casadi(expression: Any, symbols: Mapping[Any, Any]) -> Any:
 
     Raises InputError if a symbol or a function is unknown.
 
-    Parameters
-    ----------
-    expression : sympy expression or number
-        Text is refused: nothing that a user names is ever evaluated.
-    symbols : mapping
-        CasADi symbol of every SymPy symbol.
+    - ``expression``: text is refused: nothing that a user names is ever evaluated
+    - ``symbols``: casADi symbol of every SymPy symbol
 
     Examples
     --------

@@ -81,19 +81,14 @@ def typed_model(path: Path) -> Ode:
 def read_equations(text: str, name: str = "typed") -> Ode:
     """Return the model that lines of text describe.
 
-    Parameters
-    ----------
-    text : str
-        A line each, in any order, ``#`` begins a comment: ``x' = EXPRESSION`` for every state, ``input u [N]``,
-        ``state x [m]`` (its unit), ``level h [m]`` (a state that is one), ``motion shaft: w, J`` (w is the speed of a
-        joint with inertia J), ``k = 2.5 N/m`` (a parameter, where a fit starts, and its unit; ``>= 0`` bounds it,
-        ``fixed`` at the end says that it is known),
-        ``output y`` or ``output y = EXPRESSION [UNIT]`` (by default the states). Joints that accelerate each other have
-        a row of the mass matrix each in place of an inertia: ``motion x: v`` and ``x: M*v' + C*cos(a)*w' = F``, the
-        balance of what acts along x. Expressions are made of these names, of ``t``, numbers, ``+ - * / ^ ( )`` and
-        usual functions. Nothing in them is evaluated as Python.
-    name : str
-        Of the model.
+    - ``text``: a line each, in any order, ``#`` begins a comment: ``x' = EXPRESSION`` for every state, ``input u [N]``,
+      ``state x [m]`` (its unit), ``level h [m]`` (a state that is one), ``motion shaft: w, J`` (w is the speed of a
+      joint with inertia J), ``k = 2.5 N/m`` (a parameter, where a fit starts, and its unit; ``>= 0`` bounds it,
+      ``fixed`` at the end says that it is known), ``output y`` or ``output y = EXPRESSION [UNIT]`` (by default the
+      states). Joints that accelerate each other have a row of the mass matrix each in place of an inertia: ``motion x:
+      v`` and ``x: M*v' + C*cos(a)*w' = F``, the balance of what acts along x. Expressions are made of these names, of
+      ``t``, numbers, ``+ - * / ^ ( )`` and usual functions. Nothing in them is evaluated as Python.
+    - ``name``: of the model
 
     Raises
     ------

@@ -52,13 +52,8 @@ def doubt_of_loop(model: Any, records: Sequence[Trajectory], feedback: Feedback)
     load, only the part of them that something else brings tells what they do (Ljung 1999, sec. 13.4), and how well it
     does the scatter of the first answers to an input says.
 
-    Parameters
-    ----------
-    model : Model
-    records : sequence of Trajectory
-        That it was fitted to.
-    feedback : Feedback
-        Of the records.
+    - ``records``: that it was fitted to
+    - ``feedback``: of the records
     """
     if not feedback.found or feedback.share <= ANSWERED or feedback.unforeseen < NEW:
         return ""

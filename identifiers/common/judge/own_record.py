@@ -45,20 +45,11 @@ def doubt_of_own_record(
     F of the regression, which is not central where the error is just that (Kendall & Stuart 1979, *Advanced Theory of
     Statistics* 2, sec. 24.32, with Patnaik's approximation, 1949, Biometrika 36:202). In a loop nothing is asked.
 
-    Parameters
-    ----------
-    model : Model
-    records : sequence of Trajectory
-        That it was fitted to, what is no reading replaced by what its neighbours foretell.
-    feedback : Feedback
-        Of the records.
-    readings : sequence of array of bool (N, ny)
-        Which values of each record's outputs are readings: the others decide nothing.
-
-    Returns
-    -------
-    str or None
-        None where nothing could be asked.
+    - ``records``: that it was fitted to, what is no reading replaced by what its neighbours foretell
+    - ``feedback``: of the records
+    - ``readings`` sequence of array of bool (N, ny): which values of each record's outputs are readings: the others
+      decide nothing
+    - returns none where nothing could be asked
     """
     if feedback.found and feedback.share > ANSWERED:
         return None

@@ -32,17 +32,9 @@ def ellipsoids(phi: FloatArray, y: FloatArray, confidence: float) -> Ellipsoids 
     systems. V is here the Gram matrix of the first tenth of the rows, so that ``S' G^-1 S`` is at most 1 + r times as
     much, r the largest eigenvalue of ``G^-1 V``. e is taken to be Gaussian with the deviation of the residuals.
 
-    Parameters
-    ----------
-    phi, y : array (N, p), (N, m)
-        In the order of time.
-    confidence : float
-        Of all coefficients of all outputs together.
-
-    Returns
-    -------
-    Ellipsoids or None
-        None where the first rows, or the others, do not determine the coefficients.
+    - ``phi, y`` (N, p), (N, m): in the order of time
+    - ``confidence``: of all coefficients of all outputs together
+    - returns none where the first rows, or the others, do not determine the coefficients
 
     Examples
     --------
@@ -96,15 +88,9 @@ def small_ball(
     p = 3/20 for Gaussian states, G_k the covariance that k / 2 steps of noise and inputs bring, G the stationary one
     times d / d'. The length k of the blocks is that of the least bound.
 
-    Parameters
-    ----------
-    a, b : array (n, n), (n, nu)
-    inputs : array (nu, nu)
-        Covariance of the inputs, taken to be white.
-    noise : array (n, n)
-        Covariance of w.
-    samples : int
-    confidence : float
+    - ``a, b`` (n, n), (n, nu)
+    - ``inputs`` (nu, nu): covariance of the inputs, taken to be white
+    - ``noise`` (n, n): covariance of w
 
     Examples
     --------

@@ -137,13 +137,8 @@ def realisation_bound(markov: FloatArray, order: int, block: float) -> tuple[flo
     ``|A - A'|_F <= 14 sqrt(n) / s (sqrt(|L - L'| / s) |H+| + sqrt(T) e)``, H+ the shifted matrix (Oymak & Ozay 2019,
     *ACC*, lemma 4.2 and theorem 4.3).
 
-    Parameters
-    ----------
-    markov : array (L, ny, nu)
-        With the direct term.
-    order : int
-    block : float
-        Bound on the error of [G_0 G_1 ...].
+    - ``markov`` (L, ny, nu): with the direct term
+    - ``block``: bound on the error of [G_0 G_1 ...]
 
     Returns
     -------
@@ -189,14 +184,8 @@ def realisation_spread(
 ) -> float:
     """Return what the Frobenius norm of the error of A stays below, up to a rotation, by responses near the estimate.
 
-    Parameters
-    ----------
-    markov, near : array (L, ny, nu), and others
-    order : int
-    factor : float
-        Of the covariance of what is near.
-    confidence : float
-    rng : numpy.random.Generator
+    - ``markov, near`` array (L, ny, nu), and others
+    - ``factor``: of the covariance of what is near
     """
     from identifiers.linear.ho_kalman import realize
 

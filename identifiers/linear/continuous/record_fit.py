@@ -97,18 +97,11 @@ def fit_to_records(
 
     Raises FitError if the records are too short.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        Of one output, scaled.
-    sample_time : float
-        [s]
-    start : Rational
-        Strictly proper.
-    hold : {"zoh", "foh"}
-    free_delay : bool
-        Estimate the dead times too.
-    offset : bool
+    - ``parts``: of one output, scaled
+    - ``sample_time``: [s]
+    - ``start``: strictly proper
+    - ``hold`` {"zoh", "foh"}
+    - ``free_delay``: estimate the dead times too
     """
     from scipy.optimize import least_squares
 

@@ -49,21 +49,13 @@ def fit_to_response(
     Sanathanan & Koerner's iteration (1963, IEEE Trans. AC 8:56), each of some dead times. Raises FitError if there are
     fewer numbers than unknowns.
 
-    Parameters
-    ----------
-    frequency : array (F,)
-        [Hz]
-    response : array (F, nu)
-    variance : array (F, nu), optional
-        ``E |error|^2``; without it every response counts by its own size.
-    order : int
-        Of the denominator.
-    zeros : int, optional
-        Degree of the numerators; by default ``order - 1``.
-    delay : float, optional
-        [s], of all inputs; None estimates one for each input.
-    rough : bool
-        Where the answer is only where another search begins.
+    - ``frequency`` (F,): [Hz]
+    - ``response`` (F, nu)
+    - ``variance`` (F, nu): ``E |error|^2``; without it every response counts by its own size
+    - ``order``: of the denominator
+    - ``zeros``: degree of the numerators; by default ``order - 1``
+    - ``delay``: [s], of all inputs; None estimates one for each input
+    - ``rough``: where the answer is only where another search begins
 
     Examples
     --------

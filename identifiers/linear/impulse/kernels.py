@@ -23,14 +23,9 @@ def kernel_matrix(kernel: Kernel, length: int, decay: float, correlation: float 
     Automatica 48:1525, sec. 4), SS ``3/2 d^((i + j + m) / 3) - 1/2 d^m`` (the stable spline of second order: Pillonetto
     & De Nicolao 2010, Automatica 46:81, sec. 3; here scaled to a first variance of 1).
 
-    Parameters
-    ----------
-    kernel : {"tc", "dc", "ss"}
-    length : int
-    decay : float
-        d, between 0 and 1, of the variance from sample to sample.
-    correlation : float
-        r of DC, between -1 and 1; TC is that of ``sqrt(d)``, and 0 is DI, the diagonal.
+    - ``kernel`` {"tc", "dc", "ss"}
+    - ``decay``: d, between 0 and 1, of the variance from sample to sample
+    - ``correlation``: r of DC, between -1 and 1; TC is that of ``sqrt(d)``, and 0 is DI, the diagonal
 
     Examples
     --------
@@ -51,10 +46,7 @@ def kernel_matrix(kernel: Kernel, length: int, decay: float, correlation: float 
 def kernel_root(kernel: Kernel, length: int, decay: float, correlation: float = 0.0) -> FloatArray:
     """Return L (length, length) with ``L L'`` the kernel; closed for TC and DC.
 
-    Parameters
-    ----------
-    kernel, length, decay, correlation
-        As of :func:`kernel_matrix`.
+    - ``kernel, length, decay, correlation``: as of :func:`kernel_matrix`
 
     Examples
     --------
@@ -163,10 +155,7 @@ def loose(gram: FloatArray, right: FloatArray, square: float, rows: int, root: F
     Where the prior says little the fit follows the noise, so that the noise is ``|y - Phi g|^2`` over the equations
     less the trace of the matrix that takes y to the fit (Wahba 1983, J. R. Stat. Soc. B 45:133, eq. 3.5).
 
-    Parameters
-    ----------
-    gram, right, square, rows, root
-        As of :func:`evidence`.
+    - ``gram, right, square, rows, root``: as of :func:`evidence`
 
     Examples
     --------

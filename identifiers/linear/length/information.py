@@ -45,16 +45,10 @@ def information_of_linear(
     information is the sum of their products over the noise: a part that grows with the square of the inputs, and one of
     the noise alone. Directions that only change the coordinates of the state are left out.
 
-    Parameters
-    ----------
-    matrices : (A, B, C, D)
-    gain : array (nx, ny)
-        K of ``x+ = A x + B u + K e``; zeros for noise of the sensors alone.
-    noise : array (ny, ny)
-        Covariance of e.
-    inputs : sequence of array (N_i, nu)
-        Of the records, as deviations from their mean.
-    rng : numpy.random.Generator
+    - ``matrices`` (A, B, C, D)
+    - ``gain`` (nx, ny): K of ``x+ = A x + B u + K e``; zeros for noise of the sensors alone
+    - ``noise`` (ny, ny): covariance of e
+    - ``inputs`` sequence of array (N_i, nu): of the records, as deviations from their mean
 
     Examples
     --------
@@ -92,14 +86,9 @@ def information_of_linear(
 def variance_of(item: Item, matrices: Matrices, found: Information, amplitude: float) -> FloatArray:
     """Return the least covariance (k, k) of a quantity under the information of records (Cramer & Rao).
 
-    Parameters
-    ----------
-    item : Item
-        A function of the matrices.
-    matrices : (A, B, C, D)
-    found : Information
-    amplitude : float
-        All inputs times this.
+    - ``item``: a function of the matrices
+    - ``matrices`` (A, B, C, D)
+    - ``amplitude``: all inputs times this
     """
     assert item.of is not None
     slopes = []

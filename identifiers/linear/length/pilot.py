@@ -107,15 +107,10 @@ def linear_plan(
 ) -> Pilot:
     """Return what a planned record would say of a linear model that is believed.
 
-    Parameters
-    ----------
-    model : LinearModel
-        Its filter gain and its residuals tell the noise where none is given.
-    inputs : sequence of array (N, nu)
-    noise : array (ny,), optional
-        Standard deviations of white noise of the sensors.
-    asked, frequency, amplitudes, rng
-        As of :func:`fitted_pilot`.
+    - ``model``: its filter gain and its residuals tell the noise where none is given
+    - ``inputs`` sequence of array (N, nu)
+    - ``noise`` (ny,): standard deviations of white noise of the sensors
+    - ``asked, frequency, amplitudes, rng``: as of :func:`fitted_pilot`
     """
     items, words = items_of_matrices(model.matrices, model.spec, asked, frequency)
     gain = 0.0 * model.filter_gain
@@ -148,15 +143,10 @@ def mechanism_plan(
 ) -> Pilot:
     """Return what planned records of a physical model would say of its parameters.
 
-    Parameters
-    ----------
-    made : Mechanism
-    runs : mapping of float to (array (N, nu), array (nx,))
-        Inputs and initial state by amplitude; that of 1 is the plan.
-    noise : array (ny,)
-    units : mapping
-        Of the parameters.
-    spec : PlantSpec
+    - ``runs`` mapping of float to (array (N, nu), array (nx,)): inputs and initial state by amplitude; that of 1 is the
+      plan
+    - ``noise`` (ny,)
+    - ``units``: of the parameters
     """
     known = {a: made.covariance([u], [x0], noise) for a, (u, x0) in runs.items()}
     values = dict(zip(made.simulator.parameter_names, made.values, strict=True))

@@ -116,13 +116,9 @@ def items_of_estimate(model: Any) -> list[tuple[Item, FloatArray]]:
 def quantile_of_norm(covariance: FloatArray, freedom: float, rng: np.random.Generator) -> float:
     """Return what the norm of an error stays below with a probability, for an error of a covariance (k, k).
 
-    Parameters
-    ----------
-    covariance : array (k, k)
-    freedom : float
-        Degrees of freedom of the covariance: the error is Student's t with these.
-    rng : numpy.random.Generator
-        For the draws of an error in more than one direction.
+    - ``covariance`` (k, k)
+    - ``freedom``: degrees of freedom of the covariance: the error is Student's t with these
+    - ``rng``: for the draws of an error in more than one direction
 
     Examples
     --------

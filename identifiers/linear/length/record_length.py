@@ -51,18 +51,10 @@ def needed_length(
     says of their size is uncertain by its degrees of freedom (chi-square), and the value that they are relative to by
     themselves.
 
-    Parameters
-    ----------
-    entry : Entry
-    samples : int
-        Of the pilot.
-    accuracy : float
-        Relative.
-    certainty : float
-        Probability that the ``safe`` length suffices.
-    rng : numpy.random.Generator
-    ratio : float
-        Error at another amplitude over that of the pilot.
+    - ``samples``: of the pilot
+    - ``accuracy``: relative
+    - ``certainty``: probability that the ``safe`` length suffices
+    - ``ratio``: error at another amplitude over that of the pilot
 
     Examples
     --------

@@ -54,18 +54,9 @@ def prediction_error_estimate(spec: PlantSpec, fits: Sequence[Fitted], scaling: 
     the minimum, for residuals that are white: of an output-error model under coloured noise it does not, and none is
     claimed.
 
-    Parameters
-    ----------
-    spec : PlantSpec
-    fits : sequence of Fitted
-        One for each output.
-    scaling : Scaling
-        What the signals were divided by.
-
-    Returns
-    -------
-    Estimate or None
-        None beyond 200 coefficients.
+    - ``fits``: one for each output
+    - ``scaling``: what the signals were divided by
+    - returns none beyond 200 coefficients
     """
     from scipy.stats import t
 

@@ -45,13 +45,8 @@ def misses_of(model: Polynomials, starts: Starts, parts: Sequence[Part]) -> Miss
     2 + n log s``: the likelihood of the Kalman filter that passes over what is missing (Harvey & Pierse 1984, J. Am.
     Stat. Assoc. 79:125), s concentrated out and written as a sum of squares with the determinant's root as a factor.
 
-    Parameters
-    ----------
-    model : Polynomials
-    starts : sequence of (X, Z)
-        As of :func:`identifiers.linear.polynomials.model.errors_and_gradients`.
-    parts : sequence of Part
-        What stands in y where a reading is missing decides nothing.
+    - ``starts`` sequence of (X, Z): as of :func:`identifiers.linear.polynomials.model.errors_and_gradients`
+    - ``parts``: what stands in y where a reading is missing decides nothing
     """
     errors, gradients = errors_and_gradients(model, starts, parts)
     total, missing = errors.size, sum(len(part.holes) for part in parts)
@@ -90,11 +85,7 @@ def misses_of(model: Polynomials, starts: Starts, parts: Sequence[Part]) -> Miss
 def in_pieces(part: Part, *, at_once: bool) -> list[Part]:
     """Return a record cut where too much is missing for one system of equations; whole where none is needed.
 
-    Parameters
-    ----------
-    part : Part
-    at_once : bool
-        The noise is white on the output: nothing need be solved.
+    - ``at_once``: the noise is white on the output: nothing need be solved
 
     Examples
     --------

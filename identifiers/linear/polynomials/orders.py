@@ -26,16 +26,10 @@ def orders_by_output(
     Raises FitError if a number is no whole number from 0 on, a list or matrix has another size, or the structure has no
     such polynomial.
 
-    Parameters
-    ----------
-    structure : {"arx", "armax", "oe", "bj"}
-    spec : PlantSpec
-    given : mapping
-        ``na``, ``nb``, ``nc``, ``nd``, ``nf``, ``nk``; None takes the order, of ``nk`` 1. A number for ``nf`` is one F
-        that all inputs share, a list or a matrix one for each.
-    order : int
-    what : str
-        For messages.
+    - ``structure`` {"arx", "armax", "oe", "bj"}
+    - ``given``: ``na``, ``nb``, ``nc``, ``nd``, ``nf``, ``nk``; None takes the order, of ``nk`` 1. A number for ``nf``
+      is one F that all inputs share, a list or a matrix one for each.
+    - ``what``: for messages
 
     Examples
     --------
@@ -83,14 +77,8 @@ def by_output(name: str, value: Counts, spec: PlantSpec, what: str) -> list[int]
 def by_pair(name: str, value: Counts, ny: int, columns: int, what: str) -> list[tuple[int, ...]]:
     """Return for each output a number for each column (an input, or an output of the past).
 
-    Parameters
-    ----------
-    name : str
-    value : int, list or list of lists
-        A number for all, one for each column, or rows of outputs.
-    ny, columns : int
-    what : str
-        For messages.
+    - ``value``: a number for all, one for each column, or rows of outputs
+    - ``what``: for messages
     """
     rows: list[Any]
     if isinstance(value, int):

@@ -29,12 +29,7 @@ Inputs = tuple[FloatArray, ...]
 def starting_models(parts: Sequence[Part], orders: Orders, offset: bool) -> list[Polynomials]:
     """Return where the search begins: several, of which the best end is taken.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        Missing readings filled with what lies between their neighbours: only a start depends on it.
-    orders : Orders
-    offset : bool
+    - ``parts``: missing readings filled with what lies between their neighbours: only a start depends on it
     """
     read = [np.delete(part.y, part.holes) if part.holes else part.y for part in parts]
     level = float(np.concatenate(read).mean()) if offset else 0.0

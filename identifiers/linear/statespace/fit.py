@@ -59,23 +59,13 @@ def state_space_of(
 
     Raises FitError if the records are too short.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-        Scaled; what stands where a reading is missing decides nothing.
-    what : str
-        Name of the identifier, for messages.
-    order, delay : int, optional
-        Those that the data prefer where none is given.
-    offset : bool
-    radius : float
-        Largest modulus of a pole.
-    loop : bool
-        Outputs foretell the inputs: what the loop holds may be unstable.
-    innovations : bool
-        Try noise that moves the states too: the model in innovation form.
-    most : int
-        Largest order that is tried.
+    - ``records``: scaled; what stands where a reading is missing decides nothing
+    - ``what``: name of the identifier, for messages
+    - ``order, delay``: those that the data prefer where none is given
+    - ``radius``: largest modulus of a pole
+    - ``loop``: outputs foretell the inputs: what the loop holds may be unstable
+    - ``innovations``: try noise that moves the states too: the model in innovation form
+    - ``most``: largest order that is tried
     """
     spec = records[0].spec
     free = Freedom(spec.nu * spec.feedthrough, offset, radius)

@@ -90,15 +90,8 @@ def ladder(
 def finished(rung: Rung, pieces: Sequence[Piece], free: Freedom, *, gain: float = 1e-6, rival: float = np.inf) -> Rung:
     """Return the end of a search to the last digits, over pieces that may be more than the ladder saw.
 
-    Parameters
-    ----------
-    rung : Rung
-    pieces : sequence of Piece
-    free : Freedom
-    gain : float
-        As of :func:`identifiers.linear.statespace.search.search`.
-    rival : float
-        As of :func:`ladder`.
+    - ``gain``: as of :func:`identifiers.linear.statespace.search.search`
+    - ``rival``: as of :func:`ladder`
     """
     first = settled_starts(rung.end.model, pieces, free)
     end = search(first, pieces, free, gain=gain, beat=rival - _price(first, pieces, free))

@@ -17,12 +17,7 @@ EXACT = 1e-24  # Mean square, of outputs of size 1, that counts as rounding.
 def noise_of(errors: Sequence[Errors], pieces: Sequence[Piece], most: int = MOST) -> FloatArray:
     """Return the coefficients (ny, p) of the noise that a plant leaves, one length for all outputs.
 
-    Parameters
-    ----------
-    errors : sequence of Errors
-    pieces : sequence of Piece
-        Which readings there are.
-    most : int
+    - ``pieces``: which readings there are
     """
     ny = errors[0].left.shape[1]
     grams = [_gram(errors, pieces, output, most) for output in range(ny)]

@@ -51,11 +51,7 @@ def loss_of(errors: Sequence[Errors], floor: float = EXACT) -> float:
     The first innovations, as many as the noise remembers, are not known; the others stand for them too, so that noises
     of different length compare.
 
-    Parameters
-    ----------
-    errors : sequence of Errors
-    floor : float
-        Mean square below which innovations are rounding.
+    - ``floor``: mean square below which innovations are rounding
     """
     readings = sum(one.read for one in errors)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -43,14 +43,9 @@ def long_models(pieces: Sequence[Piece], direct: bool, *, predictor: bool = Fals
     A long regression takes noise of any colour and holds under feedback; its plant is that of the data but for chance
     (Ljung & Wahlberg 1992), which the reduction and the search then take away.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Of inputs and outputs; rows with a missing reading are left out.
-    direct : bool
-        An output answers the input of the same sample.
-    predictor : bool
-        Return what foretells the outputs, with them as further inputs, and not the plant.
+    - ``pieces``: of inputs and outputs; rows with a missing reading are left out
+    - ``direct``: an output answers the input of the same sample
+    - ``predictor``: return what foretells the outputs, with them as further inputs, and not the plant
     """
     made = _predictor if predictor else _plant
     ny, nu = pieces[0].y.shape[1], pieces[0].u.shape[1]
