@@ -51,24 +51,13 @@ needs several readings for each unknown (Ljung 1999, sec. 16.4, counts parameter
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One uninterrupted piece of a record.
+    """One uninterrupted piece of a record."""
 
-    Attributes
-    ----------
-    start : float
-        First instant [s].
-    values : array (N, m)
-        Signals.
-    sample_time : float
-        [s]
-    between : array of bool (N, m), optional
-        True for what lies between two readings and was read by nobody.
-    """
-
-    start: float
-    values: FloatArray
-    sample_time: float
+    start: float  # First instant [s]
+    values: FloatArray  # (N, m): Signals
+    sample_time: float  # [s]
     between: BoolArray | None = None
+    """Array of bool (N, m): True for what lies between two readings and was read by nobody."""
 
 
 class _Run(NamedTuple):

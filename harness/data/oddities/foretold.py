@@ -26,24 +26,12 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Foretold:
-    """A prediction ``y[k] = sum a_i y[k-i] + sum b_j u[k-j] + c`` and what it misses.
+    """A prediction ``y[k] = sum a_i y[k-i] + sum b_j u[k-j] + c`` and what it misses."""
 
-    Attributes
-    ----------
-    own : array (n,)
-        a, of the 1st to n-th reading before.
-    other : array (n + 1, nu)
-        b, of this row's inputs to those n rows before.
-    error : array (N,)
-        What it misses; 0 in the first n rows.
-    scale : array (N,)
-        Standard deviation of that about each row, from medians: odd readings hardly move it.
-    """
-
-    own: FloatArray
-    other: FloatArray
-    error: FloatArray
-    scale: FloatArray
+    own: FloatArray  # (n,): a, of the 1st to n-th reading before
+    other: FloatArray  # (n + 1, nu): b, of this row's inputs to those n rows before
+    error: FloatArray  # (N,): What it misses; 0 in the first n rows
+    scale: FloatArray  # (N,): Standard deviation of that about each row, from medians: odd readings hardly move it
 
     @property
     def pattern(self) -> FloatArray:

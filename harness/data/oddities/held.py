@@ -33,18 +33,10 @@ _PLACES = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Readings that only repeat.
+    """Readings that only repeat."""
 
-    Attributes
-    ----------
-    every : int or None
-        Rows from one reading to the next, where they come in a rhythm.
-    fresh : array of bool (N,)
-        The readings that are some.
-    """
-
-    every: int | None
-    fresh: npt.NDArray[np.bool_]
+    every: int | None  # Rows from one reading to the next, where they come in a rhythm
+    fresh: npt.NDArray[np.bool_]  # array of bool (N,): The readings that are some
 
 
 def runs_of_equal(values: FloatArray) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:

@@ -35,18 +35,10 @@ _MANY = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Hum:
-    """A line.
+    """A line."""
 
-    Attributes
-    ----------
-    frequency : float
-        Over the sampling frequency.
-    sine : array (N,)
-        What it adds to the readings.
-    """
-
-    frequency: float
-    sine: FloatArray
+    frequency: float  # Over the sampling frequency
+    sine: FloatArray  # (N,): What it adds to the readings
 
 
 def hum_of(y: FloatArray, u: FloatArray) -> Hum | None:

@@ -21,18 +21,10 @@ _USUAL = 1e-3
 
 @dataclass(frozen=True)
 class Slip:
-    """A place where rows and time part.
+    """A place where rows and time part."""
 
-    Attributes
-    ----------
-    row : int
-        The first one that belongs to what follows.
-    lost : int
-        Rows that are missing before it; -1 for one that was written twice.
-    """
-
-    row: int
-    lost: int
+    row: int  # The first one that belongs to what follows
+    lost: int  # Rows that are missing before it; -1 for one that was written twice
 
 
 def slips_of(y: FloatArray, u: FloatArray, odd: npt.NDArray[np.bool_]) -> list[Slip]:

@@ -30,17 +30,10 @@ _MOSTLY = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Spikes:
-    """Odd readings of one signal.
+    """Odd readings of one signal."""
 
-    Attributes
-    ----------
-    rows : array of int
-    mended : array (N,)
-        The signal with what the neighbours foretell in these rows.
-    """
-
-    rows: npt.NDArray[np.intp]
-    mended: FloatArray
+    rows: npt.NDArray[np.intp]  # array of int
+    mended: FloatArray  # (N,): The signal with what the neighbours foretell in these rows
 
 
 def spikes_of(y: FloatArray, u: FloatArray) -> Spikes:

@@ -65,34 +65,19 @@ class Noted(Records, total=False):
 
 @dataclass(frozen=True)
 class Chosen:
-    """The columns that a caller chose.
+    """The columns that a caller chose."""
 
-    Parameters
-    ----------
-    inputs, outputs : tuple of str, or None
-        Names of signals; None where the caller did not say.
-    columns, units : mapping
-        By name of a signal (``time`` is the clock).
-    sample_time : float, optional
-        [s]
-    gaps : str
-        ``"split"`` or ``"refuse"``.
-    sheet : str, optional
-        Of workbooks.
-    runs : tuple of (use, file or table)
-    whole : bool
-        True where the table is one record, and no part of it validates.
-    """
-
+    # Names of signals; None where the caller did not say
     inputs: tuple[str, ...] | None = None
     outputs: tuple[str, ...] | None = None
+    # By name of a signal (``time`` is the clock)
     columns: Mapping[str, str | int] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    sample_time: float | None = None
-    gaps: Gaps = "refuse"
-    sheet: str | None = None
-    runs: tuple[tuple[Use, Any], ...] = ()
-    whole: bool = False
+    sample_time: float | None = None  # [s]
+    gaps: Gaps = "refuse"  # ``"split"`` or ``"refuse"``
+    sheet: str | None = None  # Of workbooks
+    runs: tuple[tuple[Use, Any], ...] = ()  # tuple of (use, file or table)
+    whole: bool = False  # True where the table is one record, and no part of it validates
 
     @classmethod
     def of(cls, signals: Signals) -> Chosen:

@@ -20,44 +20,26 @@ _OFTEN = 10.0
 
 @dataclass(frozen=True)
 class ChannelContent:
-    """One channel of a file.
+    """One channel of a file."""
 
-    Attributes
-    ----------
-    column : str
-        What ``column = ...`` in a dataset.toml calls it.
-    name : str
-        Its title without the unit.
-    unit : str
-        The unit that the file states; empty where it states none.
-    rows, empty : int
-        Rows, and how many of them hold no number.
-    minimum, maximum, mean, deviation : float or None
-        Of its numbers, in its unit.
-    every : float or None
-        Usual step [s] of a channel that has a clock of its own, or is filled in some rows only.
-    note : str
-        Why it cannot be read as numbers.
-    begin, end : float or None
-        First and last stamp [s] of a channel that has a clock of its own.
-    names : bool
-        True where its numbers may be names: whole, from 0 on, each in ten rows or more on average.
-    """
-
-    column: str
-    name: str
-    unit: str = ""
+    column: str  # What ``column = ...`` in a dataset.toml calls it
+    name: str  # Its title without the unit
+    unit: str = ""  # The unit that the file states; empty where it states none
+    # Rows, and how many of them hold no number
     rows: int = 0
     empty: int = 0
+    # Of its numbers, in its unit
     minimum: float | None = None
     maximum: float | None = None
     mean: float | None = None
     deviation: float | None = None
     every: float | None = None
-    note: str = ""
+    """Usual step [s] of a channel that has a clock of its own, or is filled in some rows only."""
+    note: str = ""  # Why it cannot be read as numbers
+    # First and last stamp [s] of a channel that has a clock of its own
     begin: float | None = None
     end: float | None = None
-    names: bool = False
+    names: bool = False  # True where its numbers may be names: whole, from 0 on, each in ten rows or more on average
 
 
 @dataclass(frozen=True)

@@ -22,27 +22,17 @@ _SUFFIX = {0: "", 1: "_rate", 2: "_acceleration"}
 
 @dataclass(frozen=True)
 class Ports:
-    """What a model can be driven by, and what can be measured of it.
+    """What a model can be driven by, and what can be measured of it."""
 
-    Parameters
-    ----------
-    inputs, outputs : tuple of Channel
-        Outputs first, then what else can be measured (coordinates, states).
-    model : str
-        For messages.
-    units_fixed : bool
-        False where the model takes over the units of the data.
-    rates : bool
-        False where the rates of the outputs cannot be measured too: a fitted model has the outputs that it has.
-    """
-
+    # Outputs first, then what else can be measured (coordinates, states)
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
-    model: str = "the model"
-    units_fixed: bool = True
+    model: str = "the model"  # For messages
+    units_fixed: bool = True  # False where the model takes over the units of the data
     joints: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Input and output port of each joint by the name that the robot's file gives it."""
     rates: bool = True
+    """False where the rates of the outputs cannot be measured too: a fitted model has the outputs that it has."""
 
     def named(self, port: str, role: str) -> str:
         """Return the name of a port that goes by its joint's name.
