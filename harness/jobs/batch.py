@@ -122,7 +122,7 @@ def end_worker(folder: Path, batch: Batch) -> None:
     """End what a lost worker left running: the processes of its group."""
     process = _last(folder, batch)[0]
     with suppress(ProcessLookupError, PermissionError):
-        if process and os.getpgid(0) != process:
+        if process and hasattr(os, "getpgid") and os.getpgid(0) != process:
             os.killpg(process, signal.SIGKILL)
 
 
@@ -174,7 +174,8 @@ class Desk:
 
     def stand(self, place: str) -> None:
         """Write down where the work is."""
-        os.pwrite(self._at, f"{os.getpid()} {place}".encode().ljust(WIDTH), 0)  # one write: never seen half
+        os.lseek(self._at, 0, os.SEEK_SET)
+        os.write(self._at, f"{os.getpid()} {place}".encode().ljust(WIDTH))  # one write: never seen half
 
     @contextmanager
     def _limited(self, place: str) -> Iterator[None]:

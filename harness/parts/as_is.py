@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +16,7 @@ from harness.errors import InputError, PlantError, refuse_no_file
 from harness.options import meant_options, say_beyond
 from harness.parts.files import is_plant_file, is_system, make_plant
 from harness.signals import Trajectory
+from harness.supervision.processes import APART
 from harness.trust import names_fmu
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def run_as_is(
         sample_time=window["step"],
         tolerance=window["tolerance"] if window["tolerance"] is not None else chosen.pop("tolerance", None),
         progress=progress,
-        **{"isolated": os.name == "posix", **chosen},
+        **{"isolated": APART, **chosen},
     )
     return _told(found, note, broke)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -11,6 +10,7 @@ from typing import Any, cast
 from harness import registry
 from harness.errors import InputError
 from harness.protocols import Plant
+from harness.supervision.processes import APART
 from harness.trust import names_fmu, trusted, trusting
 
 PLANT_FILES = (".fmu", ".toml", ".ssp", ".ssd")  # Endings of files that are plants.
@@ -75,7 +75,7 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
         raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=id)
     inside = {key: value for key, value in options.items() if key not in ("isolated", "timeout")}
     limit = {"timeout": options["timeout"]} if "timeout" in options else {}
-    apart = options.get("isolated", os.name == "posix")
+    apart = options.get("isolated", APART)
     if names_fmu(id):
         if apart:
             return cast(Plant, registry.create("plants", "isolated", plant="fmu", path=id, **limit, **inside))

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -71,8 +72,6 @@ def guarded(
     HarnessError
         What the work itself raises.
     """
-    if os.name != "posix":
-        return work(*arguments, progress=progress or (lambda *content: None), **options)
     limit = START
     folder = tempfile.TemporaryDirectory(prefix="sysid-apart-", ignore_cleanup_errors=True)
     ours, process = fresh_process(_serve, folder.name, work, arguments, options)
@@ -95,8 +94,10 @@ def guarded(
         process.join(BEAT)
         raise PlantError(f"{what}: the process {_ended(process.exitcode)}", status="crashed") from None
     finally:
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid or 0, signal.SIGKILL)  # with all that it started
+        if hasattr(os, "killpg"):
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid or 0, signal.SIGKILL)  # with all that it started
+        process.kill()
         process.join()
         ours.close()
         folder.cleanup()
@@ -112,17 +113,20 @@ def _ended(code: int | None) -> str:
 
 def _serve(connection: Connection, folder: str, work: Callable[..., Any], arguments: Any, options: Any) -> None:
     """Do the work in its process."""
-    os.setsid()  # an interrupt from the keyboard is the caller's to handle
+    if hasattr(os, "setsid"):
+        os.setsid()  # an interrupt from the keyboard is the caller's to handle
     os.environ["TMPDIR"] = tempfile.tempdir = folder  # what a crash leaves there goes with it
-    parent = os.getppid()
     adopt_orphans()
-    with suppress(OSError, AttributeError):
+    with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGKILL)
+    caller = parent_process()
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(BEAT)
-        os.killpg(0, signal.SIGKILL)
+        if caller is not None:
+            caller.join()
+        if hasattr(os, "killpg"):
+            os.killpg(0, signal.SIGKILL)
+        os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
     _Line.connection = connection

@@ -13,11 +13,13 @@ from pathlib import Path
 
 _SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux' prctl
 PROC = Path("/proc")
+APART = os.name == "posix"
+"""Whether a plant can have a process of its own, which inherits a socket; elsewhere it runs in the caller's."""
 
 
 def adopt_orphans() -> None:
     """Become the parent of every process whose own parent ends, so that none is lost from sight (Linux)."""
-    with suppress(OSError, AttributeError):
+    with suppress(OSError, AttributeError, TypeError):  # no prctl, or no library without a name (Windows)
         ctypes.CDLL(None).prctl(_SUBREAPER, 1, 0, 0, 0)
 
 

@@ -122,7 +122,8 @@ def death(error: BaseException) -> str:
 def _quiet() -> None:
     """Prepare a worker: Ctrl-C is the parent's business, and the chatter of engines goes nowhere."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.setpgid(0, 0)  # what it starts ends with it
+    if hasattr(os, "setpgid"):
+        os.setpgid(0, 0)  # what it starts ends with it
     adopt_orphans()
     parent = os.getppid()
 

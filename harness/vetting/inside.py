@@ -6,6 +6,7 @@ Each function is called by its name with the plant's options, and returns plain 
 from __future__ import annotations
 
 import ctypes
+import mmap
 import os
 import re
 import sys
@@ -366,4 +367,4 @@ def _resident() -> float:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except (OSError, ValueError, IndexError):
         return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1024
+    return pages * mmap.PAGESIZE / 1024

@@ -15,6 +15,7 @@ from harness.cosim.convergence import halved
 from harness.errors import HarnessError, InputError, PlantError
 from harness.signals import FloatArray, Trajectory
 from harness.supervision.guarded import guarded
+from harness.supervision.processes import APART
 from harness.vetting import inside
 from harness.vetting.findings import Finding
 from harness.vetting.tubes import Tube
@@ -39,8 +40,11 @@ class Subject:
     samples: int = SAMPLES
 
     def plant(self, **more: Any) -> Any:
-        """Return the FMU in a process of its own."""
-        return registry.create("plants", "isolated", plant="fmu", timeout=self.limit, **{**self.options, **more})
+        """Return the FMU in a process of its own; in this one where the system gives it none."""
+        options = {**self.options, **more}
+        if APART:
+            return registry.create("plants", "isolated", plant="fmu", timeout=self.limit, **options)
+        return registry.create("plants", "fmu", **options)
 
     def inside(self, work: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
         """Return the findings of a function of :mod:`harness.vetting.inside`, called in a child."""
@@ -111,7 +115,9 @@ def _own_experiment(subject: Subject, record: Trajectory) -> list[Finding]:
         tried = "inputs at their start values (it has no default experiment)"
     more = {key: value for key, value in subject.options.items() if key not in ("path", "sample_time", "start_time")}
     tolerance = more.pop("tolerance", None)
-    run = registry.load("tools", "fmu-as-is")(subject.path, timeout=subject.limit, tolerance=tolerance, **more)
+    run = registry.load("tools", "fmu-as-is")(
+        subject.path, timeout=subject.limit, tolerance=tolerance, isolated=APART, **more
+    )
     if run.ended is not None:
         whole = run.ended.status == "terminated"
         return [Finding("own experiment", None if whole else False, tried, f"{run.ended.status}: {run.ended}")]
@@ -126,7 +132,9 @@ def _again(subject: Subject, record: Trajectory) -> list[Finding]:
     with subject.plant() as plant:
         off = _difference(_run(plant, record.u).y, record.y)
     came = "bit for bit the same" if off == 0.0 else f"differs by {off:.3g}"
-    return [Finding("determinism", off == 0.0, "the same run in a fresh process", came, off)]
+    return [
+        Finding("determinism", off == 0.0, f"the same run in a fresh {'process' if APART else 'instance'}", came, off)
+    ]
 
 
 def _probed(subject: Subject, record: Trajectory) -> list[Finding]:
