@@ -158,7 +158,10 @@ class _Placing:
         if effect.sampled:
             channels = system.inputs if port.kind == "input" else system.outputs
             index = [channel.name for channel in channels].index(port.name)
-            self.sampled.append(SampledBlock(effect.sampled, index, declared[0].name))  # type: ignore[arg-type]
+            before = placed.name("before") if effect.sampled == "input_delay" else ""
+            self.sampled.append(SampledBlock(effect.sampled, index, declared[0].name, before))  # type: ignore[arg-type]
+            if before:  # an FMU that begins at its own start has no state that could take it up
+                self._hide(ca.SX.sym(before), ca.SX(0.0), 0.0, Channel(before, channels[index].unit))
             return declared
         signal, q, v = self._arriving(port, row)
         states = [ca.SX.sym(placed.name(name)) for name in effect.states]
@@ -173,11 +176,16 @@ class _Placing:
             self.reading[[channel.name for channel in system.outputs].index(port.name)] = value
         context = {"signal": signal, "q": q, "v": v}
         for name, unit, symbol, derivative in zip(effect.states, effect.state_units, states, derivatives, strict=True):
-            self.states.append(symbol)
-            self.derivatives.append(derivative)
-            self.starts.append(self._at_start(context[effect.initial[name]]) if name in effect.initial else 0.0)
-            self.hidden.append(Channel(placed.name(name), unit_of(unit, units)))
+            start = self._at_start(context[effect.initial[name]]) if name in effect.initial else 0.0
+            self._hide(symbol, derivative, start, Channel(placed.name(name), unit_of(unit, units)))
         return declared
+
+    def _hide(self, symbol: Any, derivative: Any, start: Any, channel: Channel) -> None:
+        """Add a hidden state."""
+        self.states.append(symbol)
+        self.derivatives.append(derivative)
+        self.starts.append(start)
+        self.hidden.append(channel)
 
     def _at_start(self, signal: Any) -> Any:
         """Return a signal as it is at the beginning: at time 0, hidden states before it where they start."""

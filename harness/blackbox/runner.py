@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,41 @@ import numpy as np
 from harness.blackbox.system import FmuSystem
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
+
+MEASURED = 0.25
+"""CPU time [s] of the runs that tell what a step costs: those of the rough fit, before any effect is tried."""
+
+
+@dataclass
+class Meter:
+    """What runs of an FMU cost: steps, each at the CPU time [s] that the first runs took, rounded to a power of two.
+
+    So a run costs the same whatever else the machine does later, and two searches end at the same place, but for the
+    rare FMU whose steps take what lies between two powers.
+
+    Examples
+    --------
+    >>> meter = Meter()
+    >>> for took in (0.2, 0.1, 9.0):
+    ...     meter.add(1000, took)
+    >>> meter.seconds == 3000 * 2**-13
+    True
+    """
+
+    steps: int = 0
+    measured: int = 0
+    took: float = 0.0
+
+    def add(self, steps: int, seconds: float) -> None:
+        """Count a run."""
+        self.steps += steps
+        if self.took < MEASURED:
+            self.measured, self.took = self.measured + steps, self.took + seconds
+
+    @property
+    def seconds(self) -> float:
+        """CPU time of all runs [s]."""
+        return self.steps * 2.0 ** round(np.log2(self.took / self.measured)) if self.took > 0 else 0.0
 
 
 class Runner:
@@ -22,9 +58,13 @@ class Runner:
         self._owner = 0
         self._set: dict[str, float] = {}
         self._finer: dict[int, Runner] = {}
-        self.steps = 0
-        """Communication steps that simulations around the FMU took."""
+        self.meter = Meter()
         self._rng = np.random.default_rng(0)  # an FMU draws nothing
+
+    @property
+    def seconds(self) -> float:
+        """CPU time [s] of all simulations around the FMU, also at parts of the sample time."""
+        return self.meter.seconds + sum(runner.seconds for runner in self._finer.values())
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_plant": None, "_left": None, "_owner": 0, "_set": {}, "_finer": {}}

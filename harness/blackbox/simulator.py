@@ -11,6 +11,7 @@ import ctypes
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from time import process_time
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -196,10 +197,11 @@ class FmuSimulator(BySample):
         """Return the FMU's variables, hidden states, rates of the coordinates and readings of one free run."""
         system = self.system
         parts = 1 if system.around is None else system.exchanges
+        u = self.sampled.begun(u, p, x0)
         n = (u.shape[0] - 1) * parts + 1
         if parts > 1:
             u, extra = np.repeat(u, parts, axis=0)[:n], None if extra is None else np.repeat(extra, parts, axis=0)[:n]
-        self.runner.steps += n
+        began = process_time()
         inner, runner = system.inner_count, self.runner.finer(parts)
         values = {parameter.name: float(value) for parameter, value in zip(system.parameters[:inner], p, strict=False)}
         start = {state.name: float(value) for state, value in zip(system.inner_states, x0, strict=False)}
@@ -220,6 +222,7 @@ class FmuSimulator(BySample):
                 self._coupled(_Run(table, hidden, rates, past, z, own, u, extra, t0, runner.plant, self.dt / parts))
         except (HarnessError, ArithmeticError):
             table[1:] = np.nan
+        runner.meter.add(n, process_time() - began)
         table, hidden, rates = (np.ascontiguousarray(one[::parts]) for one in (table, hidden, rates))
         y = table[:, : system.ny]
         if system.around is not None and system.around.reads and np.isfinite(table).all():
@@ -246,12 +249,15 @@ class FmuSimulator(BySample):
                     continue
                 if k in self.sampled.delay_columns:
                     if gradient is not None:
-                        h = 0.01 * self.dt
+                        h, moved = 0.01 * self.dt, p.copy()
+                        moved[k] += h
                         later = u + h * gradient[..., self.sampled.delay_columns.index(k)]
-                        s[..., k] = (self.run(p, x0, later, t0)[1] - y) / h
+                        s[..., k] = (self.run(moved, x0, later, t0)[1] - y) / h
                 elif k not in blocks:
                     s[..., k] = self._derivative(k, p, x0, u, y, t0)
             sizes = np.sqrt(np.mean(x**2, axis=0))
+            for column, _, state in self.sampled.before:
+                sizes[state] = np.sqrt(np.mean(u[:, column] ** 2))
             for k in range(self.nx):
                 if self.np + k not in wanted:
                     continue

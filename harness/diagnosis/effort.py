@@ -67,11 +67,18 @@ class Effort:
         "short windows of which an FMU's parameters are first fitted: every one costs a run a parameter and state",
         "cost; 40 of them took 30 s of CPU of a geared drive",
     )
-    steps: int = number(
-        3_000_000,
-        "communication steps of an FMU after which the search around it fits no more and says what it did not try",
-        "cost: 10 to 20 us of CPU each in foreign FMUs with a solver inside, a minute in all",
-        "a spring pendulum of another tool, 4 million at 61 s",
+    seconds: float = number(
+        20.0,
+        "CPU time [s] of an FMU's runs after which the search begins no more fits around it, and says what it did not "
+        "try",
+        "cost: a third of the minute that a loop around an FMU may take",
+        "FMUs of Dymola and 20-sim at 1 to 10 us a step: one to three rounds",
+    )
+    ending: float = number(
+        40.0,
+        "and after which it finishes none that was begun",
+        "cost: as much again, so that what was begun first, and led, comes to its end",
+        "a saturation that led by 3000 was left unfinished, as beginning its rivals had cost all there was",
     )
     exchanges: int = number(
         16,

@@ -13,10 +13,10 @@ from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.diagnosis import close_loop
 from harness.diagnosis.effort import EFFORT
-from harness.diagnosis.fmu import form as forms
 from harness.diagnosis.fmu.form import FmuForm
 from harness.diagnosis.fmu.prepare import measured_states, nominal_fmu, restarts
 from harness.diagnosis.fmu.pushes import as_measured
+from harness.diagnosis.forms import likelihood_form as forms
 from harness.diagnosis.search.scores import score_test
 from harness.diagnosis.steps import nominal_fit
 from harness.effects import builtin
@@ -89,7 +89,7 @@ def test_friction_that_a_model_without_damping_cannot_follow_is_promised_first_f
 
 
 def test_a_search_that_costs_too_much_ends_and_says_what_it_did_not_try(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forms, "EFFORT", replace(EFFORT, steps=1))
+    monkeypatch.setattr(forms, "EFFORT", replace(EFFORT, seconds=0.0))
     data = swung(300, Fc=0.05, b=0.04)
     report = close_loop(data, mockup("pendulum"), parameters={"J": 0.05, "b": 0.04, "mgl": 1.0},
                         dictionary=[builtin()["coulomb_friction"]])  # fmt: skip
@@ -101,3 +101,25 @@ def test_a_search_that_costs_too_much_ends_and_says_what_it_did_not_try(monkeypa
     assert report.data["summary"].endswith("1 effect was not tried to the end")
     (row,) = report.data["candidates"]
     assert "the search had cost what it may" in row["reason"]
+
+
+def test_what_was_begun_is_finished_where_nothing_more_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forms, "EFFORT", replace(EFFORT, seconds=1.0, ending=2.0))
+    data = swung(200)
+    form = FmuForm(nominal_fmu(mockup("pendulum"), data, {"J": 0.05, "b": 0.04, "mgl": 1.0}), data, {})
+    beside = form.on(data)
+    spent = 0.0
+    monkeypatch.setattr(type(form.runner), "seconds", property(lambda runner: spent))
+    nominal = nominal_fit(form, form, [])  # type: ignore[arg-type]
+    begun = form.begin([FRICTION], [{}], nominal)
+    assert begun is not None
+    spent = 1.5
+    assert form.begin([FRICTION], [{}], nominal) is None
+    assert beside.begin([], beside.first_starts(), None) is None, "other data are part of the same search"
+    finished = form.finish(begun, nominal)
+    assert finished is not None
+    assert finished.converged
+    spent = 2.5
+    assert form.finish(begun, nominal) is None
+    assert form.left_out() == [str(FRICTION)]
+    assert form.begin([], form.first_starts(), None) is not None, "the nominal model is fitted whatever it costs"

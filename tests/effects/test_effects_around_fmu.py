@@ -55,3 +55,32 @@ def test_a_hidden_state_starts_where_what_stands_before_it_does(
     simulator = FmuSimulator(system, Runner(system, SPEC.sample_time))
     found = simulator.hidden_start(np.zeros(system.nx), np.array([start]), system.vector())
     np.testing.assert_allclose(found, start, rtol=0.03)
+
+
+def test_a_delayed_input_may_have_been_another_before_the_record() -> None:
+    """What goes in is delayed by two samples and a half: as if the FMU itself had got 0 for so long, then 3."""
+    nominal = fmu_system(mockup("pendulum"), SPEC)
+    system = surround(nominal, [Placed(builtin()["input_delay"], "u", {"tau": 0.025})])
+    assert [(state.name, state.unit) for state in system.hidden] == [("input_delay@u.before", "N m")]
+    late = FmuSimulator(system, Runner(system, SPEC.sample_time))
+    p, x0, u = system.vector(), np.array([0.3, 0.0, -3.0]), np.full((40, 1), 3.0)
+    assert late.hidden_start(x0, u[0], p).tolist() == [0.0], "nothing is known of it: it was the first value"
+    seen, by_delay = late.sampled.inputs(u[None], p[None], True)
+    arrived = np.concatenate([[0.0, 0.0, 1.5], np.full(37, 3.0)])[:, None]
+    plain = FmuSimulator(nominal, Runner(nominal, SPEC.sample_time)).run(nominal.vector(), x0[:2], arrived)[1]
+    np.testing.assert_allclose(late.run(p, x0, seen[0])[1], plain, atol=1e-9)
+
+    def moved(k: int, h: float) -> np.ndarray:
+        q = np.concatenate([p, x0])
+        q[k] += h
+        return late.run(
+            q[: system.np], q[system.np :], late.sampled.inputs(u[None], q[None, : system.np], False)[0][0]
+        )[1]
+
+    assert by_delay is not None
+    slopes = late.windows(p[None], x0[None], seen, by_delay, np.zeros(1))[2]
+    assert slopes is not None
+    for k in (system.np - 1, system.np + 2):
+        expected = (moved(k, 1e-3) - moved(k, -1e-3)) / 2e-3
+        assert np.abs(expected).max() > 1e-4
+        np.testing.assert_allclose(slopes[0][..., k], expected, atol=0.02 * np.abs(expected).max())

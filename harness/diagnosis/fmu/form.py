@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -42,16 +44,24 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         dataset: Dataset,
         sizes: Mapping[str, Mapping[str, float]],
         laws: Dictionary | None = None,
+        beside: FmuForm | None = None,
     ) -> None:
-        self.runner = Runner(system, dataset.spec.sample_time)
-        self._left: dict[str, None] = {}
+        self.runner = Runner(system, dataset.spec.sample_time) if beside is None else beside.runner
+        self._beside, self._left = beside, cast("dict[str, None]", {})
         super().__init__(system, dataset, sizes, laws)
 
-    def spent(self, effects: Sequence[Placed], base: Fit | None) -> bool:
-        """Return whether the FMU took the steps that a search may cost, and keep what that leaves out."""
-        if base is None or self.runner.steps <= EFFORT.steps:
+    def on(self, dataset: Dataset) -> FmuForm:
+        """Return the same form of other data; what it costs is part of the same search."""
+        return FmuForm(self.nominal, dataset, self.sizes, self.laws, self)
+
+    def spent(self, effects: Sequence[Placed], base: Fit | None, seconds: float) -> bool:
+        """Return whether the FMU's runs took the time that a search may cost, and keep what that leaves out.
+
+        The fit of the nominal model to the data themselves is no part of a search.
+        """
+        if (base is None and self._beside is None) or self.runner.seconds <= seconds:
             return False
-        known = set(map(str, base.effects))
+        known = set() if base is None else set(map(str, base.effects))
         self._left |= dict.fromkeys(name for name in map(str, effects) if name not in known)
         return True
 
@@ -91,7 +101,14 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         return Smoothed(passed.x, np.zeros_like(passed.x))
 
     def first_starts(self) -> list[dict[str, float]]:
-        """Return parameters to start the nominal fit from: as declared, and fitted over short windows."""
+        """Return parameters to start the nominal fit from: as declared, and fitted over short windows.
+
+        Other data begin where those do beside which they are looked at: the rough fit costs more than the fit itself.
+        """
+        return self._first_starts if self._beside is None else self._beside.first_starts()
+
+    @cached_property
+    def _first_starts(self) -> list[dict[str, float]]:
         declared = self.nominal.values()
         rough = rough_values(self.nominal, self.dataset, self.runner)
         return [declared] if rough is None else [rough, declared]

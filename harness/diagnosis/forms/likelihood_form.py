@@ -126,7 +126,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         hope: float = -np.inf,
     ) -> Begun | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        if self.spent(effects, base):
+        if self.spent(effects, base, EFFORT.seconds):
             return None
         try:
             system = self.composed(effects)
@@ -223,7 +223,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        if self.spent(begun.effects, base):
+        if self.spent(begun.effects, base, EFFORT.ending):
             return None
         first = begun.detail
         assert isinstance(first, FirstSteps)
@@ -263,8 +263,8 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         """Return True for a base that a model with these effects contains: it cannot explain the records worse."""
         return {str(placed) for placed in base.effects} <= self.laws.contained(effects)
 
-    def spent(self, effects: Sequence[Placed], base: Fit | None) -> bool:
-        """Return whether a search may cost no more, before effects are fitted beside a base; only an FMU's may not."""
+    def spent(self, effects: Sequence[Placed], base: Fit | None, seconds: float) -> bool:
+        """Return whether a search has cost this much, before effects are fitted beside a base; only an FMU's may."""
         return False
 
     def left_out(self) -> list[str]:

@@ -113,6 +113,20 @@ class SampledBlocks:
             (b.kind, b.index, names.index(b.parameter)) for b in system.sampled if b.kind != "input_delay"
         ]
         self.delay_columns = tuple(dict.fromkeys(column for _, column in self.input_delays))
+        self.before = [
+            (b.index, names.index(b.parameter), [channel.name for channel in system.states].index(b.before))
+            for b in system.sampled
+            if b.before
+        ]
+
+    def begun(self, u: FloatArray, p: FloatArray, x0: FloatArray) -> FloatArray:
+        """Return inputs behind delays (N, nu) with what initial states (nx,) tell of the time before the record."""
+        if any(x0[state] for _, _, state in self.before):
+            u = u.copy()
+            for column, parameter, state in self.before:
+                arrived = delayed(np.concatenate([[0.0], np.ones(u.shape[0])]), float(p[parameter]), self.dt)[0][1:]
+                u[:, column] += x0[state] * (1.0 - arrived)
+        return u
 
     def inputs(self, u: FloatArray, p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
         """Return the inputs that the equations see (M, N, nu), and if wanted their Jacobian (M, N, nu, delays)."""

@@ -41,12 +41,14 @@ class SampledBlock:
     ``kind`` is ``"input_delay"`` (column ``index`` of u), ``"output_delay"`` (column ``index`` of y) or
     ``"quantise"`` (column ``index`` of y); ``parameter`` is the full name of its parameter: a delay in s, or the step
     of the quantiser in the unit of the output. The simulator carries it out and knows its derivative (a quantiser's is
-    taken as 0).
+    taken as 0). ``before`` is the full name of a hidden state of an input delay: by how much what went in before the
+    record was off its first value; without it, nothing.
     """
 
     kind: Literal["input_delay", "output_delay", "quantise"]
     index: int
     parameter: str
+    before: str = ""
 
 
 @dataclass(frozen=True)
