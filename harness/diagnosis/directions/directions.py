@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import casadi as ca
@@ -46,6 +46,35 @@ class Direction:
     kind: ColumnKind = "linear"
 
 
+@dataclass(frozen=True, eq=False)
+class _Around:
+    """What directions are taken about: the smoothed motion of the records under a nominal model with its values."""
+
+    traces: Mapping[str, Sequence[Trace]]
+    nominal: System
+    values: Mapping[str, float]
+    sizes: Mapping[str, Mapping[str, float]]
+
+    @cached_property
+    def signals(self) -> dict[str, list[Signals]]:
+        """The motion of a mechanical system by use and record."""
+        nominal = self.nominal
+        return {
+            use: [signals_of(one, nominal) for one in parts if nominal.coordinates]
+            for use, parts in self.traces.items()
+        }
+
+    @cached_property
+    def known(self) -> dict[str, float]:
+        """Parameters of the nominal model."""
+        return {name: self.values[name] for name in self.nominal.parameter_names}
+
+    @cached_property
+    def lines(self) -> list[float]:
+        """The strongest lines over time."""
+        return frequencies(self.traces["estimation"], self.nominal)
+
+
 def directions(
     traces: Mapping[str, Sequence[Trace]],
     nominal: System,
@@ -54,25 +83,19 @@ def directions(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the directions of candidates, several for one whose parameters are not all linear."""
-    signals = {
-        use: [signals_of(trace, nominal) for trace in parts if nominal.coordinates] for use, parts in traces.items()
-    }
-    known = {name: values[name] for name in nominal.parameter_names}
+    around = _Around(traces, nominal, values, sizes)
     possible: list[Direction] = []
-
-    @cache
-    def lines() -> list[float]:
-        return frequencies(traces["estimation"], nominal)
-
     for placed in candidates:
         kind = port_of(nominal, placed).kind
         try:
             if kind == "output":
-                possible += reading_directions(traces, nominal, placed, sizes, ports=_ports(traces), lines=lines)
+                possible += reading_directions(
+                    traces, nominal, placed, sizes, ports=_ports(traces), lines=lambda: around.lines
+                )
             elif nominal.coordinates and traces["estimation"][0].passes.nl:
-                possible += _forces(traces, signals, nominal, known, placed, sizes, lines)
+                possible += _forces(around, placed)
             else:
-                possible += _rates(traces, nominal, known, placed, sizes, lines)
+                possible += _rates(around, placed)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             continue
     return [direction for direction in possible if _finite(direction)]
@@ -86,11 +109,7 @@ def line_directions(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the sine and the cosine of an effect with a phase whose other values are given."""
-    signals = {
-        use: [signals_of(trace, nominal) for trace in parts if nominal.coordinates] for use, parts in traces.items()
-    }
-    known = {name: values[name] for name in nominal.parameter_names}
-    return _blocks(traces, signals, nominal, known, line, sizes, line.effect.parameter_of("phase"))
+    return _blocks(_Around(traces, nominal, values, sizes), line, line.effect.parameter_of("phase"))
 
 
 def _finite(direction: Direction) -> bool:
@@ -123,54 +142,41 @@ def _nothing(traces: Mapping[str, Sequence[Along]], width: int, k: int) -> dict[
     return {use: [np.zeros((len(trace.record), width, k)) for trace in parts] for use, parts in traces.items()}
 
 
-def _forces(
-    traces: Mapping[str, Sequence[Trace]],
-    signals: Mapping[str, Sequence[Signals]],
-    nominal: System,
-    known: Mapping[str, float],
-    placed: Placed,
-    sizes: Mapping[str, Mapping[str, float]],
-    lines: Lines,
-) -> list[Direction]:
+def _forces(around: _Around, placed: Placed) -> list[Direction]:
     """Return the directions of an effect whose force follows from the motion."""
+    records, nominal = around.traces["estimation"], around.nominal
     frequency, wave_number = (placed.effect.parameter_of(role) for role in ("frequency", "wave number"))
     phase, instant = (placed.effect.parameter_of(role) for role in ("phase", "instant"))
     waves_of_it: list[Placed] = []
     if frequency is not None:
-        waves_of_it = [placed.with_values({frequency.name: omega}) for omega in lines()]
+        waves_of_it = [placed.with_values({frequency.name: omega}) for omega in around.lines]
     elif wave_number is not None:
         row = next(k for k, coordinate in enumerate(nominal.coordinates) if coordinate.name == placed.at)
-        angle = np.concatenate([motion.q[:, row] for motion in signals["estimation"]])
+        angle = np.concatenate([motion.q[:, row] for motion in around.signals["estimation"]])
         numbers = waves(angle, wave_number)
-        numbers += short_waves(traces["estimation"], nominal, row, beyond=max(numbers, default=0.0))
+        numbers += short_waves(records, nominal, row, beyond=max(numbers, default=0.0))
         waves_of_it = [placed.with_values({wave_number.name: k}) for k in numbers if k <= wave_number.maximum]
     else:
         if instant is not None and instant.name not in placed.values:
-            found = instants(traces["estimation"], placed.at)
+            found = instants(records, placed.at)
             waves_of_it = [placed.with_values({instant.name: t0}) for t0 in found]
         waves_of_it.append(placed)
-    return [
-        direction for wave in waves_of_it for direction in _blocks(traces, signals, nominal, known, wave, sizes, phase)
-    ]
+    return [direction for wave in waves_of_it for direction in _blocks(around, wave, phase)]
 
 
-def _blocks(
-    traces: Mapping[str, Sequence[Trace]],
-    signals: Mapping[str, Sequence[Signals]],
-    nominal: System,
-    known: Mapping[str, float],
-    placed: Placed,
-    sizes: Mapping[str, Mapping[str, float]],
-    phase: EffectParameter | None,
-) -> list[Direction]:
+def _blocks(around: _Around, placed: Placed, phase: EffectParameter | None) -> list[Direction]:
     """Return one direction for each block of columns; of a law with a phase, sine and cosine together."""
+    nominal, signals = around.nominal, around.signals
     turns = () if phase is None else (0.0, 0.5 * np.pi)
     choices = [placed.with_values({phase.name: angle}) for angle in turns if phase is not None] or [placed]
     made: list[dict[str, list[list[ColumnBlock]]]] = []
     for choice in choices:
         made.append(
             {
-                use: [column_blocks(nominal, choice, motion, parameters=known, sizes=sizes) for motion in parts]
+                use: [
+                    column_blocks(nominal, choice, motion, parameters=around.known, sizes=around.sizes)
+                    for motion in parts
+                ]
                 for use, parts in signals.items()
             }
         )
@@ -190,7 +196,7 @@ def _blocks(
             given.pop(phase.name, None)
         k = len(names)
         if forces["estimation"][0].shape[2] == k:
-            nothing = _nothing(traces, nominal.ny, k)
+            nothing = _nothing(around.traces, nominal.ny, k)
             directions.append(Direction(placed, given, names, forces, nothing, kind))
     return directions
 
@@ -312,19 +318,12 @@ def _sensor_states(placed: Placed, trace: Along, y: FloatArray, values: Mapping[
     return list(np.column_stack([begun, run.full()]))
 
 
-def _rates(
-    traces: Mapping[str, Sequence[Trace]],
-    nominal: System,
-    known: Mapping[str, float],
-    placed: Placed,
-    sizes: Mapping[str, Mapping[str, float]],
-    lines: Lines,
-) -> list[Direction]:
+def _rates(around: _Around, placed: Placed) -> list[Direction]:
     """Return the directions of an effect in a system of plain rates: what it changes in them."""
-    at = sizes.get(placed.at, {})
-    change = _rate_changes(nominal, known, placed, at)
+    at = around.sizes.get(placed.at, {})
+    change = _rate_changes(around.nominal, around.known, placed, at)
     frequency, phase = (placed.effect.parameter_of(role) for role in ("frequency", "phase"))
-    settled = [{frequency.name: omega} for omega in lines()] if frequency is not None else [{}]
+    settled = [{frequency.name: omega} for omega in around.lines] if frequency is not None else [{}]
     turns = [{}] if phase is None else [{phase.name: angle} for angle in (0.0, 0.5 * np.pi)]
     directions = []
     for wave in settled:
@@ -334,14 +333,16 @@ def _rates(
                     np.concatenate([change(trace, {**given, **turn}, linear) for turn in turns], axis=2)
                     for trace in parts
                 ]
-                for use, parts in traces.items()
+                for use, parts in around.traces.items()
             }
             names = linear or ("effect",)
             kind: ColumnKind = "linear"
             if phase is not None:  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
                 given.pop(phase.name)
                 names, kind = WAVE, "wave"
-            directions.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, len(names)), kind))
+            directions.append(
+                Direction(placed, given, names, forces, _nothing(around.traces, around.nominal.ny, len(names)), kind)
+            )
     return directions
 
 
