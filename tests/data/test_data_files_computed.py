@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import openpyxl
 import pytest
+from made_data import workbook
 
 from harness.data import read_trajectory
 from harness.data.conditioning.clock import TimeRules
@@ -114,36 +114,22 @@ def test_a_column_that_is_not_there_is_refused_with_what_may_be_meant(tmp_path: 
     assert len(nearest(Channel("u", "V"), [f"c{k}" for k in range(9)])) == 6
 
 
-def workbook(folder: Path, sheets: dict[str, list[list[Any]]], formats: dict[str, str] | None = None) -> Path:
-    made = openpyxl.Workbook()
-    made.remove(made.active)
-    for name, rows in sheets.items():
-        sheet = made.create_sheet(name)
-        for row in rows:
-            sheet.append(row)
-        for column, text in (formats or {}).items():
-            for cell in sheet[column][1:]:
-                cell.number_format = text
-    made.save(folder / "book.xlsx")
-    return folder / "book.xlsx"
-
-
 def test_sheets_of_a_workbook(tmp_path: Path) -> None:
     body = [["time [s]", "u [%]"], *([0.1 * k, 0.01 * k] for k in range(30))]
-    one = Table(workbook(tmp_path, {"Log": body}, {"B": "0%"}))
+    one = Table(workbook(tmp_path / "book.xlsx", {"Log": body}, {"B": "0%"}))
     assert one.read("u")[0] == pytest.approx(np.arange(30.0))  # per cent as they are shown
     assert list(one.notes) == ["u [%]: cells that show per cent hold a hundredth of it: what they show is read"]
     assert one._source.where(0) == "row 2"
     names = list("ABCDEFGH")
     sheets = dict.fromkeys(names, body)
-    many = Table(workbook(tmp_path, sheets))
+    many = Table(workbook(tmp_path / "book.xlsx", sheets))
     (said,) = [note for note in many.notes if "sheets" in note]
     assert said.startswith("the workbook has 8 sheets: ")
     assert said.endswith(" ...)")
     assert said.count("'") == 2 * 6
     chosen = open_table(tmp_path / "book.xlsx", {}, "C")
     assert not any("sheets" in note for note in chosen.notes)
-    two = Table(workbook(tmp_path, {"A": body, "B": body}))
+    two = Table(workbook(tmp_path / "book.xlsx", {"A": body, "B": body}))
     assert [note for note in two.notes if "sheets" in note] == [
         "the workbook has 2 sheets: 'A', the first, is read; --sheet names another ('B')"
     ]

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_data import pieces
 
 from harness.data import load_dataset
-from harness.data.conditioning.clock import TimeRules
-from harness.data.conditioning.timebase import pieces_of
 from harness.data.sections import ResampleSection
 from harness.data.tables.headers import clock_of, clock_unit
 from harness.errors import InputError
@@ -231,13 +230,7 @@ def test_a_number_that_was_cut_is_left_out_and_not_taken_for_another(style: str,
 def told(time: np.ndarray, rows: np.ndarray, **rules: object) -> tuple[list, list[str]]:
     """Return the pieces of a record whose input counts the samples that its rows are, and what is said of them."""
     values = np.column_stack([rows.astype(float), np.sin(0.05 * rows)])
-    return pieces_of(
-        time,
-        values,
-        names=("u", "y"),
-        inputs=(True, False),
-        rules=TimeRules(**rules),  # type: ignore[arg-type]
-    )
+    return pieces(time, values, **rules)
 
 
 def clocked(time: np.ndarray, rows: np.ndarray, **rules: object) -> list:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_data import workbook
 
 from harness.command import main
 from harness.data import load_dataset
@@ -247,15 +248,7 @@ def test_codings(coding: str, tmp_path: Path) -> None:
 
 
 def book(path: Path, **sheets: list[list[Any]]) -> Path:
-    openpyxl = pytest.importorskip("openpyxl", reason="openpyxl is not installed: pip install 'sysid-harness[data]'")
-    made = openpyxl.Workbook()
-    made.remove(made.active)
-    for name, rows in sheets.items():
-        sheet = made.create_sheet(name)
-        for row in rows:
-            sheet.append(row)
-    made.save(path)
-    return path
+    return workbook(path, sheets)
 
 
 def table(**columns: Any) -> list[list[Any]]:

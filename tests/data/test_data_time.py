@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import made_data
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.data import load_dataset
-from harness.data.conditioning.clock import TimeRules, sample_time_of
-from harness.data.conditioning.timebase import pieces_of
+from harness.data.conditioning.clock import sample_time_of
 from harness.data.sections import ResampleSection
 from harness.errors import InputError
 
@@ -23,13 +23,7 @@ VALUES = np.column_stack([np.repeat(np.arange(40.0), 5), np.sin(3 * TIME)])
 
 
 def pieces(time: np.ndarray | None, values: np.ndarray = VALUES, **rules: object) -> tuple[list, list[str]]:
-    return pieces_of(
-        time,
-        values,
-        names=("u", "y"),
-        inputs=(True, False),
-        rules=TimeRules(**rules),  # type: ignore[arg-type]
-    )
+    return made_data.pieces(time, values, **rules)
 
 
 def test_a_uniform_axis_passes_unchanged_and_unmentioned() -> None:
