@@ -13,9 +13,7 @@ from harness.data.conditioning.clock import TimeRules
 from harness.data.conditioning.timebase import pieces_of
 
 
-def workbook(
-    path: Path, sheets: Mapping[str, Sequence[Sequence[Any]]], formats: Mapping[str, str] | None = None
-) -> Path:
+def workbook(path: Path, sheets: Mapping[str, Any], formats: Mapping[str, str] | None = None) -> Path:
     """Write rows of cells by sheet; ``formats`` by column letter hold below the titles."""
     openpyxl = pytest.importorskip("openpyxl", reason="openpyxl is not installed: pip install 'sysid-harness[data]'")
     made = openpyxl.Workbook()
