@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from harness.effects.along import Signals, block_response
-from harness.effects.columns import ColumnBlock, column_blocks, motion_sizes, regression_columns
+from harness.effects.along import Signals
+from harness.effects.columns import ColumnBlock, column_blocks, motion_sizes
 from harness.effects.compose import compose, recommended_substeps
 from harness.effects.dictionary import Confusions, Dictionary, builtin, find
 from harness.effects.effect import Effect, EffectParameter, Placed, effect, par
 from harness.effects.places import fits, obstacle, place_all, port_of
-from harness.effects.sampled import DelayLine, delay, delay_slope, quantise
+from harness.effects.sampled import DelayLine, delay, quantise
 from harness.effects.wrap import WrappedPlant
 from harness.resolution import QuantisationTest, quantisation_test
 
@@ -23,12 +23,10 @@ __all__ = [
     "QuantisationTest",
     "Signals",
     "WrappedPlant",
-    "block_response",
     "builtin",
     "column_blocks",
     "compose",
     "delay",
-    "delay_slope",
     "effect",
     "find",
     "fits",
@@ -40,5 +38,4 @@ __all__ = [
     "quantisation_test",
     "quantise",
     "recommended_substeps",
-    "regression_columns",
 ]

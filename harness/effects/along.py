@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -70,17 +69,6 @@ class Signals:
     def dt(self) -> float:
         """Sample time [s]."""
         return float(self.t[1] - self.t[0])
-
-
-def block_response(system: System, signals: Signals, parameters: Mapping[str, float] | None = None) -> FloatArray:
-    """Return the hidden states of a composed system along a motion, simulated from where they start.
-
-    Returns
-    -------
-    array (N, hidden states)
-    """
-    states = hidden_states(system, signals, system.vector(parameters))
-    return np.zeros((len(signals.t), 0)) if states is None else states
 
 
 def arguments(system: System) -> list[Any]:

@@ -8,7 +8,7 @@ that is linear in none, the whole force that it adds at some values (the coeffic
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,23 +28,14 @@ _LARGEST_GRID = 12
 
 @dataclass(frozen=True, eq=False)
 class ColumnBlock:
-    """The columns of one effect at one choice of its nonlinear parameters.
-
-    Attributes
-    ----------
-    placed : Placed
-    given : dict
-        Values of the parameters in which the effect is not linear, by short name.
-    names : tuple of str
-        Short names of the linear parameters, one for each column; ``("effect",)`` if there are none (coefficient 1).
-    columns : array (N, n, k)
-        Force on each coordinate, for a coefficient of 1; coefficients count from where the effect does nothing.
-    """
+    """The columns of one effect at one choice of its nonlinear parameters."""
 
     placed: Placed
-    given: dict[str, float]
+    given: dict[str, float]  # Values of the parameters in which the effect is not linear, by short name
     names: tuple[str, ...]
+    """Short names of the linear parameters, one for each column; ``("effect",)`` if there are none (coefficient 1)."""
     columns: FloatArray
+    """Force on each coordinate (N, n, k), for a coefficient of 1, counted from where the effect does nothing."""
 
 
 def motion_sizes(
@@ -171,48 +162,3 @@ def _gone(placed: Placed, nothing: Mapping[str, float], start: Mapping[str, floa
         parameter.neutral is None or values[parameter.name] == parameter.neutral
         for parameter in placed.effect.parameters
     )
-
-
-def regression_columns(
-    system: System,
-    placed: Sequence[Placed],
-    signals: Signals,
-    *,
-    parameters: Mapping[str, float] | None = None,
-    sizes: Mapping[str, Mapping[str, float]] | None = None,
-) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the columns of several effects in one array.
-
-    Parameters
-    ----------
-    system, signals, parameters, sizes
-        See :func:`column_blocks`.
-    placed : sequence of Placed
-
-    Returns
-    -------
-    names : tuple of str
-        ``effect@port.parameter`` with the values of the nonlinear parameters in brackets.
-    columns : array (N, n, k)
-        Force on each coordinate, for a coefficient of 1.
-
-    Examples
-    --------
-    >>> from harness.effects.laws.friction import coulomb_friction
-    >>> from harness.physics.models import pendulum
-    >>> t = np.arange(4) * 0.1
-    >>> still = Signals(t, np.ones((4, 1)), np.zeros((4, 1)), np.ones((4, 1)), np.zeros((4, 1)))
-    >>> names, columns = regression_columns(pendulum().system(), [Placed(coulomb_friction, "theta")], still)
-    >>> names, columns.round(6)[0].tolist()
-    (('coulomb_friction@theta.Fc[w=0.02]',), [[-1.0]])
-    """
-    known = sizes if sizes is not None else motion_sizes(system, signals, parameters)
-    names: list[str] = []
-    columns: list[FloatArray] = []
-    for effect in placed:
-        for block in column_blocks(system, effect, signals, parameters=parameters, sizes=known):
-            at = ",".join(f"{key}={value:.4g}" for key, value in block.given.items())
-            names += [f"{effect.name(name)}[{at}]" if at else effect.name(name) for name in block.names]
-            columns.append(block.columns)
-    empty = np.zeros((len(signals.t), len(system.coordinates), 0))
-    return tuple(names), np.concatenate(columns, axis=2) if columns else empty

@@ -29,28 +29,11 @@ def delay(values: FloatArray, tau: float, dt: float) -> FloatArray:
     >>> delay(np.array([0.0, 1.0, 2.0, 3.0]), 1.5, 1.0).tolist()
     [0.0, 0.0, 0.5, 1.5]
     """
-    newer, older, fraction = _neighbours(values, tau, dt)
-    return np.asarray((1.0 - fraction) * newer + fraction * older)
-
-
-def delay_slope(values: FloatArray, tau: float, dt: float) -> FloatArray:
-    """Return the derivative of :func:`delay` with respect to ``tau``: minus the slope between the neighbours.
-
-    Examples
-    --------
-    >>> delay_slope(np.array([0.0, 1.0, 2.0, 3.0]), 1.5, 1.0).tolist()
-    [0.0, 0.0, -1.0, -1.0]
-    """
-    newer, older, _ = _neighbours(values, tau, dt)
-    return np.asarray((older - newer) / dt)
-
-
-def _neighbours(values: FloatArray, tau: float, dt: float) -> tuple[FloatArray, FloatArray, float]:
-    """Return the two sampled signals that a delay lies between, and the share of the older one."""
     x = np.asarray(values, dtype=float)
     whole, fraction = _split(tau, dt)
     rows = np.arange(x.shape[0])
-    return x[np.maximum(rows - whole, 0)], x[np.maximum(rows - whole - 1, 0)], fraction
+    newer, older = x[np.maximum(rows - whole, 0)], x[np.maximum(rows - whole - 1, 0)]
+    return np.asarray((1.0 - fraction) * newer + fraction * older)
 
 
 def _split(tau: float, dt: float) -> tuple[int, float]:

@@ -10,13 +10,11 @@ import pytest
 from harness.effects import (
     Placed,
     Signals,
-    block_response,
     builtin,
     column_blocks,
     compose,
     motion_sizes,
     place_all,
-    regression_columns,
 )
 from harness.effects.along import along, residual_function
 from harness.effects.claimed import ClaimedForce, claimable
@@ -89,10 +87,9 @@ def test_the_column_of_the_hidden_effect_explains_the_residual(hidden, size):
     signals, force = motion(PENDULUM, [hidden])
     linear = {one.name for one in hidden.effect.parameters if one.linear}
     known = Placed(hidden.effect, hidden.at, {k: v for k, v in hidden.values.items() if k not in linear})
-    names, columns = regression_columns(PENDULUM, [known], signals)
-    assert len(names) == 1
-    if hidden.effect.name == "input_gain":
-        columns = columns[..., :1]
+    (block,) = column_blocks(PENDULUM, known, signals)
+    assert len(block.names) == 1
+    columns = block.columns
     coefficient, *_ = np.linalg.lstsq(columns[:, 0, :], force[:, 0], rcond=None)
     assert coefficient[0] == pytest.approx(size, rel=1e-6)
     assert np.abs(force[:, 0] - columns[:, 0] @ coefficient).max() < 1e-7
@@ -108,7 +105,6 @@ def test_hidden_states_are_simulated_along_the_motion():
     signals, force = motion(PENDULUM, [rope])
     (block,) = column_blocks(PENDULUM, Placed(rope.effect, "theta", {"xs": 0.05}), signals)
     assert np.abs(0.1 * block.columns[settled, 0, 0] - force[settled, 0]).max() < 0.02 * np.abs(force).max()
-    assert block_response(compose(PENDULUM, [rope]), signals).shape == (3000, 1)
 
 
 def test_gravity_tilt_and_sensor_offset_show_in_the_same_direction():
@@ -135,10 +131,16 @@ def test_delays_shift_the_signals():
 def test_on_a_cart_pole_each_column_stays_on_its_coordinate():
     signals, force = motion(CART, [put("coulomb_friction", "theta", Fc=0.02, w=0.05)], n=1500)
     assert np.abs(force[:, 0]).max() < 1e-9
-    names, columns = regression_columns(
-        CART, [put("coulomb_friction", "theta", w=0.05), put("coulomb_friction", "x", w=0.05)], signals
-    )
-    assert names == ("coulomb_friction@theta.Fc[w=0.05]", "coulomb_friction@x.Fc[w=0.05]")
+    blocks = [
+        block
+        for port in ("theta", "x")
+        for block in column_blocks(CART, put("coulomb_friction", port, w=0.05), signals)
+    ]
+    assert [(str(block.placed), block.names) for block in blocks] == [
+        ("coulomb_friction@theta", ("Fc",)),
+        ("coulomb_friction@x", ("Fc",)),
+    ]
+    columns = np.concatenate([block.columns for block in blocks], axis=2)
     both, *_ = np.linalg.lstsq(columns.reshape(-1, 2), force.reshape(-1), rcond=None)
     assert both == pytest.approx([0.02, 0.0], abs=1e-9)
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from harness.effects import DelayLine, delay, delay_slope, quantisation_test, quantise
+from harness.effects import DelayLine, delay, quantisation_test, quantise
 from harness.physics.compiled.sampled import delayed
 
 records = hnp.arrays(float, st.integers(1, 40), elements=st.floats(-10, 10, width=32))
@@ -21,14 +21,6 @@ def test_the_line_the_filter_and_the_simulator_delay_alike(x, tau):
     one_by_one = np.array([line.step(value) for value in x])
     assert np.allclose(one_by_one, delay(x, tau, 0.1), atol=1e-12)
     assert np.allclose(delayed(x, tau, 0.1)[0], delay(x, tau, 0.1), atol=1e-6)
-
-
-@settings(deadline=None)
-@given(records, st.integers(0, 8), st.floats(0.05, 0.95))
-def test_the_slope_is_the_derivative_between_samples(x, whole, fraction):
-    tau, step = (whole + fraction) * 0.1, 1e-4
-    numeric = (delay(x, tau + step, 0.1) - delay(x, tau - step, 0.1)) / (2 * step)
-    assert np.allclose(delay_slope(x, tau, 0.1), numeric, atol=1e-6)
 
 
 @settings(deadline=None)
