@@ -91,7 +91,7 @@ def diagnose(
     kind = kind or Equations()
     with one_thread():
         # fit
-        dataset, doubts = kind.prepared(with_known_starts(checked(dataset, system), system), system)
+        dataset, doubts = kind.prepared(with_known_starts(checked(dataset, system)), system)
         doubts = [*check_controller(dataset, system), *doubts]
         laws = laws_of(dictionary)
         thinned = kind.thinned(dataset)

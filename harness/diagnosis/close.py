@@ -15,7 +15,7 @@ from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.records.inputs_check import FOUND, inputs_checked
-from harness.diagnosis.records.stretches import cut_alike, parted, told_of_whole
+from harness.diagnosis.records.stretches import counted, cut_alike, parted, told_of_whole
 from harness.diagnosis.steps import Progress
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.diagnosis.wanted import Wanted
@@ -189,6 +189,7 @@ def close_loop(
                 )
             data, figures = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
             return Report(data, folder, arm, figures)
+        dataset = counted(dataset)
         system = _system(model, parameters, dataset)
         box = is_fmu(system)
         if by_equations(system):

@@ -28,6 +28,7 @@ NO_FORCE = {"backlash", "unilateral_backlash", "elastic_load", "elasticity", "ha
     for one in (
         "cyclic_error",
         "drift",
+        "filter",
         "hum",
         "lag",
         "nonlinearity",

@@ -39,7 +39,7 @@ lugre_friction lugre_coulomb_friction lugre_asymmetric_friction lugre_load_depen
 lugre_position_dependent_friction lugre_sublinear_friction lugre_yield_friction
 parallel_hysteresis hardening_elasticity unilateral_backlash drifting_damping drifting_gain
 sensor_drift gear_loss torque_ripple supply_sag propeller_thrust counterbalance wobbling_base unbalanced_load radiation
-sensor_lag sensor_hum
+sensor_lag sensor_filter sensor_hum
 thermal_damping thermal_friction thermal_gain degressive_friction gear_friction
 gear_stribeck_friction asymmetric_damping""".split()
 

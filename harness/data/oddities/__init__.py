@@ -6,6 +6,7 @@
 ``held``        readings that only repeat: a sensor slower than its record
 ``stuck``       a stretch without a change
 ``filled``      readings on straight lines between others: a log that was filled in, or brought to a faster clock
+``filtered``    readings that went through a filter: a mean over some rows, a digital low-pass
 ``rail``        readings that rest at their largest or smallest value
 ``leap``        rows that were lost, of which the clock shows nothing; a sensor that slipped
 ``twice``       a row that was written twice, of which the clock shows nothing

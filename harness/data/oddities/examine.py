@@ -12,6 +12,7 @@ from scipy.ndimage import maximum_filter1d
 from harness.data.oddities.between import mismatched
 from harness.data.oddities.bursts import bursts_of
 from harness.data.oddities.dropouts import dropouts_of
+from harness.data.oddities.filtered import filter_of
 from harness.data.oddities.held import filled_readings, held_readings, scatters, stuck_rows
 from harness.data.oddities.hum import hum_of
 from harness.data.oddities.leaps import POSITIONS, SIDE, STRIDES, leaps_of
@@ -183,6 +184,7 @@ class _Look:
         self._spikes(column, channel, plain, fresh)
         self._leaps(column, channel, plain)
         self._hum(column, channel)
+        self._filter(column, channel)
         self._bursts(column, channel)
         step = coarse_step(y[fresh])
         if step:
@@ -303,6 +305,21 @@ class _Look:
         )
         self._add("hum", channel, np.zeros(0, dtype=np.intp), words, used=True)
         self.y[:, column] -= found.sine
+
+    def _filter(self, column: int, channel: Channel) -> None:
+        """Find a filter by what it takes away."""
+        if self.missing[:, column].any() or self.resting[:, column].any():
+            return
+        found = filter_of(self.y[:, column], self.u)
+        if found is None:
+            return
+        how = f"a mean over {found.every} rows" if found.mean else "a digital low-pass"
+        words = (
+            f"{channel.name} was filtered before it was written: at {found.null / self.spec.sample_time:.4g} Hz "
+            f"nothing is left of it, as behind {how}. It may come late, and readings side by side err alike: "
+            f"close-loop counts every {_th(found.every)} row and looks for the filter; better write what was read"
+        )
+        self._add("filtered", channel, np.flatnonzero(np.arange(self.n) % found.every), words)
 
     def _bursts(self, column: int, channel: Channel) -> None:
         """Find stretches in which the sensor scatters more than elsewhere."""

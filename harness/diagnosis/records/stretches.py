@@ -161,6 +161,28 @@ def parted(dataset: Dataset) -> Dataset:
     return replace(dataset, runs=tuple(runs), oddities=tuple(moved))
 
 
+def counted(dataset: Dataset) -> Dataset:
+    """Return a data set in which of filtered readings only those count that say something new; see :func:`parted`.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec, Trajectory
+    >>> spec = PlantSpec((), (Channel("q"),), 0.5)
+    >>> record = Trajectory(np.arange(6) * 0.5, np.zeros((6, 0)), np.ones((6, 1)), spec)
+    >>> odd = Oddity("filtered", 0, "q", (1, 2, 4, 5), "")
+    >>> counted(Dataset("x", (Run(record),), oddities=(odd,))).runs[0].trajectory.readings.ravel().tolist()
+    [1.0, nan, nan, 1.0, nan, nan]
+    """
+    runs = list(dataset.runs)
+    for odd in dataset.oddities or ():
+        if odd.kind == "filtered":
+            record = runs[odd.run].trajectory
+            missing = np.zeros(record.y.shape, dtype=bool) if record.missing is None else record.missing.copy()
+            missing[list(odd.rows), [one.name for one in record.spec.outputs].index(odd.channel)] = True
+            runs[odd.run] = replace(runs[odd.run], trajectory=replace(record, missing=missing))
+    return replace(dataset, runs=tuple(runs))
+
+
 def told_of_whole(whole: Dataset, pieces: Dataset, kinds: Sequence[str]) -> Dataset:
     """Return a data set with what was found in the pieces of it since :func:`parted`.
 

@@ -63,8 +63,6 @@ def thinned_dataset(dataset: Dataset) -> Thinned:
     rate = max(DATA_POLICY.per_period * band, DATA_POLICY.per_force * forces if moves else 0.0)
     factor = int(1 / (rate * dt))
     factor = min(factor, min(len(run) for run in runs) // (DATA_POLICY.fewest + (0 if moves else 2 * SPAN)))
-    while factor > 1 and not _keeps_readings(runs, factor):
-        factor -= 1
     while factor > 1 and moves and not _follows_inputs(runs, factor, dataset.intersample, band):
         factor -= 1
     if factor < 2:
@@ -330,20 +328,16 @@ def _follows_inputs(runs: Sequence[Trajectory], factor: int, intersample: str, b
     return all(most * _acceleration(runs, j, factor, noise[j]) <= DATA_POLICY.jump * noise[j] for j in range(spec.ny))
 
 
-def _keeps_readings(runs: Sequence[Trajectory], factor: int) -> bool:
-    """Return True if of every output as many readings stay as could: a sensor that is slower has a rhythm of its own."""
-    for run in runs:
-        there = np.isfinite(run.readings)
-        if np.any(there[::factor].sum(axis=0) < DATA_POLICY.kept * np.minimum(there.sum(axis=0), len(run) / factor)):
-            return False
-    return True
-
-
 def _acceleration(runs: Sequence[Trajectory], output: int, half: int, noise: float) -> float:
-    """Return the rms acceleration of an output times the square of a row's time, the part of the noise left out."""
+    """Return the rms acceleration of an output times the square of a row's time, the part of the noise left out.
+
+    Infinite where readings never lie side by side, as of a sensor that is slower than its record.
+    """
     period = runs[0].spec.outputs[output].period
     long = [run.readings[:, output] for run in runs if len(run) > 2 * half]
     windows = np.concatenate([_windows(read, half, period) for read in long])
+    if np.isnan(windows).any(axis=1).all():
+        return float("inf")
     weights = 2 * np.linalg.pinv(np.vander(np.arange(-half, half + 1), 3))[0]
     size = np.nanmean((windows @ weights) ** 2) - noise**2 * np.sum(weights**2)
     return float(np.sqrt(max(size, 0.0)))

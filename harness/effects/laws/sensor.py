@@ -101,6 +101,7 @@ def sensor_nonlinearity(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     sampled="output_delay",
     experiment="closed loop or a free swing with a second, fast sensor",
     told_by=("chirp",),
+    whole="late reading",
 )  # fmt: skip
 def sensor_delay(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Delay of a reading."""
@@ -119,10 +120,36 @@ def sensor_delay(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     limits={"sensor_delay": "at frequencies far below 1/tau"},
     experiment="a free swing with a second, fast sensor",
     told_by=("chirp",),
+    whole="late reading",
 )  # fmt: skip
 def sensor_lag(y: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Filter of first order behind a sensor."""
     return s.z, [(y - s.z) / p.tau]
+
+
+@effect(
+    "output",
+    [
+        par("tau", "s", scale="2 dt", floor="0.1 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
+            meaning="delay of slow motion"),
+        # 1/4: two equal lags, 1/2: as flat as possible (Butterworth); a mean over m rows is near 1/3
+        par("c", "1", scale="0.25", sign="+", minimum=0.02, maximum=2.0, grid=(1.0, 2.0), nuisance=True,
+            meaning="1/(4 d^2), of the damping ratio d"),
+    ],
+    states={"z": "y", "r": "y"},
+    initial={"z": "signal"},
+    formula="y' = z, tau z' = r, c tau r' = y - z - r",
+    family=("sensor_lag", "sensor_delay", "actuator_lag", "input_delay"),
+    nests=("sensor_lag", "sensor_delay"),
+    limits={"sensor_lag": "for c = 0", "sensor_delay": "at frequencies far below 1/tau"},
+    grows="a second pole",
+    experiment="a free swing with a second, fast sensor",
+    told_by=("chirp",),
+    whole="late reading",
+)  # fmt: skip
+def sensor_filter(y: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Filter of second order behind a sensor, or a mean over the last readings."""
+    return s.z, [s.r / p.tau, (y - s.z - s.r) / (p.c * p.tau)]
 
 
 @effect(
