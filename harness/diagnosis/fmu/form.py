@@ -65,6 +65,13 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         self._left |= dict.fromkeys(name for name in map(str, effects) if name not in known)
         return True
 
+    def astray(self, base: Fit | None) -> bool:
+        """Return True of a base whose free runs do not follow their records; each start beside one costs many runs."""
+        if base is None:
+            return True
+        noise = likelihood_detail(base).points["estimation"].noise
+        return bool((noise.r > POLICY.tie * sensor_noise(self.records["estimation"])).any())
+
     def left_out(self) -> list[str]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         return list(self._left)
@@ -120,7 +127,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         promises anything. What the user believes in is nearer to the plant.
         """
         point = likelihood_detail(fit).points["estimation"]
-        if fit.effects or (point.noise.r <= POLICY.tie * sensor_noise(self.records["estimation"])).all():
+        if fit.effects or not self.astray(fit):
             return None
         system, passes = self.nominal, likelihood_detail(fit).passes
         likelihood = self._likelihood(system, "estimation", passes)

@@ -168,7 +168,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             points = [self._back(system, passes, likelihood, point, {**base.values, **gone}, base) for point in points]
         if len(points) > EFFORT.points:
             points = sorted(points, key=likelihood.nll)[: EFFORT.points]
-        if effects and not self.latent:  # no force took up what was missing: it has driven the parameters away
+        if effects and self.astray(base):
             p = system.vector({**vectors[0], **self.nominal.values()})
             noise = first_noises(self.noise_model, self._first_noise, self.dt)[0]
             points.append(Point(p, self._starts(system, passes, p, "estimation", None), noise))
@@ -266,6 +266,10 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
     def spent(self, effects: Sequence[Placed], base: Fit | None, seconds: float) -> bool:
         """Return whether a search has cost this much, before effects are fitted beside a base; only an FMU's may."""
         return False
+
+    def astray(self, base: Fit | None) -> bool:
+        """Return whether a base may have been driven away by what it lacks, as no latent force took that up."""
+        return not self.latent
 
     def left_out(self) -> list[str]:
         """See :class:`harness.diagnosis.search.fit.Form`: everything was tried."""
