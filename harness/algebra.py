@@ -68,16 +68,10 @@ def orthonormal(matrix: FloatArray, tolerance: float) -> FloatArray:
 def least_squares(matrix: FloatArray, target: FloatArray, tolerance: float) -> FloatArray:
     """Return the smallest least-squares solution of columns at unit length, in their own units.
 
-    Parameters
-    ----------
-    matrix : array (N, p)
-    target : array (N,) or (N, m)
-    tolerance : float
-        Directions below this share of the largest are left out.
-
-    Returns
-    -------
-    array (p,) or (p, m)
+    - ``matrix`` (N, p)
+    - ``target`` (N,) or (N, m)
+    - ``tolerance``: directions below this share of the largest are left out
+    - returns array (p,) or (p, m)
 
     Examples
     --------

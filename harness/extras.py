@@ -13,19 +13,11 @@ from harness.errors import InputError
 def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") -> Any:
     """Return an optional package.
 
-    Parameters
-    ----------
-    package : str
-        Its module.
-    kind : str
-        What needs it, for the message.
-    install : str
-        What pip is to install.
+    Raises InputError if it is not installed.
 
-    Raises
-    ------
-    InputError
-        If it is not installed.
+    - ``package``: its module
+    - ``kind``: what needs it, for the message
+    - ``install``: what pip is to install
 
     Examples
     --------

@@ -83,10 +83,7 @@ def resolution(readings: Sequence[FloatArray]) -> float:
     No reading is more exact than that: rounding to a step has a deviation of ``step / sqrt(12)`` (Widrow, Kollar & Liu
     1996, *IEEE Trans. Instrum. Meas.* 45:353, eq. 1) wherever the output moves, and none at all where it rests.
 
-    Parameters
-    ----------
-    readings : sequence of array (N,)
-        By record; NaN where one is missing.
+    - ``readings`` sequence of array (N,): by record; NaN where one is missing
 
     Examples
     --------

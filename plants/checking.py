@@ -99,10 +99,7 @@ def initial_values(x0: Mapping[str, float] | None, states: Sequence[Channel], de
 def positive(name: str, value: float, *, zero: bool = False, infinite: bool = False) -> float:
     """Return a number that must be positive (or zero where that is allowed).
 
-    Raises
-    ------
-    InputError
-        If it is not.
+    Raises InputError if it is not.
 
     Examples
     --------

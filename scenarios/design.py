@@ -156,11 +156,8 @@ def deviation_of(W: FloatArray, column: int) -> float:
     The inverse of how much of its column no other column makes; with the difference of two effects in that column, of
     how well the pair is told apart.
 
-    Parameters
-    ----------
-    W : array (M, k)
-    column : int
-        Of the parameter.
+    - ``W`` (M, k)
+    - ``column``: of the parameter
 
     Examples
     --------

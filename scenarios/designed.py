@@ -105,10 +105,7 @@ class ArmDesigned(ArmComputedTorque):
     def _wanted(self, arm: Arm, limits: JointLimits, rng: np.random.Generator) -> tuple[Regressor, Criterion]:
         """Return the regressor with friction, and the criterion of the parameters that are to be known best.
 
-        Raises
-        ------
-        InputError
-            If a parameter is unknown, or no motion tells it from the others.
+        Raises InputError if a parameter is unknown, or no motion tells it from the others.
         """
         from harness.physics.arms.inertia import TEN
 

@@ -69,30 +69,16 @@ def multisine(
 ) -> FloatArray:
     """Return a random-phase multisine with equal amplitudes and a peak of exactly one.
 
-    Parameters
-    ----------
-    n : int
-        Samples; the signal repeats every ``period`` samples exactly, bit for bit.
-    period : int
-        Samples of one period.
-    lines : array of int
-        Line numbers that carry energy, between 1 and ``(period - 1) // 2``.
-    rng : numpy.random.Generator
-        Draws the phases.
-    crest : float, optional
-        Crest factor wanted: the phases are improved, by clipping in time and restoring the amplitudes in frequency
-        in turn, until it is reached (1.5 is usual for 100 lines; random phases give about 3).
-    tries : int
-        Improvement steps before the best one found is taken.
+    Raises InputError if a line is outside the period's spectrum.
 
-    Returns
-    -------
-    array (n,)
-
-    Raises
-    ------
-    InputError
-        If a line is outside the period's spectrum.
+    - ``n``: samples; the signal repeats every ``period`` samples exactly, bit for bit
+    - ``period``: samples of one period
+    - ``lines`` array of int: line numbers that carry energy, between 1 and ``(period - 1) // 2``
+    - ``rng``: draws the phases
+    - ``crest``: crest factor wanted: the phases are improved, by clipping in time and restoring the amplitudes in
+      frequency in turn, until it is reached (1.5 is usual for 100 lines; random phases give about 3)
+    - ``tries``: improvement steps before the best one found is taken
+    - returns array (n,)
 
     Notes
     -----
@@ -229,24 +215,14 @@ def chirp(
 ) -> FloatArray:
     """Return a sine whose frequency sweeps a band once over the record.
 
-    Parameters
-    ----------
-    n, sample_time : int, float
-        Samples, and seconds between them.
-    band : (first, last)
-        Hz; a falling sweep has ``first > last``.
-    law : {"linear", "logarithmic"}
-        How the frequency moves; ``"logarithmic"`` spends equal time in each octave.
-    phase : float
-        rad at the first sample.
-    rotate : float
-        Fraction of the record by which the sweep is rotated (it then starts inside the band and wraps around, with
-        a continuous phase): lets several inputs sweep at once without being alike.
+    Raises InputError if the band is not within 0 and half the sampling frequency, or the law is unknown.
 
-    Raises
-    ------
-    InputError
-        If the band is not within 0 and half the sampling frequency, or the law is unknown.
+    - ``n, sample_time``: samples, and seconds between them
+    - ``band`` (first, last): hz; a falling sweep has ``first > last``
+    - ``law`` {"linear", "logarithmic"}: how the frequency moves; ``"logarithmic"`` spends equal time in each octave
+    - ``phase``: rad at the first sample
+    - ``rotate``: fraction of the record by which the sweep is rotated (it then starts inside the band and wraps around,
+      with a continuous phase): lets several inputs sweep at once without being alike
 
     Examples
     --------
@@ -282,18 +258,11 @@ def steps(
 ) -> FloatArray:
     """Return random levels within [-1, 1], each held for a random time.
 
-    Parameters
-    ----------
-    n : int
-        Samples.
-    dwell : int
-        Mean samples of one level.
-    rng : numpy.random.Generator
-        Draws levels and times.
-    levels : int, optional
-        Number of equidistant levels; without it the level is uniform.
-    jitter : float
-        The time is uniform within ``dwell * (1 -+ jitter)``.
+    - ``n``: samples
+    - ``dwell``: mean samples of one level
+    - ``rng``: draws levels and times
+    - ``levels``: number of equidistant levels; without it the level is uniform
+    - ``jitter``: the time is uniform within ``dwell * (1 -+ jitter)``
 
     Examples
     --------

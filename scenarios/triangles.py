@@ -14,21 +14,14 @@ from scenarios.open_loop import OpenLoop
 def triangle(n: int, sample_time: float, frequency: float, *, levels: int = 1, start: float = 0.0) -> FloatArray:
     """Return a triangle wave within [-1, 1] whose amplitude climbs in equal steps over the record.
 
-    Parameters
-    ----------
-    n, sample_time : int, float
-        Samples, and seconds between them.
-    frequency : float
-        Hz.
-    levels : int
-        Amplitudes 1/levels, 2/levels, ... 1, each for an equal part of the record; they change at a zero crossing.
-    start : float
-        Part of a period by which the wave is ahead; at 0 it starts at 0 and rises.
+    Raises InputError if the frequency is not above 0 and at most an eighth of the sampling frequency, or there is no
+    level.
 
-    Raises
-    ------
-    InputError
-        If the frequency is not above 0 and at most an eighth of the sampling frequency, or there is no level.
+    - ``n, sample_time``: samples, and seconds between them
+    - ``frequency``: hz
+    - ``levels``: amplitudes 1/levels, 2/levels, ... 1, each for an equal part of the record; they change at a zero
+      crossing.
+    - ``start``: part of a period by which the wave is ahead; at 0 it starts at 0 and rises
 
     Examples
     --------

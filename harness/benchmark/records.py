@@ -17,22 +17,14 @@ from harness.signals import FloatArray, Trajectory, residual
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """What every identifier of a task is given, and what the best could do with it.
+    """What every identifier of a task is given, and what the best could do with it."""
 
-    Parameters
-    ----------
-    runs, held_out : list of Trajectory
-        To be fitted to, and to be scored on.
-    floor : float, optional
-        NRMSE of the sensor noise in the held-out records.
-    least_simulation, least_equation : float, optional
-        The least errors to be expected, where the plant is linear (see :func:`harness.scoring.least_errors`); the first
-        for free runs of whole records only.
-    """
-
+    # To be fitted to, and to be scored on
     runs: list[Trajectory]
     held_out: list[Trajectory]
-    floor: float | None
+    floor: float | None  # NRMSE of the sensor noise in the held-out records
+    # The least errors to be expected, where the plant is linear (see :func:`harness.scoring.least_errors`); the first
+    # for free runs of whole records only
     least_simulation: float | None = None
     least_equation: float | None = None
 

@@ -142,10 +142,7 @@ def read_row(path: Path) -> Row:
 def sound(row: Row) -> Row:
     """Return a row whose parts fit together.
 
-    Raises
-    ------
-    ValueError
-        If they do not.
+    Raises ValueError if they do not.
     """
     n = len(row.outputs)
     pairs = [("units", len(row.units), n), ("axis_values", len(row.axis_values), len(row.axes))]

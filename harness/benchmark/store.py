@@ -105,12 +105,8 @@ class Store:
     ) -> dict[str, Row]:
         """Make the folder ready; return the rows that it already has.
 
-        ``order`` holds the jobs of the whole suite where these pairs are a share of it.
-
-        Raises
-        ------
-        InputError
-            If the folder has results and ``resume`` was not asked for, or has rows of other cells.
+        ``order`` holds the jobs of the whole suite where these pairs are a share of it. Raises InputError if the folder
+        has results and ``resume`` was not asked for, or has rows of other cells.
         """
         found = self.rows()
         if (found or self.manifest.exists()) and not resume:

@@ -13,26 +13,9 @@ from typing import Any
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Effects around a black box, in symbols (CasADi).
+    """Effects around a black box, in symbols (CasADi)."""
 
-    Attributes
-    ----------
-    u, q, v, t, z, p, y : SX
-        Inputs, positions, rates, time, hidden states, parameters of the effects, outputs of the black box.
-    command : SX (nu,)
-        What the black box gets as its input.
-    reading : SX (ny,)
-        What the sensors tell.
-    derivatives : SX (nz,)
-        Derivatives of the hidden states.
-    starts : SX (nz,)
-        Where they start.
-    rates : tuple of bool
-        By coordinate, whether the black box tells its rate.
-    reads : bool
-        Whether the sensors tell anything else than the black box.
-    """
-
+    # Inputs, positions, rates, time, hidden states, parameters of the effects, outputs of the black box
     u: Any
     q: Any
     v: Any
@@ -40,12 +23,12 @@ class Around:
     z: Any
     p: Any
     y: Any
-    command: Any
-    reading: Any
-    derivatives: Any
-    starts: Any
-    rates: tuple[bool, ...]
-    reads: bool
+    command: Any  # SX (nu,): What the black box gets as its input
+    reading: Any  # SX (ny,): What the sensors tell
+    derivatives: Any  # SX (nz,): Derivatives of the hidden states
+    starts: Any  # SX (nz,): Where they start
+    rates: tuple[bool, ...]  # By coordinate, whether the black box tells its rate
+    reads: bool  # Whether the sensors tell anything else than the black box
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the blocks as a function: symbols belong to one process."""

@@ -39,13 +39,8 @@ def surround(
 
     Raises InputError if an effect does not fit its port or stands there twice.
 
-    Parameters
-    ----------
-    system : FmuSystem
-    placed : sequence of Placed
-        Input effects act on the command in this order, forces are added behind them, output effects come last.
-    sizes : mapping, optional
-        Sizes of the data by port, for start values that are not given.
+    - ``placed``: input effects act on the command in this order, forces are added behind them, output effects come last
+    - ``sizes``: sizes of the data by port, for start values that are not given
     """
     import casadi as ca
 

@@ -22,22 +22,12 @@ def summed(
 ) -> Sums:
     """Return the sums of windows of one length.
 
-    Parameters
-    ----------
-    run : callable
-        From the number of a window to its states (N, nx) and outputs (N, ny); NaN from where the plant breaks.
-    slopes : callable
-        From the number of a window and the columns wanted (None: all) to the derivatives (N, ny, unknowns).
-    asked : Asked
-    nx, unknowns : int
-        States; parameters and states.
-    floor : float
-        Error of every reading, in sigma, that is added to the costs: a fit that is exact still has one.
-
-    Returns
-    -------
-    Sums
-        Windows beyond their limit, and all of them beyond the budget, have infinite costs and were not differentiated.
+    - ``run``: from the number of a window to its states (N, nx) and outputs (N, ny); NaN from where the plant breaks
+    - ``slopes``: from the number of a window and the columns wanted (None: all) to the derivatives (N, ny, unknowns)
+    - ``nx, unknowns``: states; parameters and states
+    - ``floor``: error of every reading, in sigma, that is added to the costs: a fit that is exact still has one
+    - returns windows beyond their limit, and all of them beyond the budget, have infinite costs and were not
+      differentiated
     """
     measured, sigma, period = asked.data
     m, n, ny = measured.shape

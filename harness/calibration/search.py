@@ -159,20 +159,11 @@ def drawn(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return so many starts: the declared one, and for each other the best of some drawn within the bounds.
 
-    Parameters
-    ----------
-    windows : Windows
-        What the draws are compared on: the :func:`beginnings` of records, or short windows.
-    parameters : sequence of Parameter
-        All of the model; fixed ones stay.
-    count : int
-    x0 : array (W, nx)
-        Where the states start.
-    hidden : sequence of bool (nx,)
-        States that no output shows: their starts are drawn by a factor, too.
-    rng : Generator
-    spread : float
-        Standard deviation of the logarithm of what is drawn around a declared value.
+    - ``windows``: what the draws are compared on: the :func:`beginnings` of records, or short windows
+    - ``parameters``: all of the model; fixed ones stay
+    - ``x0`` (W, nx): where the states start
+    - ``hidden`` sequence of bool (nx,): states that no output shows: their starts are drawn by a factor, too
+    - ``spread``: standard deviation of the logarithm of what is drawn around a declared value
     """
     plain = np.array([parameter.value for parameter in parameters])
     nothing = np.zeros(0, dtype=np.intp)

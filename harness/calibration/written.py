@@ -56,20 +56,11 @@ def _values(values: Values, units: Mapping[str, str]) -> str:
 def write_model(model: Path, kind: str, values: Values, units: Mapping[str, str], path: str | Path) -> Path:
     """Write a copy of an FMU or an SSP package with values by name as its start values.
 
-    Parameters
-    ----------
-    model : Path
-    kind : str
-        ``fmu``, or that of a system.
-    values, units : mapping
-        In SI; units are those of the values.
-    path : path
-        ``.fmu`` for an FMU, ``.ssp`` for an SSP package.
+    Raises InputError if the name does not suit the model, the model is no package, or the file cannot be written.
 
-    Raises
-    ------
-    InputError
-        If the name does not suit the model, the model is no package, or the file cannot be written.
+    - ``kind``: ``fmu``, or that of a system
+    - ``values, units``: in SI; units are those of the values
+    - ``path``: ``.fmu`` for an FMU, ``.ssp`` for an SSP package
     """
     path = Path(path)
     wanted = ".fmu" if kind == "fmu" else ".ssp"

@@ -84,19 +84,11 @@ class Convergence:
 def halved(run: Callable[[float | None], Trajectory], times: int, step: float | None = None) -> Convergence:
     """Run something at a step, its half, and so on.
 
-    Parameters
-    ----------
-    run : callable
-        From a step [s] (None: its own) to the record of a run; all runs begin together.
-    times : int
-        How often the step is halved.
-    step : float, optional
-        The coarsest step [s].
+    Raises InputError if ``times`` is not 1 or more, or a run ends before the others do.
 
-    Raises
-    ------
-    InputError
-        If ``times`` is not 1 or more, or a run ends before the others do.
+    - ``run``: from a step [s] (None: its own) to the record of a run; all runs begin together
+    - ``times``: how often the step is halved
+    - ``step``: the coarsest step [s]
 
     Examples
     --------

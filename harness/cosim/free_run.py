@@ -63,23 +63,14 @@ def window(
 ) -> Window:
     """Return the window of a run.
 
-    Parameters
-    ----------
-    suggested : mapping
-        ``startTime``, ``stopTime``, ``stepSize`` [s] of the file's own experiment, and ``fixedInternalStepSize`` [s]
-        of what runs; None where it has none.
-    start, stop, step : float, optional
-        As asked for; they go before what is suggested. Where neither says anything: 0, one second after the start,
-        and a 500th of the run.
-    file : path
-        For messages.
-    who : str
-        For messages: what suggests, ``"the FMU"``.
+    Raises InputError if nothing lies between start and end, or too many samples do.
 
-    Raises
-    ------
-    InputError
-        If nothing lies between start and end, or too many samples do.
+    - ``suggested``: ``startTime``, ``stopTime``, ``stepSize`` [s] of the file's own experiment, and
+      ``fixedInternalStepSize`` [s] of what runs; None where it has none
+    - ``start, stop, step``: as asked for; they go before what is suggested. Where neither says anything: 0, one second
+      after the start, and a 500th of the run.
+    - ``file``: for messages
+    - ``who``: for messages: what suggests, ``"the FMU"``
 
     Examples
     --------

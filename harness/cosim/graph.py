@@ -16,14 +16,9 @@ NUDGE = 1e-7  # of a signal, relative; about the root of the rounding error
 def newton(miss: Callable[[FloatArray], FloatArray], start: FloatArray, tolerance: float) -> FloatArray | None:
     """Return the values (n,) at which ``miss`` is zero, or None where they are not found.
 
-    Parameters
-    ----------
-    miss : callable
-        From values (n,) to how far they are from agreeing (n,).
-    start : array (n,)
-        Where to begin.
-    tolerance : float
-        Relative to one more than the size of each value.
+    - ``miss``: from values (n,) to how far they are from agreeing (n,)
+    - ``start`` (n,): where to begin
+    - ``tolerance``: relative to one more than the size of each value
 
     Examples
     --------

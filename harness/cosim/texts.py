@@ -40,10 +40,7 @@ class Texts:
 def split(parts: Mapping[str, Plant], connections: Sequence[Connection]) -> tuple[list[Connection], Texts | None]:
     """Return the connections that carry numbers, and those that carry texts; None if there are none of these.
 
-    Raises
-    ------
-    InputError
-        If a text is connected to what is none, in more ways than one, or is to be changed on its way.
+    Raises InputError if a text is connected to what is none, in more ways than one, or is to be changed on its way.
     """
     numbers, wires, driven = [], list[tuple[Any, str, Any, str]](), set[str]()
     for one in connections:

@@ -101,14 +101,6 @@ def _told(again: Diagnosis, why: str) -> Diagnosis:
 def halved(dataset: Dataset) -> Dataset:
     """Return the data with the first half of every estimation and validation run to fit, the other to validate.
 
-    Parameters
-    ----------
-    dataset : Dataset
-
-    Returns
-    -------
-    Dataset
-
     Examples
     --------
     >>> import numpy as np

@@ -45,18 +45,10 @@ def tokens(text: str) -> dict[str, int]:
 def fill(template: str, units: Mapping[str, str]) -> str:
     """Return the unit that a template stands for.
 
-    Parameters
-    ----------
-    template : str
-        Unit text in which the names in ``units`` (``F``, ``q``, ``v``, ``u``, ``y``, ``x``, ``Q``) stand for the units
-        of the port; other names stand for themselves.
-    units : mapping
-        Unit text of each of these names at one port.
-
-    Returns
-    -------
-    str
-        In the form that :mod:`harness.units` reads; a radian stays a radian.
+    - ``template``: unit text in which the names in ``units`` (``F``, ``q``, ``v``, ``u``, ``y``, ``x``, ``Q``) stand
+      for the units of the port; other names stand for themselves
+    - ``units``: unit text of each of these names at one port
+    - returns in the form that :mod:`harness.units` reads; a radian stays a radian
 
     Examples
     --------

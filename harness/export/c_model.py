@@ -114,18 +114,10 @@ def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
 def description(simulator: Simulator, parameters: Mapping[str, float], x0: Mapping[str, float] | None = None) -> str:
     """Return modelDescription.xml for FMI 2.0 (that for FMI 3.0 is derived from it).
 
-    Parameters
-    ----------
-    simulator : Simulator
-    parameters : mapping
-        Values of the system's parameters: the start values of the FMU's tunable parameters.
-    x0 : mapping, optional
-        Start values of the states; 0 where not given.
+    Raises InputError if a parameter or state is unknown.
 
-    Raises
-    ------
-    InputError
-        If a parameter or state is unknown.
+    - ``parameters``: values of the system's parameters: the start values of the FMU's tunable parameters
+    - ``x0``: start values of the states; 0 where not given
     """
     system = simulator.system
     values = system.values(parameters)

@@ -69,10 +69,7 @@ class FleetStore:
     def open(self, jobs: Sequence[str], settings: dict[str, Any], *, resume: bool) -> dict[str, Row]:
         """Make the folder ready; return the rows that it already has of these jobs.
 
-        Raises
-        ------
-        InputError
-            If the folder has rows and ``resume`` was not asked for, or was made with another model.
+        Raises InputError if the folder has rows and ``resume`` was not asked for, or was made with another model.
         """
         manifest = self.folder / MANIFEST
         if manifest.exists():

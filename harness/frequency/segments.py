@@ -38,11 +38,7 @@ class SegmentSpectra(NamedTuple):
         nor is what rounding leaves: ``step^2 / 12`` of each sample at which the reading changes, and nothing new where
         it is held, as a staircase on a grid of levels is.
 
-        Parameters
-        ----------
-        records : sequence of Trajectory
-            Whose spectra these are.
-        width : int
+        - ``records``: whose spectra these are
 
         Examples
         --------

@@ -68,10 +68,7 @@ def shard_file(folder: Path, job: str) -> Path:
 def write_shard(folder: Path, job: str, content: bytes) -> None:
     """Write the row of a job, whole or not at all; on a full disk none, as what failed there is no fault of the job.
 
-    Raises
-    ------
-    OSError
-        If there is no room.
+    Raises OSError if there is no room.
     """
     require_room(folder)
     scratch = folder / f"{job}.part"

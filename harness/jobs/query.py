@@ -97,17 +97,10 @@ class Answer:
 def filtered(tables: Mapping[str, Any], filters: Mapping[str, Any]) -> dict[str, Any]:
     """Return the rows of Arrow tables in which columns have given values; a table without the column keeps all.
 
-    Parameters
-    ----------
-    tables : mapping
-        Name to table.
-    filters : mapping
-        Column to value, or to its text.
+    Raises InputError if no table has a column, or a text is no value of it.
 
-    Raises
-    ------
-    InputError
-        If no table has a column, or a text is no value of it.
+    - ``tables``: name to table
+    - ``filters``: column to value, or to its text
 
     Examples
     --------
@@ -147,19 +140,11 @@ def filtered(tables: Mapping[str, Any], filters: Mapping[str, Any]) -> dict[str,
 def ask(tables: Mapping[str, Any], sql: str | None = None, filters: Mapping[str, Any] | None = None) -> Answer:
     """Ask Arrow tables.
 
-    Parameters
-    ----------
-    tables : mapping
-        Name to table.
-    sql : str, optional
-        DuckDB's SQL. Files on this machine are not within its reach. Without it the answer is the first table.
-    filters : mapping, optional
-        Column to value; see :func:`filtered`.
+    Raises InputError if a filter or the query cannot be used, or DuckDB is not installed.
 
-    Raises
-    ------
-    InputError
-        If a filter or the query cannot be used, or DuckDB is not installed.
+    - ``tables``: name to table
+    - ``sql``: duckDB's SQL. Files on this machine are not within its reach. Without it the answer is the first table.
+    - ``filters``: column to value; see :func:`filtered`
 
     Examples
     --------

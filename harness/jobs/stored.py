@@ -24,10 +24,7 @@ def damaged(path: Path, got: object, remedy: str = WHOLE) -> InputError:
 def reading(path: Path, remedy: str = WHOLE) -> Iterator[None]:
     """Say of a file that it is damaged, whatever its reader stumbles over; nothing but reading is done in the body.
 
-    Raises
-    ------
-    InputError
-        With the file.
+    Raises InputError with the file.
 
     Examples
     --------

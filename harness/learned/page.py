@@ -32,16 +32,9 @@ def page(
 ) -> str:
     """Return the page as one HTML text.
 
-    Parameters
-    ----------
-    data : mapping
-        The content of ``learned.json``.
-    learned : LearnedForce
-    system : System
-        Without the force.
-    before : mapping
-        Its parameters.
-    dataset : Dataset
+    - ``data``: the content of ``learned.json``
+    - ``system``: without the force
+    - ``before``: its parameters
     """
     rows = [
         (use, f"{name} [{one['unit']}]", _digits(one["before"]), _digits(one["after"]))

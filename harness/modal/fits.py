@@ -27,23 +27,12 @@ def fitted(
 ) -> tuple[FloatArray, FloatArray]:
     """Return A and C of the model of one order that an identifier fits.
 
-    Parameters
-    ----------
-    name : str
-        Id of an identifier of linear models with the option ``order``, or ``rank`` and ``delays``.
-    order : int
-        States; of an identifier with delays the least multiple of the outputs that reaches it.
-    options : mapping
-        Further options.
-    records : sequence of Trajectory
-    seed : int
+    Raises InputError if the identifier has no order, or its models are not linear; FitError if the data give no model
+    of this order.
 
-    Raises
-    ------
-    InputError
-        If the identifier has no order, or its models are not linear.
-    FitError
-        If the data give no model of this order.
+    - ``name``: id of an identifier of linear models with the option ``order``, or ``rank`` and ``delays``
+    - ``order``: states; of an identifier with delays the least multiple of the outputs that reaches it
+    - ``options``: further options
     """
     known, outputs = registry.named_options("identifiers", name), records[0].spec.ny
     if "order" in known:

@@ -80,10 +80,7 @@ class Ladder:
     def states(self, record: Trajectory, a: FloatArray, c: FloatArray) -> FloatArray:
         """Return the states (K, nx) of a model from the outputs of the window that follows each sample.
 
-        Parameters
-        ----------
-        record : Trajectory
-        a, c : array (nx, nx), (ny, nx)
+        - ``a, c`` (nx, nx), (ny, nx)
         """
         scaling, nu = self.scaling, record.spec.nu
         powers = [c]

@@ -89,9 +89,6 @@ class Analysis(Protocol):
     def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
         """Return the findings.
 
-        Raises
-        ------
-        InputError
-            If the subject is none that it can look at.
+        Raises InputError if the subject is none that it can look at.
         """
         ...

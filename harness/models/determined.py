@@ -60,13 +60,8 @@ def without(both: Complex, crossed: Complex, nu: int) -> tuple[Complex, Complex]
     What moves the inputs beside the controller is what is left of them: the part that tells what they do, at the noise
     that there is (Ljung 1999, eq. 13.53).
 
-    Parameters
-    ----------
-    both : array (F, nu + ny, nu + ny)
-        Of the inputs and innovations together.
-    crossed : array (F, ny, nu + ny)
-        Of the rests with them.
-    nu : int
+    - ``both`` (F, nu + ny, nu + ny): of the inputs and innovations together
+    - ``crossed`` (F, ny, nu + ny): of the rests with them
     """
     told, new = both[:, :nu, nu:], both[:, nu:, nu:]
     size = np.sqrt(np.maximum(np.einsum("fii->fi", new).real, 1e-300))

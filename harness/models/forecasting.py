@@ -57,15 +57,8 @@ def forecast_bands(model: Any, past: Trajectory, predicted: FloatArray, y: Float
     With the innovations' covariance S from the record, the state that it leaves is certain and then
     ``P+ = A (P + L S L') A'``; a new output has the covariance ``C P C' + S`` (Ljung 1999, sec. 3.2).
 
-    Parameters
-    ----------
-    model : LinearModel
-    past : Trajectory
-    predicted : array (N, ny)
-        One step ahead; NaN where there is none.
-    y : array (M, ny)
-        The forecast.
-    level : float
+    - ``predicted`` (N, ny): one step ahead; NaN where there is none
+    - ``y`` (M, ny): the forecast
     """
     from scipy.stats import norm
 

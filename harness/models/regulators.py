@@ -39,16 +39,9 @@ def regulator(model: Any, q: Any = None, r: Any = None) -> Regulator:
 
     The loop gain is compared with the frequencies that the model's data determine (:mod:`harness.models.determined`).
 
-    Parameters
-    ----------
-    model : LinearModel
-    q, r : array, optional
-        Identities by default.
+    Raises InputError if the model cannot be stabilised.
 
-    Raises
-    ------
-    InputError
-        If the model cannot be stabilised.
+    - ``q, r``: identities by default
     """
     a, b, c, _ = model.matrices
     ny, nu = c.shape[0], b.shape[1]

@@ -19,20 +19,13 @@ INFINITE = 1e6  # Zeros beyond so many times the largest pole are those at infin
 def continuous(matrices: Matrices, sample_time: float, method: Hold = "zoh") -> Matrices:
     """Return A, B, C, D in continuous time that give these between samples.
 
-    Parameters
-    ----------
-    matrices : (A, B, C, D)
-        In discrete time.
-    sample_time : float
-        [s]
-    method : {"zoh", "foh", "tustin", "matched"}
-        What the input does between samples (stays; goes straight), or Tustin's rule; ``"matched"`` maps poles and zeros
-        by the logarithm, of one input and one output.
+    Raises InputError if a pole is at 0 or on the negative real axis, where no continuous pole belongs to it (Tustin: at
+    -1).
 
-    Raises
-    ------
-    InputError
-        If a pole is at 0 or on the negative real axis, where no continuous pole belongs to it (Tustin: at -1).
+    - ``matrices`` (A, B, C, D): in discrete time
+    - ``sample_time``: [s]
+    - ``method`` {"zoh", "foh", "tustin", "matched"}: what the input does between samples (stays; goes straight), or
+      Tustin's rule; ``"matched"`` maps poles and zeros by the logarithm, of one input and one output
 
     Examples
     --------
@@ -133,12 +126,8 @@ def reduction(matrices: Matrices, order: int, method: Literal["balanced", "modal
 
     ``"balanced"`` keeps the directions with the largest Hankel singular values; the error is at most twice the sum of
     those left out, each counted once (Al-Saggaf & Franklin 1987, IEEE Trans. AC 32:815). ``"modal"`` keeps the modes
-    that do most; the error is at most the sum of what the others do at their largest.
-
-    Raises
-    ------
-    InputError
-        If the order is not below that of the model, or the model is not stable.
+    that do most; the error is at most the sum of what the others do at their largest. Raises InputError if the order is
+    not below that of the model, or the model is not stable.
 
     Examples
     --------

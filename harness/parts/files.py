@@ -48,20 +48,13 @@ def is_system(id: str) -> bool:
 def make_plant(id: str, options: dict[str, Any]) -> Plant:
     """Return a plant.
 
-    Parameters
-    ----------
-    id : str
-        Id of a registered plant, or a file: ``.fmu``, ``.toml`` (see :func:`harness.cosim.couple`), or a system (see
-        :func:`is_system`).
-    options : dict
-        Its options. An FMU file runs in a process of its own, where a crash cannot end this one, unless
-        ``isolated`` is false; ``timeout`` is then the longest time [s] for one call. The FMUs of a coupling or package
-        share one such process with what steps them.
+    Raises InputError if there is no such plant or file, or an option does not fit it.
 
-    Raises
-    ------
-    InputError
-        If there is no such plant or file, or an option does not fit it.
+    - ``id``: id of a registered plant, or a file: ``.fmu``, ``.toml`` (see :func:`harness.cosim.couple`), or a system
+      (see :func:`is_system`)
+    - ``options``: its options. An FMU file runs in a process of its own, where a crash cannot end this one, unless
+      ``isolated`` is false; ``timeout`` is then the longest time [s] for one call. The FMUs of a coupling or package
+      share one such process with what steps them.
 
     Examples
     --------
@@ -177,10 +170,7 @@ def stream_key(id: str) -> str:
 def fingerprint(path: str | Path) -> str:
     """Return a hash of a plant's file and of the FMUs that a coupling names: the plant is another if it changes.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
+    Raises InputError if the file cannot be read.
     """
     files = [Path(path)]
     if is_system(str(path)) and files[0].suffix.lower() != ".ssp":

@@ -54,16 +54,11 @@ def guarded(
 ) -> Any:
     """Return ``work(*arguments, progress=..., **options)``, done in a process of its own.
 
-    Parameters
-    ----------
-    work : callable
-        At the top of a module; what it takes and returns travels by pickle.
-    what : str
-        What is run, for a message.
-    progress : callable, optional
-        Called here with what the work calls its ``progress`` with.
-    silence : float, optional
-        Seconds without a call of :func:`alive` or of ``progress`` that end the work; by default :data:`SILENCE`.
+    - ``work``: at the top of a module; what it takes and returns travels by pickle
+    - ``what``: what is run, for a message
+    - ``progress``: called here with what the work calls its ``progress`` with
+    - ``silence``: seconds without a call of :func:`alive` or of ``progress`` that end the work; by default
+      :data:`SILENCE`
 
     Raises
     ------

@@ -42,12 +42,8 @@ def children() -> dict[int, bytes]:
 def end_children(keep: Iterable[int] = (), *, copies: bool = False) -> None:
     """End the processes that were started here.
 
-    Parameters
-    ----------
-    keep : iterable of int
-        Processes that stay.
-    copies : bool
-        Only copies of this process (``fork``): what was started by name may be a compiler at work.
+    - ``keep``: processes that stay
+    - ``copies``: only copies of this process (``fork``): what was started by name may be a compiler at work
     """
     me = (PROC / "self" / "cmdline").read_bytes() if copies and PROC.is_dir() else b""
     for one, line in children().items():

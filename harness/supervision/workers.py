@@ -27,10 +27,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 def worker_pool(workers: int) -> Iterator[Any]:
     """Give a pool of processes, and wait for its end; an exception ends it at once.
 
-    Parameters
-    ----------
-    workers : int
-        Processes at most; they start when there is something to do.
+    - ``workers``: processes at most; they start when there is something to do
 
     Yields
     ------

@@ -26,12 +26,8 @@ _LINE = re.compile(r"^ERROR \(line (\d+), column \d+\): ")
 def described(path: Path, content: Mapping[str, Any]) -> list[Finding]:
     """Return the findings about a description.
 
-    Parameters
-    ----------
-    path : Path
-        The FMU.
-    content : mapping
-        As :func:`harness.parts.files.describe_fmu` returns it.
+    - ``path``: the FMU
+    - ``content``: as :func:`harness.parts.files.describe_fmu` returns it
     """
     return [
         _archive(path, content),

@@ -432,10 +432,7 @@ def refuse_share(share: float, what: str) -> None:
 def told(bands: Bands | None, what: str) -> Bands:
     """Return the bands of a model, or say that it has none.
 
-    Raises
-    ------
-    InputError
-        If there are none.
+    Raises InputError if there are none.
     """
     if bands is None:
         raise InputError(

@@ -13,17 +13,10 @@ from harness.options import meant_options
 def named(kind: Literal["identifiers", "scenarios", "plants"], name: str, options: Mapping[str, Any]) -> Any:
     """Return a registered part with its options.
 
-    Parameters
-    ----------
-    kind : {"identifiers", "scenarios", "plants"}
-    name : str
-        Its id.
-    options : mapping
+    Raises InputError if there is no such part, or it has no such option.
 
-    Raises
-    ------
-    InputError
-        If there is no such part, or it has no such option.
+    - ``kind`` {"identifiers", "scenarios", "plants"}
+    - ``name``: its id
 
     Examples
     --------

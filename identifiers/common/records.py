@@ -167,10 +167,7 @@ def real_signals(spec: PlantSpec, what: str) -> None:
 def moving(trajectories: Sequence[Trajectory], what: str, *, inputs: bool = True) -> None:
     """Refuse records in which no output moves, or an input never does.
 
-    Raises
-    ------
-    FitError
-        If there is nothing to learn from.
+    Raises FitError if there is nothing to learn from.
     """
     if not _moved([record.y for record in trajectories]).any():
         raise FitError(

@@ -48,28 +48,17 @@ def solve(
 ) -> Solution:
     """Solve ``min ||Y - Phi C||`` for rows that come in blocks.
 
-    Parameters
-    ----------
-    blocks : callable
-        Returns the blocks ``(Phi (n, p), Y (n, m))`` anew each time: a badly conditioned problem is read twice.
-    what : str
-        For messages.
-    ridge : float
-        Tikhonov weight relative to the mean squared column length.
-    rank_tolerance : float
-        Relative to the largest singular value of the scaled columns.
-    least_norm : bool
-        Answer dependent columns with the solution of least norm instead of refusing them.
-    names : sequence of str
-        Names of the columns, so that a refusal can say which of them depend on each other.
-    sums : NormalEquations, optional
-        Those of the blocks, where they are known already.
+    Raises FitError if the columns are linearly dependent (with neither a ridge nor ``least_norm``), or there are fewer
+    rows than columns.
 
-    Raises
-    ------
-    FitError
-        If the columns are linearly dependent (with neither a ridge nor ``least_norm``), or there are fewer rows than
-        columns.
+    - ``blocks``: returns the blocks ``(Phi (n, p), Y (n, m))`` anew each time: a badly conditioned problem is read
+      twice
+    - ``what``: for messages
+    - ``ridge``: tikhonov weight relative to the mean squared column length
+    - ``rank_tolerance``: relative to the largest singular value of the scaled columns
+    - ``least_norm``: answer dependent columns with the solution of least norm instead of refusing them
+    - ``names``: names of the columns, so that a refusal can say which of them depend on each other
+    - ``sums``: those of the blocks, where they are known already
     """
     gram = right = square = None
     rows = 0

@@ -39,18 +39,12 @@ def total(rows: FloatArray, target: FloatArray, noise: FloatArray, noise_target:
     Generalised total least squares: the direction in which ``[rows, target]`` moves least, measured by what noise alone
     makes of it (Van Huffel & Vandewalle 1989, SIAM J. Matrix Anal. 10:294; consistent if the noise is so).
 
-    Parameters
-    ----------
-    rows, target : array (M, k), (M,)
-    noise, noise_target : array (M, k), (M,)
-        What noise alone changes in them: those of a noisier copy of the records, minus these.
-    what : str
-        For messages.
+    Raises FitError if the direction found does not contain the target.
 
-    Raises
-    ------
-    FitError
-        If the direction found does not contain the target.
+    - ``rows, target`` (M, k), (M,)
+    - ``noise, noise_target`` (M, k), (M,): what noise alone changes in them: those of a noisier copy of the records,
+      minus these
+    - ``what``: for messages
     """
     from scipy.linalg import eigh
 
@@ -97,11 +91,8 @@ def instrumental(rows: FloatArray, target: FloatArray, instruments: FloatArray, 
 def huber(rows: FloatArray, target: FloatArray, *, iterations: int = 50) -> tuple[FloatArray, FloatArray]:
     """Return theta (k,) and weights (M,) of Huber's criterion, by iterated weights.
 
-    Parameters
-    ----------
-    rows, target : array (M, k), (M,)
-    iterations : int
-        At most.
+    - ``rows, target`` (M, k), (M,)
+    - ``iterations``: at most
 
     Examples
     --------

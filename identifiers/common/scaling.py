@@ -25,10 +25,7 @@ _QUIET = 1e-3
 def sizes(parts: Sequence[FloatArray]) -> FloatArray:
     """Return the size of each column (n,): its standard deviation, of a constant its value, of zeros 1.
 
-    Parameters
-    ----------
-    parts : sequence of array (N_i, n)
-        Records, taken together.
+    - ``parts`` sequence of array (N_i, n): records, taken together
 
     Examples
     --------
@@ -54,10 +51,7 @@ class Scaling:
 def scaled(records: Sequence[Trajectory]) -> tuple[list[Trajectory], Scaling]:
     """Return the records with every channel divided by its size, and the sizes.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-        Of one plant; they share the sizes.
+    - ``records``: of one plant; they share the sizes
     """
     found = Scaling(sizes([record.u for record in records]), sizes([record.y for record in records]))
     return [replace(record, u=record.u / found.inputs, y=record.y / found.outputs) for record in records], found

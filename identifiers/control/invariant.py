@@ -182,12 +182,7 @@ def certified(loop: Loop, ellipsoid: Ellipsoid, *, most: int = 2_000_000) -> Cer
     Every face of the cube about the unit ball is cut into cells; over each V' is enclosed by a quadratic Taylor model.
     Cells that do not show ``V' < 0`` are halved where it changes most. As V' is affine in d, its ends are enough.
 
-    Parameters
-    ----------
-    loop : Loop
-    ellipsoid : Ellipsoid
-    most : int
-        Cells after which it gives up: not certified.
+    - ``most``: cells after which it gives up: not certified
     """
     nx = loop.nx
     back: FloatArray = np.asarray(np.linalg.inv(ellipsoid.lower.T), dtype=np.float64)

@@ -17,10 +17,7 @@ from harness.signals import FloatArray
 def stationary(transition: FloatArray, tolerance: float = 1e-9) -> FloatArray:
     """Return the stationary distribution (S,) of a chain (S, S).
 
-    Raises
-    ------
-    InputError
-        If there is more than one: parts of the chain that never reach each other.
+    Raises InputError if there is more than one: parts of the chain that never reach each other.
 
     Examples
     --------

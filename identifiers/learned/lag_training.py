@@ -119,12 +119,8 @@ class LagTask:
     def far(self, ensemble: E, what: str) -> E:
         """Return the ensemble with bands that hold on held-out data also several steps ahead.
 
-        Parameters
-        ----------
-        ensemble : Ensemble
-            Of members from :meth:`banded`.
-        what : str
-            Name of the identifier.
+        - ``ensemble``: of members from :meth:`banded`
+        - ``what``: name of the identifier
         """
         runs = held_out_runs(ensemble, self.records, self.cuts)
         if not runs:

@@ -94,17 +94,11 @@ def run(
 ) -> None:
     """Learn from samples of one record, in place.
 
-    Parameters
-    ----------
-    layout : Layout
-    memory : array (size,)
-        Changed in place.
-    u, y : array (n, nu), (n, ny)
-        Inputs and the outputs that they led to, contiguous. With n = 0 only the next prediction is prepared.
-    guesses : array (n, ny)
-        Receives the predictions, each made before its output was seen.
-    native : bool
-        False computes in numpy even where the compiled recursion is there.
+    - ``memory`` (size,): changed in place
+    - ``u, y`` (n, nu), (n, ny): inputs and the outputs that they led to, contiguous. With n = 0 only the next
+      prediction is prepared.
+    - ``guesses`` (n, ny): receives the predictions, each made before its output was seen
+    - ``native``: false computes in numpy even where the compiled recursion is there
     """
     call = _compiled() if native else None
     if call is None:

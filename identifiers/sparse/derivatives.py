@@ -18,14 +18,9 @@ _BLOCK = 8192
 def polynomial_test_function(half: int, dt: float, order: int = 0) -> FloatArray:
     """Return a derivative of the test function ``(1 - s^2)^6`` on 2 half + 1 samples; the function sums to 1.
 
-    Parameters
-    ----------
-    half : int
-        Half width in samples.
-    dt : float
-        Sample time [s].
-    order : int
-        0, 1 or 2: which derivative.
+    - ``half``: half width in samples
+    - ``dt``: sample time [s]
+    - ``order``: 0, 1 or 2: which derivative
 
     Examples
     --------

@@ -64,10 +64,7 @@ def quiet(*streams: int) -> Iterator[None]:
 def bullet() -> Any:
     """Return the pybullet module.
 
-    Raises
-    ------
-    PluginError
-        If it is not installed: its wheels exist for CPython 3.10 and 3.11 only.
+    Raises PluginError if it is not installed: its wheels exist for CPython 3.10 and 3.11 only.
     """
     try:
         with quiet(1, 2):
@@ -222,10 +219,7 @@ def _refuse_left_out(root: ET.Element, file: Path | None, locked: Sequence[str],
 def load(client: int, root: ET.Element, *, fixed_base: bool, inertia_from_file: bool, position: Sequence[float]) -> int:
     """Load a URDF into a client and return Bullet's number of the body.
 
-    Raises
-    ------
-    PlantError
-        If Bullet cannot read it.
+    Raises PlantError if Bullet cannot read it.
     """
     engine = bullet()
     flags = engine.URDF_USE_INERTIA_FROM_FILE if inertia_from_file else 0

@@ -44,10 +44,7 @@ class Camera:
     def project(self, points: FloatArray) -> FloatArray:
         """Return the pixels (n, 2) of points (n, 3) in the world [m].
 
-        Raises
-        ------
-        PlantError
-            If a point lies behind the camera.
+        Raises PlantError if a point lies behind the camera.
         """
         eye = np.asarray(self.position, dtype=float)
         forward = np.asarray(self.target, dtype=float) - eye
@@ -74,10 +71,7 @@ def channels(
 ) -> tuple[Channel, ...]:
     """Return the channels of a choice of outputs.
 
-    Raises
-    ------
-    InputError
-        If an output needs what the plant does not have.
+    Raises InputError if an output needs what the plant does not have.
     """
     needs = {"base": (floating, "fixed_base = False"), "contact": (table, "a table")}
     needs["keypoints"] = (bool(keypoints), "keypoints")

@@ -156,10 +156,7 @@ def _maker(factory: str | Callable[..., Plant]) -> Callable[..., Plant]:
 def registered(id: str) -> importlib.metadata.EntryPoint:
     """Return the module and attribute of a registered plant.
 
-    Raises
-    ------
-    InputError
-        If no plant is registered under this id.
+    Raises InputError if no plant is registered under this id.
     """
     import importlib.metadata  # 10 ms that a child with a plant of its own file does not need
 

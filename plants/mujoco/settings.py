@@ -94,12 +94,8 @@ def times(
     """Return sample time [s], engine step [s] and steps a sample from those of them that are given.
 
     The step is the file's if neither it nor both others are given, or the next smaller one that divides the sample
-    time; one step a sample if only the step is known.
-
-    Raises
-    ------
-    InputError
-        If they contradict each other, or the sample time is no whole number of steps.
+    time; one step a sample if only the step is known. Raises InputError if they contradict each other, or the sample
+    time is no whole number of steps.
     """
     if substeps is not None and (int(substeps) != substeps or substeps < 1):
         raise InputError("option substeps", expected="an integer >= 1", got=repr(substeps), remedy="correct it")

@@ -47,20 +47,13 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Outputs:
-    """The outputs of a model, each a place in a part of the engine's data.
-
-    Attributes
-    ----------
-    channels : tuple of Channel
-    parts : tuple of (str, tuple of int)
-        Name of the data (``qpos``, ``qvel``, ``sensordata``) and places in it, in the order of the channels.
-    stage : int
-        The stage of MuJoCo's forward pass that must be up to date; 0 if none is needed.
-    """
+    """The outputs of a model, each a place in a part of the engine's data."""
 
     channels: tuple[Channel, ...]
     parts: tuple[tuple[str, tuple[int, ...]], ...]
-    stage: int
+    """Tuple of (str, tuple of int): Name of the data (``qpos``, ``qvel``, ``sensordata``) and places in it, in the
+    order of the channels."""
+    stage: int  # The stage of MuJoCo's forward pass that must be up to date; 0 if none is needed
 
 
 def states_of(model: Any, called: Sequence[str] | None) -> States:

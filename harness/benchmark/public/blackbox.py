@@ -65,21 +65,11 @@ def chosen(
 ) -> tuple[Model | None, Tried | None, list[Tried]]:
     """Return the model of the identifier that is best on the validation part, fitted to all of the records.
 
-    Parameters
-    ----------
-    rule : Rule
-    train : sequence of Trajectory
-        The records to learn from; no test record comes near this function.
-    share, candidates
-        See :class:`harness.benchmark.public.choices.BlackChoices`.
-    progress : callable, optional
-        Called with what is fitted next.
-
-    Returns
-    -------
-    (Model or None, Tried or None, list of Tried)
-        The model, what was chosen, and all that was tried; None where no candidate has a finite figure, or where the
-        chosen one cannot be fitted to all of the records.
+    - ``train``: the records to learn from; no test record comes near this function
+    - ``share, candidates``: see :class:`harness.benchmark.public.choices.BlackChoices`
+    - ``progress``: called with what is fitted next
+    - returns (Model or None, Tried or None, list of Tried): The model, what was chosen, and all that was tried; None
+      where no candidate has a finite figure, or where the chosen one cannot be fitted to all of the records
     """
     learn, validate = parted(train, share)
     tried: list[Tried] = []

@@ -69,10 +69,7 @@ class Package(Readable):
     def named(self, source: str, beside: str, what: str) -> str:
         """Return the name of the file that a URI in the file ``beside`` means.
 
-        Raises
-        ------
-        InputError
-            If it is not inside, or not there.
+        Raises InputError if it is not inside, or not there.
         """
         uri = urlparse(source)
         if uri.scheme or uri.netloc or not uri.path:

@@ -16,14 +16,9 @@ def filtered(time: FloatArray, values: FloatArray, grid: FloatArray, *, cubic: b
     The signal is brought onto a uniform grid at least as fine as its own, filtered forwards and backwards by a
     Chebyshev filter of order 8 and ripple 0.05 dB, and every q-th value is kept.
 
-    Parameters
-    ----------
-    time, values : array (N,)
-        Time stamps [s], possibly with jitter, and the signal.
-    grid : array (n,)
-        The new, uniform instants [s].
-    cubic : bool
-        Interpolate by a cubic spline instead of straight lines.
+    - ``time, values`` (N,): time stamps [s], possibly with jitter, and the signal
+    - ``grid`` (n,): the new, uniform instants [s]
+    - ``cubic``: interpolate by a cubic spline instead of straight lines
 
     Examples
     --------

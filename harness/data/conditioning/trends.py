@@ -55,10 +55,7 @@ def without_trend(values: FloatArray, trend: Trend) -> FloatArray:
 def filtered(values: FloatArray, band: FilterSection, sample_time: float) -> FloatArray:
     """Return columns (N, n) inside a band, forward in time from the steady state of the first row.
 
-    Raises
-    ------
-    InputError
-        If an edge is not below half the sampling frequency, or the edges are out of order.
+    Raises InputError if an edge is not below half the sampling frequency, or the edges are out of order.
 
     Examples
     --------

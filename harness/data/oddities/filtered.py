@@ -32,18 +32,10 @@ _LONGEST = 6
 
 @dataclass(frozen=True)
 class Filter:
-    """A filter behind a sensor.
+    """A filter behind a sensor."""
 
-    Attributes
-    ----------
-    null : float
-        Lowest frequency that it takes away [cycles a row]; 1/2 for a digital low-pass.
-    every : int
-        Rows after which a reading says something new.
-    """
-
-    null: float
-    every: int
+    null: float  # Lowest frequency that it takes away [cycles a row]; 1/2 for a digital low-pass
+    every: int  # Rows after which a reading says something new
 
     @property
     def mean(self) -> bool:
@@ -60,10 +52,8 @@ def filter_of(y: FloatArray, u: FloatArray) -> Filter | None:
     too, of first order (Astrom, Hagander & Sternby 1984, Automatica 20:31): filters of first order, and means over
     two rows, are not told.
 
-    Parameters
-    ----------
-    y : array (N,)
-    u : array (N, nu)
+    - ``y`` (N,)
+    - ``u`` (N, nu)
 
     Examples
     --------

@@ -83,10 +83,7 @@ class Chosen:
     def of(cls, signals: Signals) -> Chosen:
         """Return the columns, units and uses that the caller's words choose.
 
-        Raises
-        ------
-        InputError
-            If a word is unknown, or the sample time is no positive number.
+        Raises InputError if a word is unknown, or the sample time is no positive number.
 
         Examples
         --------

@@ -50,10 +50,7 @@ class Ports:
     def find(self, port: str, role: str) -> Channel:
         """Return the channel of a port.
 
-        Raises
-        ------
-        InputError
-            If there is no such port in this role; near names are listed.
+        Raises InputError if there is no such port in this role; near names are listed.
         """
         channels = self.inputs if role == "input" else self.outputs
         for channel in channels:

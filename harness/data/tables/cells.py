@@ -208,17 +208,10 @@ def measured(
     A meter that changes its range writes ``980 mV`` and ``1.02 V``: all are brought to the first unit; spans of time to
     seconds.
 
-    Parameters
-    ----------
-    cells, where, notes, commas
-        As for :func:`numbers_of`.
-    title : str
-        Of the column, whose unit must be the same if it has one.
+    Raises InputError if title and cells state two units, or a number cannot be read.
 
-    Raises
-    ------
-    InputError
-        If title and cells state two units, or a number cannot be read.
+    - ``cells, where, notes, commas``: as for :func:`numbers_of`
+    - ``title``: of the column, whose unit must be the same if it has one
 
     Examples
     --------

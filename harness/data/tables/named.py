@@ -110,15 +110,9 @@ class Columns:
     def clock(self, taken: Collection[str | int] = ()) -> str | None:
         """Return the time column, or the one field of a structure or group that is called so; None if there is none.
 
-        Parameters
-        ----------
-        taken : collection of str
-            Columns that are signals.
+        Raises InputError if two columns may be meant.
 
-        Raises
-        ------
-        InputError
-            If two columns may be meant.
+        - ``taken``: columns that are signals
         """
         found = clock_of(self.titles, taken) or self._clock_by_cells(taken)
         if found is not None or hasattr(self._source, "clocks"):
@@ -163,16 +157,9 @@ class Columns:
     def find(self, column: str | int, like: str | None = None) -> str | None:
         """Return the title that a column's name means: exact, or its name before the unit; None if there is none.
 
-        Parameters
-        ----------
-        column : str or int
-        like : str, optional
-            A unit of what the column measures: the unit may then stand without brackets (``theta_deg``).
+        Raises InputError if two columns carry this name.
 
-        Raises
-        ------
-        InputError
-            If two columns carry this name.
+        - ``like``: a unit of what the column measures: the unit may then stand without brackets (``theta_deg``)
         """
         titles = self.titles
         column = getattr(self._source, "links", {}).get(column, column)

@@ -74,26 +74,13 @@ def vector(
 ) -> FloatArray:
     """Follow a selector into a value, down to one column of numbers.
 
-    Parameters
-    ----------
-    value : array-like
-        The variable as the file's reader gave it.
-    selector : Selector
-        The way into it.
-    resolve : callable
-        Turns what a cell holds into an array (HDF5 keeps references).
-    notes : list of str, optional
-        Gets a sentence where true and false are read as numbers.
+    Raises InputError if a step does not fit the value, or what is found is not one column of numbers.
 
-    Returns
-    -------
-    array (N,)
-        Float64.
-
-    Raises
-    ------
-    InputError
-        If a step does not fit the value, or what is found is not one column of numbers.
+    - ``value`` array-like: the variable as the file's reader gave it
+    - ``selector``: the way into it
+    - ``resolve``: turns what a cell holds into an array (HDF5 keeps references)
+    - ``notes``: gets a sentence where true and false are read as numbers
+    - returns array (N,): Float64
 
     Examples
     --------

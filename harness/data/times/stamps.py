@@ -45,18 +45,10 @@ def clock(
     may count weeks or days of the year. Zones go by their offset, abbreviation or place (``Europe/Berlin``).
     Fractions keep all their digits; hours up to 12 may carry AM and PM. Spans of pandas are seconds.
 
-    Parameters
-    ----------
-    cells : sequence of str
-    notes : list of str, optional
-        Gets a sentence where days were counted.
-    where : callable
-        Gives the place of a row for messages.
+    Raises InputError if most cells are times and one is none, or they can be read in two ways that differ.
 
-    Raises
-    ------
-    InputError
-        If most cells are times and one is none, or they can be read in two ways that differ.
+    - ``notes``: gets a sentence where days were counted
+    - ``where``: gives the place of a row for messages
 
     Examples
     --------

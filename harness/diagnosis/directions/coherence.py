@@ -42,18 +42,11 @@ def without(
 ) -> Linearised:
     """Return a fit as it would be without its line, whose amplitude, frequency and phase are free no more.
 
-    Parameters
-    ----------
-    linear : Linearised
-        Of the fit that has the line.
-    names : collection of str
-        Parameters of the line.
-    line : Column
-        Sine and cosine of the line along both uses.
-    size : float
-        Amplitude of the line.
-    phases : mapping of str to float
-        By use.
+    - ``linear``: of the fit that has the line
+    - ``names``: parameters of the line
+    - ``line``: sine and cosine of the line along both uses
+    - ``size``: amplitude of the line
+    - ``phases``: by use
     """
     keep = np.array([name not in names for name in linear.names], dtype=bool)
     residual, nuisance = {}, {}

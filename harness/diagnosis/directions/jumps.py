@@ -35,14 +35,9 @@ def instants(traces: Sequence[Trace], port: str) -> list[float]:
 def jumps(traces: Mapping[str, Sequence[Trace]], force_scale: FloatArray, policy: Policy) -> list[Jump]:
     """Return the changes of latent forces that are too fast for what they are taken for, a Gauss-Markov process.
 
-    Parameters
-    ----------
-    traces : mapping
-        By use, a trace for each record.
-    force_scale : array (nl,)
-        The typical force of every port.
-    policy : Policy
-        Says how many standard deviations are too fast.
+    - ``traces``: by use, a trace for each record
+    - ``force_scale`` (nl,): the typical force of every port
+    - ``policy``: says how many standard deviations are too fast
     """
     return [
         Jump(trace.ports[row], use, number, time, size, step / float(force_scale[row]))

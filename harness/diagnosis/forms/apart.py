@@ -58,11 +58,7 @@ def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
     Noise, initial states and phases are their own in either case, and at their maximum, and shared parameters are as
     uncertain as the estimation records leave them: a noise that fits better is no other machine.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the validation records.
-    fit : Fit
+    - ``likelihood``: of the validation records
     """
     point = likelihood_detail(fit).points["validation"]
     own = [name for name in likelihood.names if name not in fit.free or name in fit.own]

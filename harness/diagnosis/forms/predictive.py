@@ -70,21 +70,12 @@ def predictive(
     innovations along the spread, what the initial states can do taken out (Tierney & Kadane 1986, J. Am. Stat. Assoc.
     81:82, eq. 2.2). The maximum by Gauss-Newton steps.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the records that are predicted.
-    start : Point
-        Estimates, and initial states of these records.
-    free : sequence of str
-        Parameters (count of them).
-    spread : array (count, k)
-        A square root of the covariance.
+    Raises FitError if the derivatives are not finite.
 
-    Raises
-    ------
-    FitError
-        If the derivatives are not finite.
+    - ``likelihood``: of the records that are predicted
+    - ``start``: estimates, and initial states of these records
+    - ``free``: parameters (count of them)
+    - ``spread`` (count, k): a square root of the covariance
     """
     system = likelihood.system
     places = np.array([system.parameter_names.index(name) for name in free], dtype=np.intp)

@@ -40,14 +40,8 @@ def hidden(
 ) -> list[Suspect]:
     """Return hidden resonances and play: what has no effect at first order, at every start of its parameters.
 
-    Parameters
-    ----------
-    nominal : System
-    sizes : mapping
-        Sizes of the data by port.
-    candidates : sequence of Placed
-    lightened : callable
-        Returns the nominal parameters that go with a start.
+    - ``sizes``: sizes of the data by port
+    - ``lightened``: returns the nominal parameters that go with a start
     """
     suspects = []
     for placed in candidates:

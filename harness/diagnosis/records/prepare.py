@@ -22,10 +22,7 @@ SHORTEST = 64
 def checked(dataset: Dataset, system: Measured) -> Dataset:
     """Return the data set in the channels of the system, or refuse what cannot be judged.
 
-    Raises
-    ------
-    InputError
-        If there is no estimation or no validation run, channels do not fit, or nothing moves.
+    Raises InputError if there is no estimation or no validation run, channels do not fit, or nothing moves.
     """
     spec = dataset.spec
     for use in ("estimation", "validation"):

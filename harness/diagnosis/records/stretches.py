@@ -29,16 +29,8 @@ def stretched(
     Beyond ``long`` samples together, every such record is cut into equal parts, ``count`` in all or one for each
     record, and the middle of each part is kept: ``length`` samples, less where there are more records than stretches.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    use : {"estimation", "validation"}
-    long, length, count : int
-
-    Returns
-    -------
-    Dataset
-        The same one if its records are not long; else with a warning that says what was cut.
+    - ``use`` {"estimation", "validation"}
+    - returns the same one if its records are not long; else with a warning that says what was cut
 
     Examples
     --------
@@ -79,17 +71,9 @@ def cut_alike(
 ) -> Sequence[Mapping[str, FloatArray]]:
     """Return signals of the runs of a data set for the stretches that were cut from it.
 
-    Parameters
-    ----------
-    references : sequence of mapping
-        For each run of ``whole`` signals by name, arrays (N,).
-    whole, short : Dataset
-        Before and after :func:`stretched`.
-
-    Returns
-    -------
-    sequence of mapping
-        For each run of ``short``; the signals unchanged where its runs are no stretches of the others.
+    - ``references``: for each run of ``whole`` signals by name, arrays (N,)
+    - ``whole, short``: before and after :func:`stretched`
+    - returns for each run of ``short``; the signals unchanged where its runs are no stretches of the others
     """
     if len(references) != len(whole.runs):
         return references
@@ -119,10 +103,7 @@ def _place(piece: Run, run: Run) -> int | None:
 def parted(dataset: Dataset) -> Dataset:
     """Return a data set whose records end where a position leaps, or an input is not known; others begin behind.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        One that was examined, see :func:`harness.data.oddities.examined`; what was found moves to the pieces.
+    - ``dataset``: one that was examined, see :func:`harness.data.oddities.examined`; what was found moves to the pieces
 
     Examples
     --------
@@ -186,11 +167,7 @@ def counted(dataset: Dataset) -> Dataset:
 def told_of_whole(whole: Dataset, pieces: Dataset, kinds: Sequence[str]) -> Dataset:
     """Return a data set with what was found in the pieces of it since :func:`parted`.
 
-    Parameters
-    ----------
-    whole, pieces : Dataset
-    kinds : sequence of str
-        Of what was found since; it stands in no row.
+    - ``kinds``: of what was found since; it stands in no row
 
     Examples
     --------
@@ -213,11 +190,7 @@ def told_of_whole(whole: Dataset, pieces: Dataset, kinds: Sequence[str]) -> Data
 def windowed(dataset: Dataset, seconds: float | None) -> Dataset:
     """Return a data set whose estimation and validation records are cut into windows, each a record of its own.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    seconds : float or None
-        Length of a window [s]; None leaves the records whole.
+    - ``seconds``: length of a window [s]; None leaves the records whole
     """
     if seconds is None:
         return dataset
@@ -241,20 +214,10 @@ def uncut(dataset: Dataset, column: int, ceiling: float, *, count: int = DATA_PO
 
     What a sensor cuts off it did not measure.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    column : int
-        The output.
-    ceiling : float
-        Readings of this size or more are cut off.
-    count : int
-        Pieces of each use.
-
-    Returns
-    -------
-    Dataset or None
-        None if a use has no piece of ``DATA_POLICY.shortest`` samples.
+    - ``column``: the output
+    - ``ceiling``: readings of this size or more are cut off
+    - ``count``: pieces of each use
+    - returns none if a use has no piece of ``DATA_POLICY.shortest`` samples
 
     Examples
     --------
@@ -291,13 +254,9 @@ def about_lines(records: Sequence[FloatArray], samples: int | None = None, degre
 
     Over a short window a line follows most of a slow motion: what no model is needed for explains nothing.
 
-    Parameters
-    ----------
-    records : sequence of array (N, n)
-    samples : int, optional
-        Of a window; whole records without.
-    degree : int
-        0 for a constant in each window in the place of a line.
+    - ``records`` sequence of array (N, n)
+    - ``samples``: of a window; whole records without
+    - ``degree``: 0 for a constant in each window in the place of a line
 
     Examples
     --------

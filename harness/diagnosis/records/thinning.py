@@ -47,11 +47,8 @@ class Thinned:
 def thinned_dataset(dataset: Dataset) -> Thinned:
     """Return a data set at the rate that its motion needs, with a warning that says so.
 
-    Returns
-    -------
-    Thinned
-        The records as they are where they are not sampled so often, where their signals are declared smooth and the
-        inputs move, or where a piecewise linear input would not follow the one that was applied.
+    - returns the records as they are where they are not sampled so often, where their signals are declared smooth and
+      the inputs move, or where a piecewise linear input would not follow the one that was applied
     """
     dt = dataset.spec.sample_time
     runs = [run.trajectory for run in dataset]
@@ -78,11 +75,7 @@ def thinned_dataset(dataset: Dataset) -> Thinned:
 def thinned_by(dataset: Dataset, factor: int) -> Thinned:
     """Return a data set with every so many rows of it.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    factor : int
-        1 leaves it as it is.
+    - ``factor``: 1 leaves it as it is
     """
     if factor < 2:
         return Thinned.not_at_all(dataset)
@@ -163,20 +156,11 @@ def white_keeping_filter(factor: int) -> FloatArray:
 def local_cubics(readings: FloatArray, factor: int, half: int, period: float | None = None) -> FloatArray:
     """Return every so many readings, each from the cubic through ``2 * half + 1`` neighbours.
 
-    Parameters
-    ----------
-    readings : array (N,)
-        NaN where one is missing.
-    factor, half : int
-        With ``half`` below 2 the readings themselves.
-    period : float, optional
-        Of an angle that goes round.
-
-    Returns
-    -------
-    array ((N - 1) // factor + 1,)
-        The reading itself where neighbours are wanting or missing, or lie further from the cubic than those of all
-        but one in ten thousand windows of mere noise.
+    - ``readings`` (N,): naN where one is missing
+    - ``factor, half``: with ``half`` below 2 the readings themselves
+    - ``period``: of an angle that goes round
+    - returns array ((N - 1) // factor + 1,): The reading itself where neighbours are wanting or missing, or lie
+      further from the cubic than those of all but one in ten thousand windows of mere noise
 
     Examples
     --------
@@ -254,17 +238,10 @@ def _taps(half: int) -> FloatArray:
 def hat_projection(u: FloatArray, factor: int, intersample: str = "zoh") -> FloatArray:
     """Return the continuous piecewise linear signals with nodes at every so many rows that come nearest to inputs.
 
-    Parameters
-    ----------
-    u : array (N, nu)
-        Held from row to row, or linear between rows (``intersample="foh"``).
-    factor : int
-
-    Returns
-    -------
-    array ((N - 1) // factor + 1, nu)
-        Values at the nodes. What they leave of the inputs is orthogonal to every piecewise linear function with these
-        nodes, as least squares over time are (Strang & Fix 1973, *An Analysis of the Finite Element Method*, sec. 1.3).
+    - ``u`` (N, nu): held from row to row, or linear between rows (``intersample="foh"``)
+    - returns array ((N - 1) // factor + 1, nu): Values at the nodes. What they leave of the inputs is orthogonal to
+      every piecewise linear function with these nodes, as least squares over time are (Strang & Fix 1973, *An Analysis
+      of the Finite Element Method*, sec. 1.3).
 
     Examples
     --------

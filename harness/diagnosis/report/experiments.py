@@ -151,17 +151,9 @@ def separating(members: Sequence[Placed]) -> list[str]:
 def separate_with(bench: Bench, members: Sequence[Sequence[Placed]]) -> list[dict[str, Any]]:
     """Return the experiments that would tell the members of a tie set apart.
 
-    Parameters
-    ----------
-    bench : Bench
-    members : sequence of (effects)
-        The tie set, the answer first.
-
-    Returns
-    -------
-    list of dict
-        ``separates`` (names of the members), ``why``; and either ``scenario``, ``options`` and ``command``, or an
-        ``instruction`` where no input can do it.
+    - ``members`` sequence of (effects): the tie set, the answer first
+    - returns ``separates`` (names of the members), ``why``; and either ``scenario``, ``options`` and ``command``, or an
+      ``instruction`` where no input can do it
     """
     laws = {placed.effect.name: placed.effect for member in members for placed in member}
     if len(members) < 2:

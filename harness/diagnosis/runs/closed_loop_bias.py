@@ -125,16 +125,10 @@ def closed_loop_bias(
 ) -> BiasTest:
     """Test whether feedback has biased a fit.
 
-    Parameters
-    ----------
-    form : Instrumented
-        How the model was compared with the data.
-    fitted : Fitted
-        The model.
-    records : sequence of Trajectory
-        The estimation runs.
-    references : sequence of mapping
-        For each of them the recorded signals from outside the loop by name, arrays (N_i,).
+    - ``form``: how the model was compared with the data
+    - ``fitted``: the model
+    - ``records``: the estimation runs
+    - ``references``: for each of them the recorded signals from outside the loop by name, arrays (N_i,)
     """
     names, signals = _usable(references)
     if not names:

@@ -49,16 +49,9 @@ def simulation_error(
 ) -> dict[str, Any]:
     """Return the simulation error of every use at the horizon, and at other horizons.
 
-    Parameters
-    ----------
-    form : FreeRunForm
-    fitted : Fitted
-        From either form.
-    dataset : Dataset
-    horizon : float or None
-        Seconds; None is the whole record.
-    others : sequence of float or None
-        More horizons.
+    - ``fitted``: from either form
+    - ``horizon``: seconds; None is the whole record
+    - ``others``: more horizons
 
     Notes
     -----

@@ -11,19 +11,11 @@ from harness.signals import FloatArray
 def delayed(signal: FloatArray, delay: float, dt: float) -> tuple[FloatArray, FloatArray]:
     """Return a signal delayed by any fraction of a sample, and its derivative by the delay.
 
-    Parameters
-    ----------
-    signal : array (N,)
-        Held at its first value before the record.
-    delay : float
-        [s]; a negative one counts as 0.
-    dt : float
-        Sample time [s].
-
-    Returns
-    -------
-    (array (N,), array (N,))
-        ``(1 - f) s[k - n] + f s[k - n - 1]`` with ``delay = (n + f) dt``: for a held signal its mean over the sample.
+    - ``signal`` (N,): held at its first value before the record
+    - ``delay``: [s]; a negative one counts as 0
+    - ``dt``: sample time [s]
+    - returns (array (N,), array (N,)): ``(1 - f) s[k - n] + f s[k - n - 1]`` with ``delay = (n + f) dt``: for a held
+      signal its mean over the sample
 
     Examples
     --------

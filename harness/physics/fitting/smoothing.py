@@ -28,19 +28,10 @@ class Smoothed:
 def smooth(signal: FloatArray, dt: float, *, period: float | None = None) -> Smoothed:
     """Return a signal smoothed by local cubics (Savitzky & Golay 1964).
 
-    Parameters
-    ----------
-    signal : array (N,)
-        Uniformly sampled.
-    dt : float
-        Sample time [s].
-    period : float, optional
-        Of an angle: it is unwrapped first.
-
-    Returns
-    -------
-    Smoothed
-        Of the width, among 5 to 91 samples, with the least leave-one-out error; its arrays cannot be written to.
+    - ``signal`` (N,): uniformly sampled
+    - ``dt``: sample time [s]
+    - ``period``: of an angle: it is unwrapped first
+    - returns of the width, among 5 to 91 samples, with the least leave-one-out error; its arrays cannot be written to
 
     Examples
     --------

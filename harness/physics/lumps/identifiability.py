@@ -104,15 +104,10 @@ def determined(
 ) -> tuple[RankDecision, FloatArray, float]:
     """Return which directions of the parameters a regressor determines, relative to the noise that is in it.
 
-    Parameters
-    ----------
-    rows, names : array (M, k), sequence of str
-        The regressor and its columns.
-    noise : array (any, k), optional
-        What errors change in the rows: those of a record with as much noise again, minus the rows; and those of
-        another smoothing, minus the rows, below.
-    tolerance : float
-        Numerical floor: least singular value, columns at unit length.
+    - ``rows, names`` array (M, k), sequence of str: the regressor and its columns
+    - ``noise`` (any, k): what errors change in the rows: those of a record with as much noise again, minus the rows;
+      and those of another smoothing, minus the rows, below
+    - ``tolerance``: numerical floor: least singular value, columns at unit length
 
     Returns
     -------

@@ -27,23 +27,12 @@ class Split:
 def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Split:
     """Return the lumped parameters of a mechanism and the functions that multiply them.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-    known : mapping, optional
-        Parameters whose value is known: they are replaced by it.
+    Raises InputError if a term does not separate into parameters and motion (a parameter inside a function of the state
+    that no addition theorem takes apart), a known parameter is unknown, or the mechanism is generated code.
 
-    Returns
-    -------
-    Split
-        With the least number of combinations: monomials in the parameters that always come in the same proportion to
-        each other are added up (row reduction of the table of functions against monomials).
-
-    Raises
-    ------
-    InputError
-        If a term does not separate into parameters and motion (a parameter inside a function of the state that no
-        addition theorem takes apart), a known parameter is unknown, or the mechanism is generated code.
+    - ``known``: parameters whose value is known: they are replaced by it
+    - returns with the least number of combinations: monomials in the parameters that always come in the same proportion
+      to each other are added up (row reduction of the table of functions against monomials)
 
     Examples
     --------

@@ -45,15 +45,8 @@ def told(fit: Fit) -> Fit:
 
     For plug-ins too: the model is a dataclass with a dictionary ``notes``, where the finding stands under ``warning``.
 
-    Parameters
-    ----------
-    fit : callable
-        Of :class:`harness.protocols.Identifier`.
-
-    Returns
-    -------
-    callable
-        The same.
+    - ``fit``: of :class:`harness.protocols.Identifier`
+    - returns the same
     """
 
     @functools.wraps(fit)

@@ -42,19 +42,9 @@ def responses(
     II.13). So the rate ``sqrt(L / N)`` of Oymak & Ozay 2019, *ACC*, theorem 3.1, has its constants from the record; no
     input need be white.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    length : int
-        L; the response must have died away by then.
-    confidence : float
-    rng : numpy.random.Generator
-        For draws of the measured error.
-
-    Returns
-    -------
-    Responses or None
-        None where the inputs do not excite so many lags.
+    - ``length``: L; the response must have died away by then
+    - ``rng``: for draws of the measured error
+    - returns none where the inputs do not excite so many lags
 
     Examples
     --------

@@ -99,13 +99,9 @@ def sampled(
     Exact for any dead time: the input is constant (or straight) on the parts of an interval before and after the
     fraction of a sample by which it is late (Astrom & Wittenmark 1997, sec. 2.3, for the hold of order zero).
 
-    Parameters
-    ----------
-    model : Rational
-        Strictly proper.
-    sample_time : float
-        [s]
-    hold : {"zoh", "foh"}
+    - ``model``: strictly proper
+    - ``sample_time``: [s]
+    - ``hold`` {"zoh", "foh"}
 
     Examples
     --------

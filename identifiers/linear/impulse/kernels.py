@@ -86,17 +86,11 @@ def evidence(gram: FloatArray, right: FloatArray, square: float, rows: int, root
     The noise's variance s^2 has its maximum in closed form, ``y' (I + Phi K Phi')^-1 y / N`` (Chen, Ohlsson & Ljung
     2012, sec. 5, with their P over s^2), so that outputs of unequal noise each have their own.
 
-    Parameters
-    ----------
-    gram : array (p, p)
-        ``Phi' Phi``.
-    right : array (p,)
-        ``Phi' y``.
-    square : float
-        ``y' y``.
-    rows : int
-        N.
-    root : array (p, p)
+    - ``gram`` (p, p): ``Phi' Phi``
+    - ``right`` (p,): ``Phi' y``
+    - ``square``: ``y' y``
+    - ``rows``: N
+    - ``root`` (p, p)
 
     Examples
     --------

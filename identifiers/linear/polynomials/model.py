@@ -155,12 +155,7 @@ def errors_and_gradients(
     (Ljung 1999, eq. 4.35 and 10.53); the free responses X and Z to a pulse at the first sample stand for what happened
     before.
 
-    Parameters
-    ----------
-    model : Polynomials
-    starts : sequence of (X (start_x,), Z (start_z,))
-        One pair a record; X group by group.
-    parts : sequence of Part
+    - ``starts`` sequence of (X (start_x,), Z (start_z,)): one pair a record; X group by group
     """
     total = sum(part.y.size for part in parts)
     nx, nz, count = model.orders.start_x, model.orders.start_z, model.orders.count

@@ -73,16 +73,9 @@ def search(
     No model with a pole beyond the radius is taken, and no noise model that remembers the start through the record:
     with the free start it would fit the record's slow chances.
 
-    Parameters
-    ----------
-    first : Polynomials
-        Where the search begins.
-    parts : sequence of Part
-    offset : bool
-        The level is free.
-    radius : float
-    rounds : int
-        0 evaluates the start, its initial states solved for.
+    - ``first``: where the search begins
+    - ``offset``: the level is free
+    - ``rounds``: 0 evaluates the start, its initial states solved for
     """
     orders = first.orders
     count, nx, nz = orders.count, orders.start_x, orders.start_z

@@ -52,19 +52,11 @@ def ladder(
     Upwards each begins from reductions of long one-step models, then downwards from the reduction of the next larger
     one, and from a regression on signals that its own poles have filtered; what has the larger likelihood stays.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Outputs and inputs of size 1.
-    free : Freedom
-    orders : sequence of int
-    noise : int
-        Length of the noise's autoregression, at most; 0 keeps it white.
-    seen : sequence of Piece, optional
-        Where the inputs of the pieces are inputs and outputs, the pieces with inputs alone: what is found is then the
-        predictor of a model in innovation form.
-    rival : float
-        What Schwarz's rule says of the best model so far: searches that cannot come below end early.
+    - ``pieces``: outputs and inputs of size 1
+    - ``noise``: length of the noise's autoregression, at most; 0 keeps it white
+    - ``seen``: where the inputs of the pieces are inputs and outputs, the pieces with inputs alone: what is found is
+      then the predictor of a model in innovation form
+    - ``rival``: what Schwarz's rule says of the best model so far: searches that cannot come below end early
     """
     climb = _Climb(pieces, free, noise, rival)
     direct = free.direct > 0

@@ -76,17 +76,9 @@ def search(
 ) -> End:
     """Return the largest likelihood that is reached from a start.
 
-    Parameters
-    ----------
-    first : End
-        As :func:`settled_starts` makes it.
-    pieces : sequence of Piece
-    free : Freedom
-    rounds : int
-    gain : float
-        Of the log-likelihood in one step, below which the search has arrived.
-    beat : float
-        Loss that is of use: a search that its own slopes give no hope of it ends where it is.
+    - ``first``: as :func:`settled_starts` makes it
+    - ``gain``: of the log-likelihood in one step, below which the search has arrived
+    - ``beat``: loss that is of use: a search that its own slopes give no hope of it ends where it is
     """
     longest = max(len(piece.u) for piece in pieces)
     furthest = min(1.0 + 1.0 / longest, free.radius)
