@@ -114,13 +114,13 @@ class Reach:
 
         if self.opened is None or not self.opened.is_dir():
             return
-        for run in read_description(description).runs:
-            named = (description.parent / run.file).resolve()
+        for file in (file for run in read_description(description).runs for file in run.files):
+            named = (description.parent / file).resolve()
             if not named.is_relative_to(self.opened.resolve()):
                 raise InputError(
                     "a record outside of what was opened",
                     expected=f"files of {self.opened}",
-                    got=run.file,
+                    got=file,
                     remedy=f"open the data set itself: sysid open {description}",
                     file=description,
                 )

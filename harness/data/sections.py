@@ -81,6 +81,25 @@ class TimeSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Its unit; by default what the title says, else s."""
 
 
+class BesideSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A file that another logger wrote during the same run; its signals go by their titles as those of the run's file.
+
+    Its clock began elsewhere: ``offset`` says by how much, or ``same`` names a quantity that both files hold, from
+    which it is estimated. ``[resample]`` says on which grid the signals come together.
+    """
+
+    file: str
+    """File of data, found as that of the run."""
+    sheet: str | None = None
+    """Sheet of an Excel workbook; by default the first."""
+    time: Column | None = None
+    """Title of its time column; by default the one that is called so."""
+    offset: float | None = None
+    """Seconds to be added to its stamps to have them on the clock of the run's file; 0 for a clock in common."""
+    same: tuple[str, ...] = ()
+    """Titles of one quantity, in the run's file and in this one: the offset is estimated from it, and printed."""
+
+
 class RunSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One uninterrupted piece of a file, and what it is used for."""
 
@@ -98,6 +117,13 @@ class RunSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Rows left out at the start of the piece."""
     columns: dict[str, Column] = {}
     """Columns of this run that differ from those of the signals."""
+    beside: tuple[BesideSection, ...] = ()
+    """Files of other loggers that recorded the same run."""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """All its files."""
+        return (self.file, *(one.file for one in self.beside))
 
 
 class ResampleSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -62,7 +62,7 @@ class RecordJob:
                 read = read_description(self.record.file)
             except HarnessError:
                 return found  # the row will say so
-            found += [self.record.file.parent / run.file for run in read.runs]
+            found += [self.record.file.parent / file for run in read.runs for file in run.files]
             if model is None and read.nominal is not None:
                 model, folder = read.nominal.model, self.record.file.parent
         if model is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +62,9 @@ def messages(store: Any, one: bool) -> list[tuple[str, str, int, Any]]:
     return sorted(out, key=lambda entry: entry[2])
 
 
-def written(folder: Path, kind: str) -> Path:
+def written(
+    folder: Path, kind: str, messages: Callable[[Any, bool], list[tuple[str, str, int, Any]]] = messages
+) -> Path:
     """Write a bag of one kind."""
     if kind == "ros1":
         store = get_typestore(Stores.ROS1_NOETIC)
@@ -170,6 +174,38 @@ def test_a_broken_bag_is_refused_in_one_line(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"no bag at all, but long enough to be looked at by a reader")
         with pytest.raises(InputError, match=r"not an? (ROS bag|MCAP) file"):
             contents_of(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "no message at all; remedy: record again"),
+        ("hello", "only messages of std_msgs/msg/String; remedy: record the topics that hold"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["ros1", "db3", "mcap"])
+def test_a_bag_without_numbers_says_why(kind: str, text: str | None, said: str, tmp_path: Path) -> None:
+    monkey = [] if text is None else [("/chatter", "std_msgs/msg/String", START, text)]
+    with pytest.raises(InputError, match=re.escape(said)):
+        contents_of(
+            written(
+                tmp_path,
+                kind,
+                lambda store, one: [(topic, name, at, store.types[name](data)) for topic, name, at, data in monkey],
+            )
+        )
+
+
+@pytest.mark.parametrize("kind", ["db3 folder", "mcap folder"])
+def test_a_bag_whose_file_was_renamed_is_read_and_one_that_lacks_a_file_is_not(kind: str, tmp_path: Path) -> None:
+    folder = written(tmp_path, kind)
+    file = next(one for one in folder.iterdir() if one.suffix in (".db3", ".mcap"))
+    wanted = [channel.column for channel in contents_of(folder).channels]
+    renamed = file.rename(folder / f"run{file.suffix}")
+    assert [channel.column for channel in contents_of(folder).channels] == wanted
+    renamed.unlink()
+    with pytest.raises(InputError, match="not a ROS bag file"):
+        contents_of(folder)
 
 
 def test_a_topic_whose_definition_cannot_be_read_does_not_take_the_others_with_it(tmp_path: Path) -> None:

@@ -20,8 +20,9 @@ from harness.data.recipe.plan import Plan
 from harness.data.recipe.ports import nearest
 from harness.data.recipe.sanity import check_run, check_runs
 from harness.data.recipe.second_clock import refuse_other_pace
-from harness.data.sections import Description, RunSection
+from harness.data.sections import BesideSection, Description, RunSection
 from harness.data.tables.bags import is_bag_folder
+from harness.data.tables.beside import BesideFile
 from harness.data.tables.merging import in_turn, merged, one_clock
 from harness.data.tables.table import Table, open_table
 from harness.errors import InputError
@@ -47,6 +48,7 @@ class Reader:
     ) -> None:
         self.path, self.description = path, description
         self.tables = tables
+        self._joined: dict[int, Table] = {}
         self.plan = Plan(path, description, model=model, ports=ports, header_unit=self._header_unit)
         self.notes = [*notes, *self.plan.notes]
         self.steps: dict[str, list[float]] = {}
@@ -79,9 +81,7 @@ class Reader:
             file = self._file(number, section)
             place, name = self._place(number, section, file)
             try:
-                pieces, notes = self._pieces(
-                    section, open_table(file, self.tables, section.sheet), None if spec is None else spec.sample_time
-                )
+                pieces, notes = self._pieces(section, self._table(number), None if spec is None else spec.sample_time)
                 longest = max((len(piece.values) for piece in pieces), default=0)
                 for order, piece in enumerate(pieces):
                     spec = spec or self._spec(piece.sample_time)
@@ -99,7 +99,7 @@ class Reader:
             except InputError as error:
                 raise error.located(file=file, place=place) from error
             self.notes += [f"{name}: {note}" for note in dict.fromkeys(notes)]
-        for table in self.tables.values():
+        for table in (*self.tables.values(), *self._joined.values()):
             self.notes += [f"{table.path.name}: {note}" for note in table.notes]
         self.notes += check_runs(runs, records)
         self._check_overlap()
@@ -159,8 +159,7 @@ class Reader:
         if not self.plan.unrecorded:
             return
         channel, ports = self.plan.unrecorded[0], self.plan.ports
-        section = self.description.runs[0]
-        table = open_table(self._file(0, section), self.tables, section.sheet)
+        section, table = self.description.runs[0], self._table(0)
         signals = self.description.signals
         used = {self._title(name, table, section) for name in signals if signals[name].role != "reference"}
         clock = self._clock(section, table, used)
@@ -177,7 +176,19 @@ class Reader:
 
     # ---- files ----------------------------------------------------------------------------------------------------
 
-    def _file(self, number: int, section: RunSection) -> Path:
+    def _table(self, number: int) -> Table:
+        """Return the table of a run: of its file, and of those that other loggers wrote beside."""
+        section = self.description.runs[number]
+        file = self._file(number, section)
+        table = open_table(file, self.tables, section.sheet)
+        if not section.beside:
+            return table
+        if number not in self._joined:
+            others = [(open_table(self._file(number, one), self.tables, one.sheet), one) for one in section.beside]
+            self._joined[number] = Table(file, BesideFile(table, lambda: self._time(section, table, {}), others))
+        return self._joined[number]
+
+    def _file(self, number: int, section: RunSection | BesideSection) -> Path:
         """Return the file of a run: beside the description, or under the folder of recordings."""
         given = Path(section.file)
         if given in self.tables:
@@ -216,8 +227,7 @@ class Reader:
 
     def _header_unit(self, name: str, like: str | None) -> str | None:
         """Return the unit that the first run's file states for a signal."""
-        section = self.description.runs[0]
-        table = open_table(self._file(0, section), self.tables, section.sheet)
+        section, table = self.description.runs[0], self._table(0)
         return table.read(self._column(name, section), like)[1]
 
     def _column(self, name: str, section: RunSection) -> str | int:
@@ -296,7 +306,7 @@ class Reader:
         declared = section.columns.get(
             "time", "time" if self.description.time is None else self.description.time.column
         )
-        if declared != "time":
+        if declared != "time" and not section.beside:
             raise InputError(
                 "a time column where signals have clocks of their own",
                 expected="none: each message has its stamp",

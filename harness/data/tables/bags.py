@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
-from harness.data.tables.binary_files import broken
-from harness.errors import InputError
+from harness.data.tables.binary_files import broken, no_numbers
 from harness.extras import optional
 from harness.signals import FloatArray
 
@@ -58,7 +57,7 @@ class BagFile:
             for topic, kind, logged, message in _messages(path):
                 readable.add(kind)
                 if isinstance(message, Exception):
-                    unread[topic] = f"{kind} ({type(message).__name__})"
+                    unread[topic] = kind
                     continue
                 at = (logged, _header(message))
                 for name, value, unit in _numbers(topic, message):
@@ -69,16 +68,11 @@ class BagFile:
         except Exception as error:  # the library raises whatever a damaged bag makes it meet
             raise broken(path, "ROS bag", error) from error
         if not columns:
-            raise InputError(
-                "no readable topics",
-                expected="topics whose messages hold numbers",
-                got=", ".join(f"{topic}: {kind}" for topic, kind in unread.items())
-                or ", ".join(sorted(readable))
-                or "none",
-                remedy="record the types with the bag (MCAP does), or convert it to CSV",
-                file=path,
-            )
-        self.notes = [f"topic {topic} is left out: {kind} cannot be read" for topic, kind in unread.items()]
+            raise no_numbers(path, unread, {f"messages of {kind}" for kind in readable})
+        self.notes = [
+            f"topic {topic} is left out: the bag does not hold the definition of {kind}, or it cannot be read"
+            for topic, kind in unread.items()
+        ]
         self._columns = {name: np.array(values) for name, values in columns.items()}
         self._stamps = {name: np.array(pairs, dtype=np.int64) for name, pairs in stamps.items()}
         self._origin = min(int(pairs[0, 0]) for pairs in self._stamps.values())
@@ -112,6 +106,23 @@ class BagFile:
         return self._units.get(title)
 
 
+def _files(path: Path) -> list[Path]:
+    """Return what a bag is read from: itself, or the files of a folder that were renamed since its metadata.
+
+    As many files as the metadata name, none under the name that it had, are these: ``ros2 bag reindex`` takes them so.
+    """
+    if not is_bag_folder(path):
+        return [path]
+    yaml = optional("ruamel.yaml", "a bag")
+    with contextlib.suppress(Exception):  # the reader words what is wrong with the metadata
+        said = yaml.YAML(typ="safe").load((path / "metadata.yaml").read_text(encoding="utf-8"))
+        named = [PurePath(one).name for one in said["rosbag2_bagfile_information"]["relative_file_paths"]]
+        there = sorted(one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
+        if len(there) == len(named) and not {one.name for one in there} & set(named):
+            return there
+    return [path]
+
+
 def _messages(path: Path) -> Iterator[tuple[str, str, int, Any]]:
     """Yield topic, type, time of recording [ns] and content of every message.
 
@@ -121,7 +132,7 @@ def _messages(path: Path) -> Iterator[tuple[str, str, int, Any]]:
     highlevel = optional("rosbags.highlevel", "a bag")
     typesys = optional("rosbags.typesys", "a bag")
     usual = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    bag = highlevel.AnyReader([path], default_typestore=usual)
+    bag = highlevel.AnyReader(_files(path), default_typestore=usual)
     for part in bag.readers:
         with part:
             stores = {connection.id: _types(connection, typesys, usual) for connection in part.connections}

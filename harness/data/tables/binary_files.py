@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import posixpath
 import re
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,25 @@ from harness.data.times.stamps import clock
 from harness.errors import InputError
 from harness.extras import optional
 from harness.signals import FloatArray
+
+
+def no_numbers(path: Path, unread: Mapping[str, str], readable: Collection[str]) -> InputError:
+    """Return the refusal of a log of messages without a number in it: what to do depends on why there is none.
+
+    - ``unread``: topics that cannot be read, with what they hold
+    - ``readable``: what could be read
+    """
+    if unread:
+        got = "none whose definition is in the log and known: "
+        got += ", ".join(f"{topic}: {kind}" for topic, kind in unread.items())
+        remedy = "record it with its definitions (ros2 bag record -s mcap; JSON), or convert it to CSV"
+    elif readable:
+        got = f"only {', '.join(sorted(readable))}"
+        remedy = "record the topics that hold numbers (joint states, commands, wrenches)"
+    else:
+        got, remedy = "no message at all", "record again, while the topics are being published"
+    expected = "topics whose messages hold numbers"
+    return InputError("a log without numbers", expected=expected, got=got, remedy=remedy, file=path)
 
 
 def broken(path: Path, kind: str, error: Exception) -> InputError:

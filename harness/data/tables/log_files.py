@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables.binary_files import broken
+from harness.data.tables.binary_files import broken, no_numbers
 from harness.data.tables.columns import MemoryTable
 from harness.errors import InputError
 from harness.extras import optional
@@ -221,12 +221,8 @@ class McapFile:
         except Exception as error:
             raise broken(path, "MCAP", error) from error
         if not columns:
-            raise InputError(
-                "no readable topics",
-                expected="topics with JSON messages",
-                got=", ".join(f"{topic} ({encoding})" for topic, encoding in sorted(foreign.items())) or "none",
-                remedy="convert the log to JSON messages or to CSV",
-                file=path,
+            raise no_numbers(
+                path, {topic: f"messages in {encoding}" for topic, encoding in sorted(foreign.items())}, set(stamps)
             )
         self._foreign = foreign
         self._columns = {name: np.array(values) for name, values in columns.items()}
