@@ -35,6 +35,10 @@ ELSEWHERE = {
     "0.9": "18 seeds",
     **dict.fromkeys(("2.6", "0.02"), "docs/modes.md, whose commands run in the tests"),
     **dict.fromkeys(("1.3e-5", "1.9e-3"), "25 simulated records of the chapter's data"),
+    **dict.fromkeys(
+        ("5.313e-7", "0.016846", "0.036672"),
+        "tests/identifiers/test_identifiers_systems_linear.py, which the text names",
+    ),
 }
 """Figures that no block above prints: where each comes from."""
 
