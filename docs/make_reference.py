@@ -25,6 +25,7 @@ DATASET = {
     "[time]": sections.TimeSection,
     "[signals.NAME]": sections.SignalSection,
     "[[runs]]": sections.RunSection,
+    "[[runs.beside]]": sections.BesideSection,
     "[nominal]": sections.NominalSection,
     "[nominal.parameters] NAME": sections.NominalParameter,
     "[resample]": sections.ResampleSection,
