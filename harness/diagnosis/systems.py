@@ -148,6 +148,8 @@ class AnySystem(Measured, Parametrised, Protocol):
         ...
 
 
+Starts = Sequence[Mapping[str, float]]
+"""Values of parameters by name, from each of which a fit begins."""
 SystemT = TypeVar("SystemT", bound=AnySystem)
 """One kind of model."""
 

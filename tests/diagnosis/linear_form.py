@@ -12,6 +12,7 @@ from harness.diagnosis.search.fit import Begun, Column, Fit, Jump, Linearised, S
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, Answer, Round, Table
+from harness.diagnosis.systems import Starts
 from harness.effects import Dictionary, builtin
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -92,7 +93,7 @@ class LinearForm:
     def fit(
         self,
         effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
+        starts: Starts,
         base: Fit | None,
         rival: Fit | None = None,
     ) -> Fit:
@@ -122,13 +123,7 @@ class LinearForm:
         """Return nothing: there is no latent force."""
         return None
 
-    def begin(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        hope: float = -np.inf,
-    ) -> Begun:
+    def begin(self, effects: Sequence[Placed], starts: Starts, base: Fit | None, hope: float = -np.inf) -> Begun:
         made = self.fit(effects, starts, base)
         return Begun(tuple(effects), made.log_likelihood("estimation"), made.values, made)
 

@@ -37,7 +37,7 @@ from harness.diagnosis.forms.suspects import lost_signs, piled_up
 from harness.diagnosis.forms.system_form import SystemForm
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.fit import Begun, Fit, InOneGo, Linearised, Suspect
-from harness.diagnosis.systems import AnySystem, SystemT
+from harness.diagnosis.systems import AnySystem, Starts, SystemT
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import FitError, HarnessError
@@ -118,13 +118,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     # ---- fits ------------------------------------------------------------------------------------------------------
 
-    def begin(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        hope: float = -np.inf,
-    ) -> Begun | None:
+    def begin(self, effects: Sequence[Placed], starts: Starts, base: Fit | None, hope: float = -np.inf) -> Begun | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         if self.spent(effects, base, EFFORT.seconds):
             return None
@@ -151,7 +145,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         system: SystemT,
         passes: Pass,
         vectors: Sequence[Mapping[str, float]],
-        starts: Sequence[Mapping[str, float]],
+        starts: Starts,
         effects: Sequence[Placed],
         base: Fit | None,
     ) -> tuple[Likelihood, list[Point]]:

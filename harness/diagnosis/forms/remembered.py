@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from harness.diagnosis.number import described
 from harness.diagnosis.policy import DATA_POLICY, POLICY
 from harness.diagnosis.search.fit import Begun, Column, Fit, InOneGo, Jump, Linearised, Suspect
 from harness.diagnosis.store import Store, data_fingerprint
-from harness.diagnosis.systems import AnySystem
+from harness.diagnosis.systems import AnySystem, Starts
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.fingerprint import fingerprint, own_code
@@ -53,13 +53,7 @@ class Remembered(InOneGo):
         """Pass on."""
         return self.form.laws
 
-    def begin(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        hope: float = -np.inf,
-    ) -> Begun | None:
+    def begin(self, effects: Sequence[Placed], starts: Starts, base: Fit | None, hope: float = -np.inf) -> Begun | None:
         """Begin as it is asked for: first steps are cheap, and the same each time."""
         return self.form.begin(effects, starts, base, hope)
 
