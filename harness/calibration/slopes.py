@@ -23,17 +23,10 @@ AGREES = 0.03
 class OwnSlopes:
     """Derivatives by those columns of (p, x0) for which an FMU's own agree with differences.
 
-    Parameters
-    ----------
-    plant : Plant
-        With ``rollout_partials``.
-    begin : callable
-        ``begin(p, x0)`` resets the plant with these values.
-    keys : sequence of str
-        The plant's names of the parameters and states by which is derived, in the order of the columns.
-    derivatives : mapping of str to str
-        The plant's states, and the variables that are their derivatives.
-    outputs : sequence of str
+    - ``plant``: with ``rollout_partials``
+    - ``begin``: ``begin(p, x0)`` resets the plant with these values
+    - ``keys``: the plant's names of the parameters and states by which is derived, in the order of the columns
+    - ``derivatives``: the plant's states, and the variables that are their derivatives
     """
 
     def __init__(

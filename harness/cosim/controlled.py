@@ -18,11 +18,7 @@ MOST = 1024  # Exchanges within a communication step at most.
 class Lines:
     """Real signals of parts as lines within a step; a part that holds its input gets the mean over the step.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-    count : int
-        Outputs of all parts, ny.
+    - ``count``: outputs of all parts, ny
     """
 
     def __init__(self, parts: Sequence[Part], count: int) -> None:
@@ -57,20 +53,11 @@ class Controlled:
     (step doubling, Hairer, Norsett & Wanner 1993, *Solving Ordinary Differential Equations I*, sec. II.4). The finer
     one stands; it is the coarser one whose error is kept below the bound.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        Their plants tell that they can step parts of a sample (``divides``, ``step_part``) and be rolled back.
-    error : float
-        Relative to one more than the size of a signal.
-    late : sequence
-        Delayed wires.
-    iterations : int
+    Raises InputError if a part cannot, or there is a delay, another rate, several passes.
 
-    Raises
-    ------
-    InputError
-        If a part cannot, or there is a delay, another rate, several passes.
+    - ``parts``: their plants tell that they can step parts of a sample (``divides``, ``step_part``) and be rolled back
+    - ``error``: relative to one more than the size of a signal
+    - ``late``: delayed wires
     """
 
     def __init__(self, parts: Sequence[Part], error: float, late: Sequence[object], iterations: int) -> None:

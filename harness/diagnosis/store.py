@@ -35,12 +35,8 @@ def data_fingerprint(dataset: Dataset) -> str:
 class Store:
     """Records by key in ``folder/candidates``.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to keep them.
-    identity : str
-        Fingerprint of data and options: records of another identity are not seen.
+    - ``folder``: where to keep them
+    - ``identity``: fingerprint of data and options: records of another identity are not seen
     """
 
     def __init__(self, folder: Path, identity: str) -> None:

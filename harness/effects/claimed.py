@@ -95,14 +95,9 @@ def _base(system: System, signals: Signals, p: FloatArray) -> FloatArray:
 class ClaimedForce:
     """The force that one effect adds to a system along motions, made once.
 
-    Parameters
-    ----------
-    system : harness.physics.System
-        Mechanical, without the effect and without hidden states.
-    placed : Placed
-        The effect and its port; :func:`claimable`.
-    sizes : mapping
-        Sizes of the data at that port.
+    - ``system``: mechanical, without the effect and without hidden states
+    - ``placed``: the effect and its port; :func:`claimable`
+    - ``sizes``: sizes of the data at that port
 
     Examples
     --------

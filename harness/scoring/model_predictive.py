@@ -33,16 +33,10 @@ SHARES = np.array([1.0, 0.3, 0.1, 0.0])  # Shares of a step that are tried; the 
 class ModelPredictive:
     """Receding-horizon control of the outputs of a model about a point.
 
-    Parameters
-    ----------
-    model : Model
-        Of real inputs and outputs.
-    target, hold : array (ny,), (nu,)
-        Outputs to be held, and inputs that hold them.
-    q, r : array (ny, ny), (nu, nu)
-        Weights of deviations from both.
-    size : array (nu,)
-        Of the inputs that the model was fitted to.
+    - ``model``: of real inputs and outputs
+    - ``target, hold`` (ny,), (nu,): outputs to be held, and inputs that hold them
+    - ``q, r`` (ny, ny), (nu, nu): weights of deviations from both
+    - ``size`` (nu,): of the inputs that the model was fitted to
 
     Notes
     -----

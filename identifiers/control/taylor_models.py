@@ -20,9 +20,7 @@ class TaylorModel:
     Unlike plain intervals, what depends on the same t cancels up to second order (Makino & Berz 2003, *Int. J. Pure
     Appl. Math.* 4:379). What an operation leaves out, rounding included, goes into e.
 
-    Parameters
-    ----------
-    constant, slope, bend, error : array (n,), (n, m), (n, m, m), (n,)
+    - ``constant, slope, bend, error`` (n,), (n, m), (n, m, m), (n,)
 
     Examples
     --------

@@ -20,11 +20,8 @@ _TOLERANCE = 8e-15
 class Hankel:
     """``H[i, j] = markov[i + j]``, blocks (ny, nu).
 
-    Parameters
-    ----------
-    markov : array (rows + columns - 1, ny, nu)
-    rows, columns : int
-        Number of block rows and block columns.
+    - ``markov`` (rows + columns - 1, ny, nu)
+    - ``rows, columns``: number of block rows and block columns
 
     Examples
     --------

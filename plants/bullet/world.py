@@ -56,12 +56,8 @@ class Settings:
 class World:
     """A client, its body and what drives it.
 
-    Parameters
-    ----------
-    urdf : Element
-        With nothing left to Bullet's defaults; see :func:`plants.bullet.engine.explicit_urdf`.
-    settings : Settings
-        What to build.
+    - ``urdf``: with nothing left to Bullet's defaults; see :func:`plants.bullet.engine.explicit_urdf`
+    - ``settings``: what to build
     """
 
     def __init__(self, urdf: ET.Element, settings: Settings) -> None:

@@ -39,10 +39,7 @@ class BagFile:
     Lists of joints (``JointState``) go by the joint's name, whatever its place in a message:
     ``/joint_states.position[elbow]``; other lists by their index: ``/command.data[0]``.
 
-    Parameters
-    ----------
-    path : Path
-        ``.bag``, ``.db3``, ``.mcap``, or the folder of a ROS 2 bag.
+    - ``path``: ``.bag``, ``.db3``, ``.mcap``, or the folder of a ROS 2 bag
     """
 
     paths = True

@@ -17,14 +17,9 @@ from harness.signals import Channel, FloatArray, Trajectory
 class MemoryTable:
     """Columns in memory.
 
-    Parameters
-    ----------
-    columns : mapping
-        One-dimensional arrays by title (``"u [N m]"``).
-    first : int
-        What a person calls the first row.
-    word : str
-        What a person calls a row.
+    - ``columns``: one-dimensional arrays by title (``"u [N m]"``)
+    - ``first``: what a person calls the first row
+    - ``word``: what a person calls a row
     """
 
     def __init__(self, columns: Mapping[str, Any], *, first: int = 0, word: str = "row") -> None:

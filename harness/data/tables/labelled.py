@@ -331,10 +331,7 @@ def _holds_more(values: Iterable[Any]) -> bool:
 class JsonFile(MemoryTable):
     """A file of JSON that holds one table.
 
-    Raises
-    ------
-    InputError
-        If it holds none, or more than one.
+    Raises InputError if it holds none, or more than one.
     """
 
     def __init__(self, path: Path) -> None:

@@ -149,13 +149,9 @@ def open_tdms(path: Path) -> MemoryTable | Waveforms:
 class Waveforms:
     """Channels that state start and step of their sampling; ``time`` is the clock of the first.
 
-    Parameters
-    ----------
-    names, units : sequence of str
-    values : sequence of array (N,)
-    sampling : sequence of mapping
-        ``wf_increment`` [s], and perhaps ``wf_start_offset`` [s] and ``wf_start_time`` (National Instruments, *TDMS
-        File Format Internal Structure*, properties of waveforms).
+    - ``values`` sequence of array (N,)
+    - ``sampling``: ``wf_increment`` [s], and perhaps ``wf_start_offset`` [s] and ``wf_start_time`` (National
+      Instruments, *TDMS File Format Internal Structure*, properties of waveforms)
     """
 
     def __init__(

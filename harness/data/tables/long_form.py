@@ -35,19 +35,11 @@ class LongTable:
     Where all have the same stamps they share the rows; else each row holds what was written in it, in the order of the
     stamps, and the other signals are empty there.
 
-    Parameters
-    ----------
-    source : reader of a file
-        With texts.
-    columns : tuple of str
-        Titles of the clock, the names, the readings, and the units (empty for none).
-    tags : sequence of str
-        The names, by row.
+    Raises InputError if a cell cannot be read, or a signal has two units.
 
-    Raises
-    ------
-    InputError
-        If a cell cannot be read, or a signal has two units.
+    - ``source``: with texts
+    - ``columns``: titles of the clock, the names, the readings, and the units (empty for none)
+    - ``tags``: the names, by row
     """
 
     def __init__(self, source: Any, columns: tuple[str, str, str, str], tags: Sequence[str]) -> None:

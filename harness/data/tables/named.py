@@ -59,11 +59,7 @@ class Source(Protocol):
 class Columns:
     """The columns of a source.
 
-    Parameters
-    ----------
-    path : Path
-        What messages call it.
-    source : Source
+    - ``path``: what messages call it
     """
 
     def __init__(self, path: Path, source: Source) -> None:

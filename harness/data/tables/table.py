@@ -162,17 +162,10 @@ def unknown_format(path: Path) -> InputError:
 class Table(Columns):
     """One file of data, or a table in memory.
 
-    Parameters
-    ----------
-    path : Path
-        Its suffix decides the format; see :data:`FORMATS`.
-    source : Source, optional
-        What is in memory already; the path is then a name for messages.
+    Raises InputError if there is no file, its format is unknown, or it cannot be read.
 
-    Raises
-    ------
-    InputError
-        If there is no file, its format is unknown, or it cannot be read.
+    - ``path``: its suffix decides the format; see :data:`FORMATS`
+    - ``source``: what is in memory already; the path is then a name for messages
     """
 
     def __init__(self, path: Path, source: Source | None = None) -> None:

@@ -31,12 +31,7 @@ class Run(Filtered):
 
 
 class FreePass:
-    """Simulates records with an FMU and effects around it; a :class:`harness.physics.compiled.kalman_pass.Pass`.
-
-    Parameters
-    ----------
-    simulator : FmuSimulator
-    """
+    """Simulates records with an FMU and effects around it; a :class:`harness.physics.compiled.kalman_pass.Pass`."""
 
     def __init__(self, simulator: FmuSimulator) -> None:
         self.simulator = simulator

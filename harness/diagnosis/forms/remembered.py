@@ -27,11 +27,7 @@ class Remembered(InOneGo):
     A fit is known by all that decides it: the data, the compiled model with its effects, where its first steps led, the
     fits that it goes on from and is held against, the deciding numbers and the code of the project.
 
-    Parameters
-    ----------
-    form : WholeForm
-    folder : Path, optional
-        Nothing is kept without one.
+    - ``folder``: nothing is kept without one
     """
 
     def __init__(self, form: WholeForm, folder: Path | None) -> None:

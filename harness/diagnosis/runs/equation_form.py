@@ -27,16 +27,10 @@ from harness.signals import Dataset, FloatArray, Trajectory
 class EquationForm:
     """Compare force residuals.
 
-    Parameters
-    ----------
-    nominal : System
-        All of its coordinates are measured.
-    dataset : Dataset
-        Estimation and validation runs.
-    sizes : mapping
-        Sizes of the data by port, for start values.
-    shape : {"strong", "weak"}
-        Decimated samples of M a - Q, or means over test functions of the momentum residual.
+    - ``nominal``: all of its coordinates are measured
+    - ``dataset``: estimation and validation runs
+    - ``sizes``: sizes of the data by port, for start values
+    - ``shape`` {"strong", "weak"}: decimated samples of M a - Q, or means over test functions of the momentum residual
     """
 
     def __init__(

@@ -66,16 +66,10 @@ class _Trial:
 class SimpleFits:
     """Output-error fits of a model with and without single effects, made when they are asked for.
 
-    Parameters
-    ----------
-    form : FreeRunForm
-        Simulates; its records and windows are those of all fits, its weights what outputs are compared by.
-    start : mapping
-        Values of the nominal model, by maximum likelihood say: one of the starts.
-    candidates : sequence of Placed
-        What may be missing.
-    say : callable
-        Told what is done.
+    - ``form``: simulates; its records and windows are those of all fits, its weights what outputs are compared by
+    - ``start``: values of the nominal model, by maximum likelihood say: one of the starts
+    - ``candidates``: what may be missing
+    - ``say``: told what is done
     """
 
     def __init__(

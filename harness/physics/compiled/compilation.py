@@ -71,12 +71,9 @@ def _loaded(path: Path) -> ctypes.CDLL:
 class Compilation:
     """A shared library in the making: ``start`` does not wait, ``library`` does.
 
-    Parameters
-    ----------
-    source : str
-        C source; its hash (with flags, compiler and machine) names the file, so that equal sources compile once.
-    level : str
-        Of optimisation.
+    - ``source``: C source; its hash (with flags, compiler and machine) names the file, so that equal sources compile
+      once
+    - ``level``: of optimisation
     """
 
     def __init__(self, source: str, *, level: str = "-O1") -> None:

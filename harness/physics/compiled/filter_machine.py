@@ -35,20 +35,11 @@ class Wanted:
 class FilterMachine:
     """What :mod:`harness.physics.compiled.filter_kernels` does in C, on CasADi's virtual machine: the same equations.
 
-    Parameters
-    ----------
-    functions : Functions
-        Of a system whose last ``nl`` states are latent forces.
-    dt : float
-        Time from a row of the inputs to the next [s].
-    substeps, every : int
-        Steps of the solver for each row; rows for each sample.
-    foh : bool
-    delay_columns : tuple of int
-        Parameters through which the inputs depend on p.
-    nl : int
-    periods : array (ny,)
-        Of the outputs; 0 for one that does not wrap.
+    - ``functions``: of a system whose last ``nl`` states are latent forces
+    - ``dt``: time from a row of the inputs to the next [s]
+    - ``substeps, every``: steps of the solver for each row; rows for each sample
+    - ``delay_columns``: parameters through which the inputs depend on p
+    - ``periods`` (ny,): of the outputs; 0 for one that does not wrap
     """
 
     def __init__(

@@ -37,18 +37,9 @@ _VALLEY = 120
 class Likelihood:
     """The likelihood of some records under a system with latent forces and sensor noise.
 
-    Parameters
-    ----------
-    system : System
-    records : sequence of Trajectory
-    noise_model : NoiseModel
-    fixed : sequence of str
-        Parameters that stay, besides those that the system declares fixed.
-    intersample : {"zoh", "foh", "smooth"}
-    substeps : int, optional
-    compiled : bool
-    passes : Pass, optional
-        Of the same system, made before.
+    - ``fixed``: parameters that stay, besides those that the system declares fixed
+    - ``intersample`` {"zoh", "foh", "smooth"}
+    - ``passes``: of the same system, made before
 
     Notes
     -----
