@@ -114,7 +114,7 @@ def check_options(made: Any, owner: str, /, **bounds: str) -> None:
     Raises
     ------
     InputError
-        With the option's name and what is expected.
+        If a field is none of its words, or out of its bounds.
 
     Examples
     --------
