@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.wide_regression import Linear, LinearEquation
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
+from harness.diagnosis.search.compare import compared
 from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
@@ -53,21 +57,27 @@ def test_density_of_order_one_is_exact_with_gaps(phi: float, seed: int) -> None:
     assert log_likelihood(error, values, before) == pytest.approx(dense(error, values, before.rows), rel=1e-6, abs=1e-4)
 
 
-class Line:
-    """A constant and a slope under a coloured error; see TorqueRegression."""
+RAMP = np.linspace(-1, 1, 400)
 
-    def __init__(self, seed: int) -> None:
-        self.nominal = Linear((Parameter("level", "1", 0.0), Parameter("slope", "1", 0.0)))
+
+class Line:
+    """A constant and a slope under a coloured error; every record has a slope and a noise. See TorqueRegression."""
+
+    def __init__(
+        self, seed: int, estimation: Sequence[tuple[float, float]] = ((-1.0, 1.0),),
+        validation: Sequence[tuple[float, float]] = ((-1.0, 1.0),), along: FloatArray = RAMP, fixed: bool = False,
+    ) -> None:  # fmt: skip
+        self.nominal = Linear((Parameter("level", "1", 0.0), Parameter("slope", "1", 0.0, fixed=fixed)))
         self.own: frozenset[str] = frozenset()
         self.counts, self._target, self._columns = {}, {}, {}
-        for role, use in enumerate(("estimation", "validation")):
-            rng = np.random.default_rng([seed, role])
-            e = np.zeros(400)
-            for k in range(1, 400):
-                e[k] = 0.8 * e[k - 1] + rng.standard_normal()
-            x = np.stack([np.ones(400), np.linspace(-1, 1, 400)], axis=1)[:, None, :]
-            self.counts[use], self._columns[use] = [np.ones((400, 1))], [x]
-            self._target[use] = [x @ np.array([3.0, -1.0]) + e[:, None]]
+        x = np.stack([np.ones(400), along], axis=1)[:, None, :]
+        for role, (use, days) in enumerate({"estimation": estimation, "validation": validation}.items()):
+            self.counts[use], self._columns[use] = [np.ones((400, 1))] * len(days), [x] * len(days)
+            self._target[use] = []
+            for day, (slope, noise) in enumerate(days):
+                white = noise * np.random.default_rng([seed, role, day]).standard_normal(400)
+                error = lfilter([1.0], [1.0, -0.8], white)[:, None]
+                self._target[use].append(x @ np.array([3.0, slope]) + error)
 
     def equation(self, effects: object) -> LinearEquation:
         return LinearEquation(self.nominal, self._target, self._columns)
@@ -91,12 +101,48 @@ def test_intervals_hold_under_a_coloured_error() -> None:
     assert 0.88 <= np.mean(inside) <= 0.99  # white errors would give 50 %
 
 
+@pytest.mark.parametrize("noise", [0.25, 4.0])
+@pytest.mark.parametrize(("slope", "right"), [(-10.0, True), (10.0, False)])
+def test_a_record_of_another_day_is_judged_by_errors_of_its_own_size(noise: float, slope: float, right: bool) -> None:
+    """Errors four times as large there do not speak against a law that holds; one that turns round is refused."""
+    for seed in range(3):
+        along = np.sign(np.sin(20 * RAMP))
+        fit, base = (
+            RegressionForm(Line(seed, ((-10.0, 1.0),), ((slope, noise),), along, fixed)).fit((), [{}], None)  # type: ignore[arg-type]
+            for fixed in (False, True)
+        )
+        assert fit is not None
+        assert base is not None
+        assert (compared(fit, base).validation > 0) == right
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_loud_record_takes_nothing_from_a_quiet_one(seed: int) -> None:
+    """With one size of error for both, the slope would be known four times less well than from the quiet one alone."""
+    alone, beside = (
+        RegressionForm(Line(seed, days)).fit((), [{}], None)  # type: ignore[arg-type]
+        for days in (((-1.0, 1.0),), ((-1.0, 1.0), (-1.0, 8.0)))
+    )
+    assert alone is not None
+    assert beside is not None
+    assert beside.deviations["slope"] < 1.5 * alone.deviations["slope"]
+    assert abs(beside.values["slope"] - alone.values["slope"]) < 0.5 * alone.deviations["slope"]
+
+
 @pytest.mark.parametrize("steepest", [0.99, 0.999, 0.9999])
 def test_an_error_of_several_slow_parts_remembers_long(steepest: float) -> None:
     """Their poles nearly coincide, and rounding may put one beyond 1."""
     alone = Coloured(np.array([steepest]), 1.0).memory
     assert alone == pytest.approx(1 / (1 - steepest), rel=0.01)
     assert Coloured(np.full(4, steepest), 1.0).memory > alone
+
+
+def test_a_drift_is_found_from_white_errors() -> None:
+    """A descent that began at white errors ended where every partial autocorrelation lies on its bound."""
+    values = 10 * RAMP + 0.1 * np.random.default_rng(0).standard_normal(400)
+    before = Before.of(np.ones(400), 4)
+    alone, led = (fitted_error([values], [before], 4, 1e-9, start) for start in (None, Coloured(np.zeros(4), 1.0)))
+    assert log_likelihood(led, values, before) > log_likelihood(alone, values, before) - 1.0
 
 
 def test_the_estimate_is_the_likeliest() -> None:

@@ -11,7 +11,10 @@ import pytest
 
 from harness.diagnosis.arm.joint import JointRegression, joint_dictionary
 from harness.diagnosis.arm.motion import arm_runs
+from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.wide_regression import WideRegression
 from harness.diagnosis.close import close_loop
+from harness.diagnosis.search.compare import compared
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
@@ -114,3 +117,22 @@ def test_a_joint_that_pauses_for_half_of_the_time_is_judged(levers: dict[str, Ar
     names = {one["name"]: one["parameters"] for one in report.data["effects"]}
     assert set(names) == {"coulomb_friction", "viscous_friction"}, report.data["summary"]
     assert names["coulomb_friction"]["Fc"]["value"] == pytest.approx(0.8, rel=0.05)
+
+
+def test_a_link_is_judged_beside_what_its_joint_brakes_on_that_day(levers: dict[str, ArmModel]) -> None:
+    """Dry friction is three times as large in the validation record; that speaks neither for nor against a mass."""
+    lever, mass = levers["heavy"], 0.3
+    days = [
+        records(lever, lambda v, needed, level=level: mass * needed + level * np.sign(v)).runs for level in (0.5, 1.5)
+    ]
+    data = Dataset("two days", (days[0][0], days[1][1]), intersample="smooth")
+    regression = WideRegression(lever, arm_runs(lever, data), [0])
+    form = RegressionForm(regression)
+    link = next(effect.placed for effect in regression.effects.values() if effect.placed.effect.name == "link_mass")
+    without, fit = form.fit((), [{}], None), form.fit([link], [{}], None)
+    assert without is not None
+    assert fit is not None
+    assert fit.values[link.name("scale")] == pytest.approx(mass, abs=0.02)
+    found = compared(fit, without)
+    assert found.validation > max(0.5 * found.evidence, 3 * found.error)
+    assert fit.own["q1 dry"] == pytest.approx(1.5, rel=0.05)

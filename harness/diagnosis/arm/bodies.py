@@ -100,10 +100,10 @@ def bodies_of_arm(
     equation = regression.equation(wide.fit.effects)
     p = np.zeros(len(equation.system.parameters))
     parts = equation.residual(p, "estimation")
-    errors = regression_detail(wide.fit).errors
+    errors = regression_detail(wide.fit).errors["estimation"]
     residual = form.whitened([r for r, _ in parts], "estimation", errors)
     rows = form.whitened([j for _, j in parts], "estimation", errors)
-    own = [k for k, name in enumerate(equation.system.parameter_names) if name in regression.own]
+    own = [k for k, name in enumerate(equation.system.parameter_names) if name in regression.inertia]
     others = [k for k in range(rows.shape[1]) if k not in own]
     return _estimated(arm, chosen, [(rows[:, own], rows[:, others], -residual)])
 
@@ -126,7 +126,7 @@ def bodies_of_joints(
         names = equation.system.parameter_names
         p = np.array([0.0 if name in form.regression.own else fit.values[name] for name in names])
         parts = equation.residual(p, "estimation")
-        errors = regression_detail(fit).errors
+        errors = regression_detail(fit).errors["estimation"]
         rows = form.whitened([j for _, j in parts], "estimation", errors)
         free = [k for k, name in enumerate(names) if name in form.regression.own]
         residual = form.whitened([r for r, _ in parts], "estimation", errors)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.diagnosis.arm.effects import GAIN
-from harness.diagnosis.arm.regression import RegressionForm, regression_detail
+from harness.diagnosis.arm.regression import Errors, RegressionForm, regression_detail
 from harness.diagnosis.arm.wide_regression import ROTOR, WideRegression
 from harness.diagnosis.policy import ARM_POLICY, Policy
 from harness.diagnosis.search.outcome import Outcome
@@ -167,7 +167,8 @@ def exchanged(form: RegressionForm, outcome: Outcome, policy: Policy) -> list[Li
     last = [key for key, one in regression.effects.items() if one.placed.effect.name == LINK][-1:]
     one_body = frozenset([*last, *(key for key in known if known[key].effect.name in LOAD)])
     elements = replace(
-        _elements(form, regression_detail(full).errors, known, rotors, policy, full.samples), alone=one_body
+        _elements(form, regression_detail(full).errors["estimation"], known, rotors, policy, full.samples),
+        alone=one_body,
     )
     begun = frozenset(map(str, found))
     turning = frozenset(name for name in rotors if outcome.model.values.get(name, 0.0) > 0)
@@ -195,7 +196,7 @@ def _named(
 
 def _elements(
     form: RegressionForm,
-    errors: Sequence[object],
+    errors: Errors,
     known: Mapping[str, Placed],
     rotors: Mapping[str, int],
     policy: Policy,
@@ -205,8 +206,8 @@ def _elements(
     equation = form.regression.equation(list(known.values()))
     names = equation.system.parameter_names
     parts = equation.residual(np.zeros(len(names)), "estimation")
-    white = form.whitened([j for _, j in parts], "estimation", errors)  # type: ignore[arg-type]
-    wanted = -form.whitened([r for r, _ in parts], "estimation", errors)  # type: ignore[arg-type]
+    white = form.whitened([j for _, j in parts], "estimation", errors)
+    wanted = -form.whitened([r for r, _ in parts], "estimation", errors)
     places: dict[str, list[int]] = {}
     low, high, used = list[float](), list[float](), list[int]()
     for key, placed in known.items():

@@ -23,6 +23,7 @@ from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.arm.wide_regression import WideRegression
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy, Policy
 from harness.diagnosis.records.motion import Motion
+from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.table import value
 from harness.models.damped import Damping, damped_descent
 from harness.physics.arms.arm import GRAVITY, ArmModel
@@ -114,14 +115,14 @@ def free_bodies(
     if fit is None or scaled is None:
         return None
 
-    def left_by(runs: Mapping[str, Sequence[ArmRun]], values: Mapping[str, float]) -> FloatArray:
+    def left_by(runs: Mapping[str, Sequence[ArmRun]], fit: Fit) -> FloatArray:
         """Return the rms residual (n,) on the true motion of the validation records."""
         sharp = {use: [run.sharp for run in parts] for use, parts in runs.items()}
-        equation = WideRegression(arm, sharp, places, (), policy).equation(())
-        p = np.array([values[name] for name in equation.system.parameter_names])
-        return _rms([r for r, _ in equation.residual(p, "validation")], regression)
+        there = RegressionForm(WideRegression(arm, sharp, places, (), policy), policy).at(fit)
+        assert there is not None  # finite along the calm motion
+        return _rms(regression_detail(there).residual["validation"], regression)
 
-    left, without = left_by(freed, fit.values), left_by(runs, wide.outcome.nominal.values)
+    left, without = left_by(freed, fit), left_by(runs, wide.outcome.nominal)
     judged = wide.outcome.form  # with springs along other rows
     assert isinstance(judged, RegressionForm)
     found = _rms(regression_detail(wide.fit).residual["validation"], judged.regression)

@@ -36,6 +36,10 @@ FARTHEST = 200.0
 """Logarithm beyond which a parameter is as good as infinite."""
 
 
+Errors = Sequence[Sequence[Coloured]]
+"""For every record those of every joint."""
+
+
 class Equation(Protocol):
     """The equation of torques with some effects."""
 
@@ -85,7 +89,7 @@ class TorqueRegression(Protocol):
 
     @property
     def own(self) -> frozenset[str]:
-        """Names of linear parameters that the validation records fit for themselves: inertia that is calibrated."""
+        """Names of linear parameters that the validation records fit for themselves."""
         ...
 
     def equation(self, effects: Sequence[Placed]) -> Equation:
@@ -103,9 +107,9 @@ class TorqueRegression(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RegressionDetail:
-    """What a regression keeps of a fit: the errors by joint, and the residual torques (rows, n) by use and record."""
+    """What a regression keeps of a fit: by use and record its errors, residual torques (rows, n) and their columns."""
 
-    errors: tuple[Coloured, ...]
+    errors: dict[str, Errors]
     residual: dict[str, list[FloatArray]]
     jacobian: dict[str, list[FloatArray]]
 
@@ -121,7 +125,7 @@ class _FirstSteps:
     """The equation that is fitted, and where its first steps led: value, parameters, errors, whether they end there."""
 
     equation: Equation
-    best: tuple[float, FloatArray, tuple[Coloured, ...], bool]
+    best: tuple[float, FloatArray, Errors, bool]
 
 
 class RegressionForm(InOneGo):
@@ -129,7 +133,8 @@ class RegressionForm(InOneGo):
 
     The error of every joint is Gaussian, stationary and autoregressive; its coefficients are estimated with the
     parameters, in turn (Cochrane & Orcutt 1949, J. Am. Stat. Assoc. 44:32, with the exact density of the first rows and
-    of those behind a gap).
+    of those behind a gap). How large it is, every record says itself: grease is warmer, or the path faster, on another
+    day. How long it remembers is the same for all records, and told by those of the estimation.
 
     Parameters
     ----------
@@ -149,7 +154,8 @@ class RegressionForm(InOneGo):
         first = equation.residual(equation.system.vector(), "estimation")
         spread = np.sqrt(np.mean(np.concatenate([r for r, _ in first]) ** 2, axis=0))
         self._floor = EXACT * np.maximum(spread, 1e-12)
-        self._rough = tuple(Coloured(np.zeros(POLICY.order), float(max(size, 1e-12))) for size in spread)
+        rough = tuple(Coloured(np.zeros(POLICY.order), float(max(size, 1e-12))) for size in spread)
+        self._rough: Errors = [rough] * len(first)
 
     # ---- fits --------------------------------------------------------------------------------------------------------
 
@@ -168,13 +174,12 @@ class RegressionForm(InOneGo):
             return None
         known_errors = [self._rough]
         if base is not None:
-            known_errors = [
-                regression_detail(fit).errors for fit in (base, self.without_memory(base)) if fit is not None
-            ]
-        best: tuple[float, FloatArray, tuple[Coloured, ...], bool] | None = None
+            known = (base, self.without_memory(base))
+            known_errors = [regression_detail(fit).errors["estimation"] for fit in known if fit is not None]
+        best: tuple[float, FloatArray, Errors, bool] | None = None
         for start, errors in itertools.product(starts, known_errors):
-            known = {**equation.system.values(), **start}
-            p = np.array([known[name] for name in equation.system.parameter_names])
+            values = {**equation.system.values(), **start}
+            p = np.array([values[name] for name in equation.system.parameter_names])
             trial = self._step(equation, p, errors)
             if trial is not None and (best is None or trial[0] > best[0]):
                 best = trial
@@ -198,9 +203,7 @@ class RegressionForm(InOneGo):
                 break
         return self._fitted(begun.effects, equation, p, errors, converged)
 
-    def _step(
-        self, equation: Equation, p: FloatArray, errors: Sequence[Coloured]
-    ) -> tuple[float, FloatArray, tuple[Coloured, ...], bool] | None:
+    def _step(self, equation: Equation, p: FloatArray, errors: Errors) -> tuple[float, FloatArray, Errors, bool] | None:
         """Fit the parameters with these errors, then the errors; None where the residual is not finite."""
         moved = self._parameters(equation, p, errors)
         if moved is None:
@@ -209,17 +212,31 @@ class RegressionForm(InOneGo):
         value, made = self._errors([r for r, _ in equation.residual(p, "estimation")], errors)
         return (value, p, made, converged) if np.isfinite(value) else None
 
-    def _errors(self, residual: Sequence[FloatArray], errors: Sequence[Coloured]) -> tuple[float, tuple[Coloured, ...]]:
+    def _errors(self, residual: Sequence[FloatArray], errors: Errors) -> tuple[float, Errors]:
         """Return the log-likelihood of residuals (rows, n) of the estimation records, and the errors that reach it."""
-        made = tuple(
+        shared = [
             fitted_error(
-                [r[:, k] for r in residual],
+                [r[:, k] / own[k].deviation for r, own in zip(residual, errors, strict=True)],
                 [before[k] for before in self._before["estimation"]],
-                POLICY.order, float(self._floor[k]), error,
+                POLICY.order, float(self._floor[k]) / error.deviation, error,
             )
-            for k, error in enumerate(errors)
-        )  # fmt: skip
+            for k, error in enumerate(errors[0])
+        ]  # fmt: skip
+        made = self._sized(residual, "estimation", shared)
         return -sum(Filtered(e, s).nll for e, s in self._innovations(residual, "estimation", made)), made
+
+    def _sized(self, residual: Sequence[FloatArray], use: str, shared: Sequence[Coloured]) -> Errors:
+        """Return for every record errors of this memory, of the likeliest size that its residual (rows, n) has."""
+
+        def sized(error: Coloured, values: FloatArray, before: Before, floor: float) -> Coloured:
+            white = error.whitened(values, before)
+            size = error.deviation * float(np.sqrt(white @ white / max(len(white), 1)))
+            return replace(error, deviation=max(size, floor))
+
+        return [
+            tuple(sized(*each) for each in zip(shared, part.T, before, self._floor, strict=True))
+            for part, before in zip(residual, self._before[use], strict=True)
+        ]
 
     def at(self, fit: Fit) -> Fit | None:
         """Return another form's fit in this one: its effects and values, with the errors that they leave here."""
@@ -228,13 +245,10 @@ class RegressionForm(InOneGo):
         residual = [r for r, _ in equation.residual(p, "estimation")]
         if not all(np.isfinite(part).all() for part in residual):
             return None
-        return self._fitted(
-            fit.effects, equation, p, self._errors(residual, regression_detail(fit).errors)[1], fit.converged
-        )
+        made = self._errors(residual, regression_detail(fit).errors["estimation"])[1]
+        return self._fitted(fit.effects, equation, p, made, fit.converged)
 
-    def _parameters(
-        self, equation: Equation, p0: FloatArray, errors: Sequence[Coloured]
-    ) -> tuple[FloatArray, bool] | None:
+    def _parameters(self, equation: Equation, p0: FloatArray, errors: Errors) -> tuple[FloatArray, bool] | None:
         """Return the likeliest parameters with these errors, and whether the fit converged."""
         from scipy.optimize import least_squares
 
@@ -283,9 +297,8 @@ class RegressionForm(InOneGo):
         return inflated(solution.x), bool(solution.success)
 
     def _fitted(
-        self, effects: Sequence[Placed], equation: Equation, p: FloatArray, errors: tuple[Coloured, ...],
-        converged: bool,
-    ) -> Fit | None:  # fmt: skip
+        self, effects: Sequence[Placed], equation: Equation, p: FloatArray, estimated: Errors, converged: bool
+    ) -> Fit | None:
         """Return the fit as the search wants it."""
         system = equation.system
         names = system.parameter_names
@@ -296,18 +309,20 @@ class RegressionForm(InOneGo):
         if not all(np.isfinite(part).all() for parts in residual.values() for part in parts):
             return None
         own = self._own(tuple(names[k] for k in free))
-        residual["validation"], refitted = self._refitted(residual["validation"], jacobian["validation"], own, errors)
+        sized = self._sized(residual["validation"], "validation", estimated[0])
+        residual["validation"], refitted = self._refitted(residual["validation"], jacobian["validation"], own, sized)
+        errors = {"estimation": estimated, "validation": self._sized(residual["validation"], "validation", sized[0])}
         logs = [system.parameters[k].minimum > 0 for k in free]
-        deviations = _deviations(self.whitened(jacobian["estimation"], "estimation", errors))
+        deviations = _deviations(self.whitened(jacobian["estimation"], "estimation", estimated))
         values = dict(zip(names, map(float, p), strict=True))
         bound = [names[k] for k in free if _on_bound(system.parameters[k], float(p[k]))]
         relative = [abs(p[k]) if log else 1.0 for k, log in zip(free, logs, strict=True)]
 
-        innovations = {use: self._innovations(parts, use, errors) for use, parts in residual.items()}
+        innovations = {use: self._innovations(parts, use, errors[use]) for use, parts in residual.items()}
 
         return Fit(
             tuple(effects), system, values, tuple(names[k] for k in free),
-            len(free) + equation.hidden + len(errors) * (POLICY.order + 1),
+            len(free) + equation.hidden + len(self._floor) * (POLICY.order + len(estimated)),
             {use: [-Filtered(e, s).terms for e, s in parts] for use, parts in innovations.items()},
             {names[k]: d / max(size, 1e-300) for k, d, size in zip(free, deviations, relative, strict=True)},
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
@@ -353,7 +368,7 @@ class RegressionForm(InOneGo):
 
     def _refitted(
         self, residual: Sequence[FloatArray], jacobian: Sequence[FloatArray], own: Sequence[int],
-        errors: Sequence[Coloured],
+        errors: Errors,
     ) -> tuple[list[FloatArray], FloatArray]:  # fmt: skip
         """Return validation residuals with their own parameters fitted there, and by how much these change."""
         if not own:
@@ -365,24 +380,24 @@ class RegressionForm(InOneGo):
         )
         return [r + j @ change for r, j in zip(residual, columns, strict=True)], change
 
-    def whitened(self, parts: Sequence[FloatArray], use: str, errors: Sequence[Coloured]) -> FloatArray:
+    def whitened(self, parts: Sequence[FloatArray], use: str, errors: Errors) -> FloatArray:
         """Return residuals (rows, n, ...) whitened, joint by joint, in one array."""
         return np.concatenate(
             [
                 error.whitened(part[:, k], before[k])
-                for part, before in zip(parts, self._before[use], strict=True)
-                for k, error in enumerate(errors)
+                for part, before, own in zip(parts, self._before[use], errors, strict=True)
+                for k, error in enumerate(own)
             ]
         )
 
     def _innovations(
-        self, residual: Sequence[FloatArray], use: str, errors: Sequence[Coloured]
+        self, residual: Sequence[FloatArray], use: str, errors: Errors
     ) -> list[tuple[FloatArray, FloatArray]]:
         """Return for every record the innovations (rows, n) and their variances, NaN where none counts."""
         found = []
-        for part, before in zip(residual, self._before[use], strict=True):
+        for part, before, own in zip(residual, self._before[use], errors, strict=True):
             e, s = np.full(part.shape, np.nan), np.ones(part.shape)
-            for k, error in enumerate(errors):
+            for k, error in enumerate(own):
                 rows = before[k].rows
                 e[rows, k], s[rows, k] = error.innovations(part[:, k], before[k])
             found.append((e, s))
@@ -396,8 +411,8 @@ class RegressionForm(InOneGo):
         own = self._own(fit.free)
         shared = [k for k in range(len(fit.free)) if k not in own]
         return Linearised(
-            {use: self.whitened(detail.residual[use], use, detail.errors) for use in USES},
-            {use: self.whitened(detail.jacobian[use], use, detail.errors)[:, [*shared, *own]] for use in USES},
+            {use: self.whitened(detail.residual[use], use, detail.errors[use]) for use in USES},
+            {use: self.whitened(detail.jacobian[use], use, detail.errors[use])[:, [*shared, *own]] for use in USES},
             tuple(fit.free[k] for k in shared),
         )
 
@@ -413,14 +428,14 @@ class RegressionForm(InOneGo):
         """
         detail = regression_detail(fit)
         rows = max(len(part) for part in detail.residual["estimation"])
-        long = [error.memory > EFFORT.memory * rows for error in detail.errors]
+        shared = detail.errors["estimation"][0]
+        long = [error.memory > EFFORT.memory * rows for error in shared]
         if not any(long):
             return None
-        sizes = np.maximum(self._rms(detail.residual["estimation"]), self._floor)
-        errors = tuple(
-            Coloured(np.zeros(POLICY.order), float(size)) if remembers else error
-            for error, size, remembers in zip(detail.errors, sizes, long, strict=True)
-        )
+        white = [
+            Coloured(np.zeros(POLICY.order), 1.0) if out else error for error, out in zip(shared, long, strict=True)
+        ]
+        errors = {use: self._sized(parts, use, white) for use, parts in detail.residual.items()}
         return replace(fit, detail=replace(detail, errors=errors))
 
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
@@ -435,7 +450,7 @@ class RegressionForm(InOneGo):
     def _answered(self, fit: Fit, change: Change) -> Column:
         """Return what a change does to the whitened residual."""
         errors = regression_detail(fit).errors
-        made = {use: self.whitened(change.torque[use], use, errors) for use in USES}
+        made = {use: self.whitened(change.torque[use], use, errors[use]) for use in USES}
         return Column(change.placed, change.given, change.names, made["estimation"], made["validation"], change.kind)
 
 

@@ -239,7 +239,7 @@ def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str,
         "left": None,
     }
     if judged is not None:
-        error = regression_detail(judged.final).errors[0]
+        error = regression_detail(judged.final).errors["estimation"][0][0]
         entry["effects"] = [] if found.misfit else [str(accepted.placed) for accepted in judged.outcome.accepted]
         entry["clock_s"] = None if judged.clock is None else known(judged.clock)
         entry["left"] = {

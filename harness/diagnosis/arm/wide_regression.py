@@ -125,6 +125,9 @@ class Bent:
 class WideRegression:
     """Residual torques of the joints that move; see :class:`harness.diagnosis.arm.regression.TorqueRegression`.
 
+    Bodies and rotors are the same on another day; the friction of a joint is not, nor are what its sensor reads without
+    a torque and the clock of its log. So the validation records fit these for themselves, and judge bodies beside them.
+
     Parameters
     ----------
     arm : ArmModel
@@ -167,8 +170,9 @@ class WideRegression:
                     own = np.concatenate([own, free.reshape(*m.q.shape, -1)], axis=2)
                 self._base[use].append(self._slim(run, own))
         names = [f"{arm.positions[k].name} {OWN[c]}" for k, c in own_of]
-        self.own = frozenset(f"inertia{k + 1}" for k in range(len(calibrated)))
-        names += [f"inertia{k + 1}" for k in range(len(calibrated))]
+        self.inertia = [f"inertia{k + 1}" for k in range(len(calibrated))]
+        names += self.inertia
+        self.own = frozenset(names).difference(self.own_name(k, ROTOR) for k in joints)
         self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
         torques = np.sqrt(np.mean(np.concatenate([run.calm.u for run in runs["estimation"]]) ** 2, axis=0))
         self.size = torques[self.joints]

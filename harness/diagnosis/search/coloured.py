@@ -170,7 +170,7 @@ def fitted_error(
     floor : float
         Smallest deviation.
     start : Coloured, optional
-        Where to start from.
+        Where to start from, if that is likelier than what Burg's recursion finds.
 
     Examples
     --------
@@ -197,8 +197,8 @@ def fitted_error(
         deviation = max(float(np.sqrt(power / max(count, 1))), floor)
         return 0.5 * power / deviation**2 + count * np.log(deviation) + logs, deviation
 
-    partial = burg(values, before, order) if start is None else start.partial
-    z0 = np.arctanh(np.clip(partial / STEEPEST, -0.9999, 0.9999))
+    starts = [burg(values, before, order), *([] if start is None else [start.partial])]
+    z0 = min((np.arctanh(np.clip(partial / STEEPEST, -0.9999, 0.9999)) for partial in starts), key=lambda z: of(z)[0])
     descend: Any = minimize
     end = descend(
         lambda z: of(z)[0], z0, method="L-BFGS-B", bounds=[(-4.95, 4.95)] * order,
