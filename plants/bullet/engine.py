@@ -73,7 +73,8 @@ def bullet() -> Any:
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
         raise PluginError(
             f"this plant needs pybullet: expected the package, got none for Python {version}; "
-            "remedy: use Python 3.11, for which it has wheels (pip install pybullet)"
+            "remedy: use Python 3.11, for which it has wheels (pip install pybullet), or a plant of another engine, as "
+            "arm-mujoco (sysid list plants)"
         ) from error
     return pybullet
 
