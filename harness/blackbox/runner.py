@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,47 +13,55 @@ from harness.blackbox.system import FmuSystem
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
-MEASURED = 0.25
-"""CPU time [s] of the runs that tell what a step costs: those of the rough fit, before any effect is tried."""
+MEASURED = 8
+"""Runs of a length that tell what one costs."""
+
+
+@dataclass
+class _Alike:
+    """Runs of one length: how many, and what the first of them took [s]."""
+
+    count: float = 0.0
+    measured: int = 0
+    took: float = 0.0
+
+    @property
+    def cost(self) -> float:
+        return 2.0 ** round(math.log2(self.took / self.measured)) if self.took > 0.0 else 0.0
 
 
 @dataclass
 class Meter:
-    """What runs of an FMU cost: steps, each at the CPU time [s] that the first runs took, rounded to a power of two.
+    """What runs of an FMU cost: each the CPU time [s] of the first ones as long as it, rounded to a power of two.
 
     So a run costs the same whatever else the machine does later, and two searches end at the same place, but for the
-    rare FMU whose steps take what lies between two powers. A run that took several times that, as a solver inside may
-    that is led astray, counts 4, 16 or more times.
+    rare FMU whose runs take what lies between two powers. One that took several times that, as a solver inside may that
+    is led astray, counts 2, 4 or more times.
 
     Examples
     --------
     >>> meter = Meter()
-    >>> for took in (0.2, 0.1, 0.11, 0.5):
+    >>> for took in [0.01] * 8 + [0.012, 0.05]:
     ...     meter.add(1000, took)
-    >>> meter.seconds == (1000 + 1000 + 1000 + 4 * 1000) * 2**-13
+    >>> meter.seconds == (8 + 1 + 4) * 2**-7
     True
     """
 
-    steps: float = 0.0
-    measured: int = 0
-    took: float = 0.0
+    runs: dict[int, _Alike] = field(default_factory=dict)
 
     def add(self, steps: int, seconds: float) -> None:
         """Count a run."""
-        if self.took < MEASURED:
-            self.measured, self.took = self.measured + steps, self.took + seconds
-            self.steps += steps
+        alike = self.runs.setdefault(steps, _Alike())
+        if alike.measured < MEASURED:
+            alike.measured, alike.took, alike.count = alike.measured + 1, alike.took + seconds, alike.count + 1.0
         else:
-            self.steps += steps * max(1.0, 4.0 ** round(0.5 * np.log2(max(seconds, 1e-9) / (steps * self._cost))))
+            longer = seconds / alike.cost if alike.cost > 0.0 else 1.0
+            alike.count += 2.0 ** math.floor(math.log2(max(longer, 1.0)))
 
     @property
     def seconds(self) -> float:
         """CPU time of all runs [s]."""
-        return self.steps * self._cost if self.took > 0 else 0.0
-
-    @property
-    def _cost(self) -> float:
-        return float(2.0 ** round(np.log2(self.took / self.measured)))
+        return sum(alike.count * alike.cost for alike in self.runs.values())
 
 
 class Runner:

@@ -123,3 +123,23 @@ def test_what_was_begun_is_finished_where_nothing_more_is_begun(monkeypatch: pyt
     assert form.finish(begun, nominal) is None
     assert form.left_out() == [str(FRICTION)]
     assert form.begin([], form.first_starts(), None) is not None, "the nominal model is fitted whatever it costs"
+
+
+def test_a_new_delay_starts_from_an_input_before_the_record_that_the_record_tells() -> None:
+    """The motor got nothing until the record began, and what it gets comes three samples late."""
+    rng, true = np.random.default_rng(0), {"J": 0.06, "b": 0.04, "mgl": 1.1}
+    u = 0.7 + 0.2 * np.sin(np.arange(200) * DT * 3.0)[:, None]
+    with registry.create("plants", "fmu", path=mockup("pendulum"), sample_time=DT, outputs=["theta"],
+                         parameters=true) as plant:  # fmt: skip
+        arrived = np.vstack([np.zeros((3, 1)), u])[:-4]
+        y = np.vstack([plant.reset(rng=rng, x0={"theta": 0.0}), plant.rollout(arrived)])
+        spec = PlantSpec(plant.spec.inputs, plant.spec.outputs, DT)
+    record = Trajectory(DT * np.arange(200), u, y + rng.normal(0, 1e-4, y.shape), spec)
+    data = Dataset("late", (Run(record, "estimation"), Run(record, "validation")))
+    form = FmuForm(nominal_fmu(mockup("pendulum"), data, true), data, {})
+    delayed = form.composed([Placed(builtin()["input_delay"], "u", {"tau": 3 * DT})])
+    for use in ("estimation", "validation"):
+        (start,) = form._starts(delayed, form.passes(delayed, 1), delayed.vector(), use, None)
+        assert start[-1] == pytest.approx(-0.7, abs=0.1)
+    gone = delayed.vector({"input_delay@u.tau": 0.0})
+    assert form._starts(delayed, form.passes(delayed, 1), gone, "estimation", None)[0][-1] == 0.0

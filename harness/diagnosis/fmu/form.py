@@ -21,14 +21,15 @@ from harness.diagnosis.fmu.pushes import Moved, as_measured, pushes, test_pushes
 from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
 from harness.diagnosis.forms.predictive import whitened
-from harness.diagnosis.policy import POLICY
+from harness.diagnosis.policy import DATA_POLICY, POLICY
 from harness.diagnosis.search.fit import Column, Fit
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.physics.compiled.kalman_pass import Filtered, Pass
+from harness.physics.compiled.sampled import SampledBlocks
 from harness.physics.compiled.smoother import Smoothed
-from harness.physics.fitting.likelihood_fit import sensor_noise
+from harness.physics.fitting.likelihood_fit import first_noises, sensor_noise
 from harness.signals import Dataset, FloatArray, Trajectory
 
 PUSH = 1e-3
@@ -101,6 +102,34 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         """Return the initial state that a record tells, (nx,)."""
         simulator = FmuSimulator(self.nominal, self.runner)
         return np.asarray(measured_states(self.nominal, simulator, record, p[: self.nominal.np])[0][0])
+
+    def _starts(self, system: FmuSystem, passes: Pass, p: FloatArray, use: str, base: Fit | None) -> list[FloatArray]:
+        """Return initial states to start from; what went in before a record, where a delay is new, is as it tells.
+
+        Begun as the first value, a delay would go to 0, where nothing is told of the time before.
+        """
+        starts = super()._starts(system, passes, p, use, base)
+        known = [] if base is None else [channel.name for channel in base.model.states]
+        sampled: SampledBlocks = passes.simulator.sampled
+        new = [(column, state) for column, _, state in sampled.before if system.states[state].name not in known]
+        if new:
+            for record, x0 in zip(self.records[use], starts, strict=True):
+                found = self._by_least_squares(passes, record[: DATA_POLICY.shortest], p, x0)
+                for column, state in new:
+                    u = record.u[:, column]
+                    x0[state] = float(np.clip(found[state], min(u.min(), 0.0) - u[0], max(u.max(), 0.0) - u[0]))
+        return starts
+
+    def _by_least_squares(self, passes: Pass, record: Trajectory, p: FloatArray, x0: FloatArray) -> FloatArray:
+        """Return the initial states (nx,) that a short record tells, in two Gauss-Newton steps."""
+        noise = first_noises(self.noise_model, self._first_noise, self.dt)[0]
+        for _ in range(2):
+            passed = passes(record, p, x0, noise, columns=np.arange(len(p), len(p) + len(x0)))
+            if passed is None or passed.j is None:
+                break
+            e, j = whitened(passed.e, passed.s), whitened(passed.j, passed.s[..., None])
+            x0 = x0 - np.linalg.lstsq(j, e, rcond=1e-9)[0]
+        return x0
 
     def smooth(self, passed: Filtered) -> Smoothed:
         """Return the states of the free run itself."""
