@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
@@ -47,8 +46,9 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         laws: Dictionary | None = None,
         beside: FmuForm | None = None,
     ) -> None:
-        self.runner = Runner(system, dataset.spec.sample_time) if beside is None else beside.runner
-        self._beside, self._left = beside, cast("dict[str, None]", {})
+        self.runner: Runner = Runner(system, dataset.spec.sample_time) if beside is None else beside.runner
+        self._beside = beside
+        self._left: dict[str, None] = {}
         super().__init__(system, dataset, sizes, laws)
 
     def on(self, dataset: Dataset) -> FmuForm:
