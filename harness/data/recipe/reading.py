@@ -14,6 +14,7 @@ from harness.data.conditioning.clock import TimeRules
 from harness.data.conditioning.timebase import Piece, pieces_of
 from harness.data.conditioning.trends import conditioned
 from harness.data.conditioning.unstated import refuse_unlikely_seconds
+from harness.data.recipe.beside import BesideFile
 from harness.data.recipe.in_memory import examined_data
 from harness.data.recipe.loaded import LoadedDataset
 from harness.data.recipe.plan import Plan
@@ -22,7 +23,6 @@ from harness.data.recipe.sanity import check_run, check_runs
 from harness.data.recipe.second_clock import refuse_other_pace
 from harness.data.sections import BesideSection, Description, RunSection
 from harness.data.tables.bags import is_bag_folder
-from harness.data.tables.beside import BesideFile
 from harness.data.tables.merging import in_turn, merged, one_clock
 from harness.data.tables.table import Table, open_table
 from harness.errors import InputError
