@@ -283,9 +283,11 @@ def eigenfunctions(model: Any) -> Eigenfunctions:
         If the model is not linear in lifted coordinates.
     """
     _refuse(model)
-    a = np.asarray(model.matrices[0], dtype=float)
+    kept = deviations(model)[3]
+    a = np.eye(model.lifted)  # The constant keeps itself exactly: what its fitted row errs by would pass for a mode.
+    a[kept] = np.asarray(model.matrices[0], dtype=float)[kept]
     values, vectors = np.linalg.eig(a.T)
-    moving = np.linalg.norm(vectors[deviations(model)[3]], axis=0) > _CONSTANT
+    moving = np.linalg.norm(vectors[kept], axis=0) > _CONSTANT
     order = [k for k in np.argsort(-np.abs(values), kind="stable") if values[k].imag >= 0 and moving[k]]
     return Eigenfunctions(values[order].astype(complex), vectors.T[order].astype(complex), model)
 

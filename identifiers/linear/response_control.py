@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from harness.errors import FitError, InputError
+from harness.judgement import feedback_of
 from harness.models.analysis import Findings, Takes, as_dataset
 from harness.models.lqr import kalman_gain, lqr_gain, stabilisable
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.records import real_signals, usable
+from identifiers.linear.bounds.responses import LagsKnown
 from identifiers.linear.ho_kalman import HoKalman
-from identifiers.linear.markov import markov_parameters
+from identifiers.linear.markov import markov_parameters, normal_equations
 
 _TAIL = 0.05  # The response has died out where its last tenth holds less than this share of its size.
+_SURE = 3.0  # Standard errors by which a Markov parameter is told from none.
 _FREQUENCIES = 128  # Points of the half circle on which gains are taken.
 
 
@@ -91,14 +94,11 @@ class StateController:
 def estimated_response(
     trajectories: Sequence[Trajectory], length: int, *, confidence: float = 0.95, what: str = "response-control"
 ) -> Response:
-    """Return the Markov parameters of records with random inputs, and a bound on their error.
+    """Return the Markov parameters of records in open loop, and a bound on their error.
 
-    The error of least squares under white inputs is a Gaussian sum whose size at each frequency is at most ``sqrt(L S /
-    (N sigma_u^2))``, S the largest spectral density of what the inputs do not explain: the rate ``sqrt(L / N)`` of
-    Oymak & Ozay 2019 (*ACC*, theorem 3.1), here with its constants. The norm of a Gaussian matrix exceeds ``sqrt(ny) +
-    sqrt(nu) + t`` with probability ``exp(-t^2 / 2)`` (Davidson & Szarek 2001, theorem II.13); over all frequencies by a
-    union bound. What lies beyond the length is added as if it fell on as the last tenth does. Raises FitError if the
-    inputs do not excite so many lags, or the response has not died out.
+    The bound is that of :class:`identifiers.linear.bounds.responses.LagsKnown`, given these inputs. What lies beyond
+    the length is added as if it fell on as the last tenth does. Raises FitError if past outputs foretell the inputs,
+    the inputs do not excite so many lags, outputs answer them within the same sample, or the response has not died out.
 
     - ``length``: L, long enough for the response to die out
     """
@@ -106,33 +106,49 @@ def estimated_response(
     real_signals(spec, what)
     if spec.nu == 0 or length < 4:
         raise FitError(f"{what}: inputs", expected="inputs, and length >= 4", got=f"{spec.nu}, {length}", remedy="both")
+    # By samples before this one: an output of this one that foretells the input may answer it.
+    if feedback_of([replace(record, spec=replace(spec, feedthrough=True)) for record in records]).found:
+        raise FitError(
+            f"{what}: feedback",
+            expected="inputs that do not depend on outputs",
+            got="past outputs foretell the inputs",
+            remedy="record in open loop, or identify with n4sid, which allows for a loop, and design on its model",
+        )
     y_mean = np.concatenate([record.y for record in records]).mean(axis=0)
-    u_all = np.concatenate([record.u for record in records])
-    u_mean, variance = u_all.mean(axis=0), u_all.var(axis=0)
-    markov, _, _ = markov_parameters(records, length)
-    markov = np.array(markov)
+    u_mean = np.concatenate([record.u for record in records]).mean(axis=0)
+    markov = np.array(markov_parameters(records, length)[0])
+    sums = normal_equations(records, length, offset=True)
+    known = LagsKnown.of(sums, length, spec.nu)
+    if known is None:
+        raise FitError(
+            f"{what}: inputs", expected=f"inputs that excite {length} lags", got="a smoother one",
+            remedy="a richer input, or fewer Markov parameters",
+        )  # fmt: skip
+    direct = markov[0].copy()
     markov[0] = 0.0
-    late = markov[-max(length // 10, 1) :]
-    share = float(np.linalg.norm(late) / max(float(np.linalg.norm(markov)), 1e-300) / np.sqrt(len(late) / length))
     natural = tuple(_unexplained(markov, record.y - y_mean, record.u - u_mean)[length:] for record in records)
-    noise = np.sqrt(sum(float((part**2).sum()) for part in natural) / sum(len(part) for part in natural))
-    rows = sum(len(part) for part in natural)
-    spread = noise / np.sqrt(rows * variance.min())  # of each Markov parameter
-    if share > _TAIL and np.sqrt(np.mean(late**2)) > 3.0 * spread:
+    density = max(known.density(part, len(records)) for part in natural)
+    noise = np.mean(np.concatenate(natural) ** 2)
+    spread = np.sqrt(noise * spec.ny * np.einsum("lala->l", known.inverse))  # of the norm of each Markov parameter
+    size = max(float(np.linalg.norm(markov)), 1e-300)
+    if np.linalg.norm(direct) > max(_TAIL * size, _SURE * spread[0]):
+        raise FitError(
+            f"{what}: outputs answer the inputs within the same sample",
+            expected="an input that moves the outputs of later samples only",
+            got=f"{np.abs(direct).max():.2g} at once, of at most {np.abs(markov).max():.2g} later",
+            remedy="if a row holds the input before its output, move the inputs on by a sample",
+        )
+    late = markov[-max(length // 10, 1) :]
+    share = float(np.linalg.norm(late) / size / np.sqrt(len(late) / length))
+    if share > _TAIL and np.linalg.norm(late) > _SURE * np.linalg.norm(spread[-len(late) :]):
         raise FitError(
             f"{what}: the response has not died out",
             expected=f"a tail of less than {_TAIL:g} of its size",
             got=f"{share:.2g} in the last tenth of {length} samples",
             remedy="raise length, or stabilise the plant first (a plant that does not forget has no such controller)",
         )
-    from scipy.signal import welch
-
-    pieces = min(256, min(len(part) for part in natural))
-    density = max(float(welch(part, nperseg=pieces, axis=0)[1].max()) / 2.0 for part in natural)
-    t = np.sqrt(2.0 * np.log(_FREQUENCIES / (1.0 - confidence)))
-    size = np.sqrt(length * density / (rows * variance.min()))
     beyond = float(np.linalg.norm(late, axis=(1, 2)).sum()) if share > _TAIL else 0.0
-    return Response(markov, float(size * (np.sqrt(spec.ny) + np.sqrt(spec.nu) + t)) + beyond, natural, (y_mean, u_mean))
+    return Response(markov, known.gain_bound(density, spec.ny, confidence) + beyond, natural, (y_mean, u_mean))
 
 
 def response_controller(response: Response, q: FloatArray, r: FloatArray, taps: int) -> ResponseController:
@@ -178,7 +194,7 @@ def response_controller(response: Response, q: FloatArray, r: FloatArray, taps: 
 class ResponseControl:
     """A regulator straight from records, without a state: what it costs beside LQG, and whether the data vouch for it.
 
-    The response is estimated from the estimation records (inputs that something random moves), the controller acts on
+    The response is estimated from the estimation records (in open loop, of any rich input), the controller acts on
     what it leaves unexplained. If the response is wrong by Delta, the loop around controller M is M Delta: it is stable
     for every plant within the bound where ``bound * |M| < 1``, and inputs grow by at most ``1 / (1 - bound |M|)``. The
     second controller weighs the inputs more, as little as that needs (no input at all where nothing less does).

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import InputError
 from harness.judgement import feedback_of
 from harness.models.analysis import Findings, Takes, as_dataset
 from harness.models.spread import steps
@@ -27,14 +27,12 @@ from identifiers.linear.bounds.responses import (
     responses,
 )
 from identifiers.linear.markov import sums_without
-from identifiers.linear.response_control import estimated_response
 
 _SHOWN = 12  # Coefficients that are listed.
 _LAGS, _LONGEST = 10, 100  # Lags of the predictor where the fit tells none, and of a response at most.
 _DIED = 0.01  # A response counts as died away where it stays below this share of its largest value.
 _STATES = ("least-squares", "dmdc")  # Identifiers whose outputs are the states.
 _DOUBT = 1e-3  # Probability of residuals so correlated in time, were they white, below which they count as coloured.
-_WHITE = 0.2  # Correlation of inputs with their own past below which they count as white.
 
 
 @dataclass(frozen=True)
@@ -52,8 +50,8 @@ class FiniteSample:
     - ``self-normalised``: Abbasi-Yadkori, Pal & Szepesvari 2011, theorem 1, the step of Sarkar & Rakhlin 2019 and
       Tsiamis & Pappas 2019; for coefficients of one-step equations.
     - ``small balls``: Simchowitz, Mania, Tu, Jordan & Recht 2018, theorem 2.4.
-    - ``these inputs``, ``white inputs``: the rate of Oymak & Ozay 2019, theorem 3.1, with constants by Davidson &
-      Szarek 2001, given the inputs of the record, or taking them to be white (as ``response-control`` does).
+    - ``these inputs``: the rate of Oymak & Ozay 2019, theorem 3.1, with constants by Davidson & Szarek 2001, given the
+      inputs of the record (as in ``response-control``).
     - ``Ho-Kalman``: Oymak & Ozay 2019, theorem 4.3.
 
     Parameters
@@ -217,12 +215,6 @@ class FiniteSample:
             own = norm_of_spread(model.matrices, model.spread, self.confidence, rng)
             rows.insert(1, _row("same, of the fit", "these inputs", found.gain, own))
         words = [f"responses are those of least squares with {length} lags"]
-        if _white(long):
-            try:
-                bound = estimated_response(long, length, confidence=self.confidence, what="finite-sample").bound
-                rows.insert(1, _row(gain, "white inputs", bound, found.measured_gain))
-            except FitError as error:
-                words.append(str(error))
         order = len(model.a_matrix)
         if self.identifier not in ("impulse-response", "arx") and 2 * order < length * min(spec.nu, spec.ny):
             rows.append(self._realised(found, long, order, length, rng))
@@ -283,16 +275,6 @@ def _length(model: Any) -> int | None:
     alive = np.flatnonzero((found > _DIED * found.max(axis=0)).any(axis=1))
     length = max(int(alive[-1]) + 2 if alive.size else 4, 4)
     return length if length <= _LONGEST else None
-
-
-def _white(records: Sequence[Trajectory]) -> bool:
-    """Return True if no input is correlated with its past, or with another, by more than a little."""
-    u = np.concatenate([record.u - record.u.mean(axis=0) for record in records])
-    size = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
-    u = u / size
-    found = [np.abs(u[k:].T @ u[: len(u) - k] / len(u)) for k in range(4)]
-    found[0] = found[0] - np.diag(np.diag(found[0]))
-    return bool(max(float(one.max()) for one in found) < _WHITE)
 
 
 def _left_out(model: Any, lags: int) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.models.spread import Matrices, Spread, gains
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.normal import NormalEquations
 from identifiers.linear.markov import normal_equations, sums_without
 
 _FREQUENCIES = 64  # Points of the half circle on which gains are taken.
@@ -31,16 +32,54 @@ class Responses:
     rows: int  # Windows
 
 
-def responses(
-    records: Sequence[Trajectory], length: int, confidence: float, rng: np.random.Generator
-) -> Responses | None:
-    """Return bounds on Markov parameters by least squares, in open loop.
+@dataclass(frozen=True, eq=False)
+class LagsKnown:
+    """How well the inputs of a record tell the lags of a response, whatever their spectrum.
 
     Given the inputs the error ``(P' P)^-1 P' v`` of least squares is Gaussian with a covariance of at most ``S (P'
     P)^-1``, S the largest spectral density of what the inputs do not explain. The norm of such a matrix exceeds
     ``sqrt(ny) + sqrt(columns) + t`` times its scale with probability ``exp(-t^2 / 2)`` (Davidson & Szarek 2001, theorem
     II.13). So the rate ``sqrt(L / N)`` of Oymak & Ozay 2019, *ACC*, theorem 3.1, has its constants from the record; no
     input need be white.
+    """
+
+    inverse: FloatArray  # (L, nu, L, nu): of P' P without the means
+    least: float  # The least eigenvalue of P' P
+
+    @classmethod
+    def of(cls, sums: NormalEquations, length: int, nu: int) -> LagsKnown | None:
+        """Return it from equations of lags and a constant; none where the inputs do not excite so many lags."""
+        gram = sums.gram[:-1, :-1] - np.outer(sums.gram[:-1, -1], sums.gram[-1, :-1]) / sums.gram[-1, -1]
+        values, vectors = np.linalg.eigh(gram)
+        if values[0] <= 1e-10 * values[-1]:
+            return None
+        return cls(((vectors / values) @ vectors.T).reshape(length, nu, length, nu), float(values[0]))
+
+    def density(self, rest: FloatArray, records: int) -> float:
+        """Return the largest spectral density of what the inputs of one of several records do not explain (N, ny)."""
+        from scipy.signal import welch
+
+        taken = self.inverse.shape[0] * self.inverse.shape[1] / records
+        lost = len(rest) / max(len(rest) - taken, 1.0)  # what the fit took of the noise
+        return lost * float(welch(rest, nperseg=min(_PIECES, len(rest)), axis=0)[1].max()) / 2.0
+
+    def gain_bound(self, density: float, ny: int, confidence: float) -> float:
+        """Return the bound on the largest gain over all frequencies of the error."""
+        length, nu = self.inverse.shape[:2]
+        waves = np.exp(-1j * np.outer(np.linspace(0.0, np.pi, _FREQUENCIES), np.arange(length)))
+        through = np.einsum("fl,lamb,fm->fab", waves.conj(), self.inverse, waves, optimize=True)
+        scale = float(np.sqrt(density * np.linalg.eigvalsh(through)[:, -1].max()))
+        # a complex Gaussian matrix: real and imaginary part each half of it
+        t = np.sqrt(2.0 * np.log(_FREQUENCIES / (1.0 - confidence)))
+        return float(scale * (np.sqrt(ny) + np.sqrt(nu) + t))
+
+
+def responses(
+    records: Sequence[Trajectory], length: int, confidence: float, rng: np.random.Generator
+) -> Responses | None:
+    """Return bounds on Markov parameters by least squares, in open loop.
+
+    What :class:`LagsKnown` says of these inputs, and what leaving out stretches shows.
 
     - ``length``: L; the response must have died away by then
     - ``rng``: for draws of the measured error
@@ -57,7 +96,7 @@ def responses(
     >>> 1.0 < found.gain / found.measured_gain < 4.0
     True
     """
-    from scipy.signal import fftconvolve, welch
+    from scipy.signal import fftconvolve
 
     spec = records[0].spec
     ny, nu = spec.ny, spec.nu
@@ -65,11 +104,9 @@ def responses(
     sums = normal_equations(records, length, offset=True) if records else None
     if sums is None or sums.rows < 2 * length * nu:
         return None
-    gram = sums.gram[:-1, :-1] - np.outer(sums.gram[:-1, -1], sums.gram[-1, :-1]) / sums.gram[-1, -1]
-    values, vectors = np.linalg.eigh(gram)
-    if values[0] <= 1e-10 * values[-1]:
+    known = LagsKnown.of(sums, length, nu)
+    if known is None:
         return None
-    inverse = (vectors / values) @ vectors.T
     theta = np.linalg.lstsq(sums.gram, sums.right, rcond=None)[0]
     markov, level = theta[:-1].reshape(length, nu, ny).transpose(0, 2, 1), theta[-1]
     density = 0.0
@@ -77,19 +114,11 @@ def responses(
         rest = record.y - level
         for j in range(nu):
             rest = rest - fftconvolve(record.u[:, j : j + 1], markov[:, :, j], axes=0)[: len(record)]
-        rest = rest[length - 1 :]
-        lost = len(rest) / max(len(rest) - length * nu / len(records), 1.0)  # what the fit took of the noise
-        found = welch(rest, nperseg=min(_PIECES, len(rest)), axis=0)[1]
-        density = max(density, lost * float(found.max()) / 2.0)
+        density = max(density, known.density(rest[length - 1 :], len(records)))
     waves = np.exp(-1j * np.outer(np.linspace(0.0, np.pi, _FREQUENCIES), np.arange(length)))
-    blocks = inverse.reshape(length, nu, length, nu)
-    through = np.einsum("fl,lamb,fm->fab", waves.conj(), blocks, waves, optimize=True)
-    scale = float(np.sqrt(density * np.linalg.eigvalsh(through)[:, -1].max()))
-    # a complex Gaussian matrix: real and imaginary part each half of it
-    t = np.sqrt(2.0 * np.log(_FREQUENCIES / (1.0 - confidence)))
-    gain = scale * (np.sqrt(ny) + np.sqrt(nu) + t)
+    gain = known.gain_bound(density, ny, confidence)
     t = np.sqrt(2.0 * np.log(1.0 / (1.0 - confidence)))
-    block = float(np.sqrt(density / values[0])) * (np.sqrt(ny) + np.sqrt(length * nu) + t)
+    block = float(np.sqrt(density / known.least)) * (np.sqrt(ny) + np.sqrt(length * nu) + t)
     near = []
     for part in sums_without(records, length, offset=True):
         other = np.linalg.lstsq(part.gram, part.right, rcond=None)[0]
@@ -104,7 +133,7 @@ def responses(
         return float(np.linalg.norm(drawn.transpose(1, 0, 2).reshape(ny, -1), ord=2))
 
     measured = [_drawn_quantile(away, factor, of, confidence, rng) for of in (of_gain, of_block)]
-    return Responses(np.asarray(markov, dtype=np.float64), float(gain), measured[0], block, measured[1], sums.rows)
+    return Responses(np.asarray(markov, dtype=np.float64), gain, measured[0], block, measured[1], sums.rows)
 
 
 def norm_of_spread(matrices: Matrices, spread: Spread, confidence: float, rng: np.random.Generator) -> float:
