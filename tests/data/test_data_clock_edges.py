@@ -132,6 +132,18 @@ def test_a_doubled_row_has_its_stamp_within_a_quarter_of_a_sample(apart: float, 
 # ---- pieces ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("late", [0.55, 0.7])
+def test_rows_that_are_stamped_late_are_one_sample_each(late: float) -> None:
+    """By more than half a sample, now and then: nothing is lost. A lost row and a doubled one are not that."""
+    time = even(200)
+    time[[40, 90, 150]] += late * STEP
+    (piece,), notes = pieces(time, sample_time=STEP)
+    assert piece.values[:, 1].tolist() == list(range(200))
+    assert f"up to {100 * late:.2g} % of a sample off" in notes[0]
+    swapped = np.insert(np.delete(even(200), 60), 120, even(200)[120] + 0.1 * STEP)
+    assert "two rows in one sample" in str(refusal(swapped, sample_time=STEP))
+
+
 @pytest.mark.parametrize(("rows", "kept"), [(5, False), (19, False), (20, True), (21, True)])
 def test_a_piece_between_gaps_has_twenty_rows(rows: int, kept: bool) -> None:
     assert SHORTEST == 20

@@ -96,6 +96,9 @@ def test_it_is_said_and_a_nonlinear_model_is_refused(tmp_path: Path) -> None:
         ("[filter]\nhigh = 5.0\norder = 40\n", "1 to 12"),
         ("[filter]\nhigh = -5.0\n", "filter.high"),
         ("[filter]\nhgh = 5.0\n", "did you mean high"),
+        ("[resample]\nintersample = 'zoh'\n", "remedy: write intersample above the first table"),
+        ("[resample]\nhigh = 5.0\n", r"remedy: write it under \[filter\]"),
+        ("[resample]\nfast = 5.0\n", "remedy: remove it"),
     ],
 )
 def test_bands_that_cannot_be_meant_are_refused(rest: str, words: str, tmp_path: Path) -> None:

@@ -131,7 +131,16 @@ def _refuse_unknown(content: dict[str, Any], file: str | Path | None) -> None:
     for place, table, kind in todo:
         known = kind.__struct_fields__
         for key in table if isinstance(table, dict) else ():
-            refuse_unknown("unknown key", key, known, remedy="remove it", file=file, place=f"{place}.{key}".lstrip("."))
+            remedy = _remedy(key, known)
+            refuse_unknown("unknown key", key, known, remedy=remedy, file=file, place=f"{place}.{key}".lstrip("."))
+
+
+def _remedy(key: str, known: tuple[str, ...]) -> str:
+    """Return what to do with a key that its table does not know: it may belong to another one."""
+    if key in Description.__struct_fields__:
+        return f"write {key} above the first table"
+    homes = [f"[{name}]" for name, kind in _TABLES.items() if key in kind.__struct_fields__ and key not in known]
+    return f"write it under {', or '.join(homes)}" if homes else "remove it"
 
 
 def _explained(error: msgspec.ValidationError, file: str | Path | None) -> InputError:
