@@ -282,7 +282,7 @@ def eigenfunctions(model: Any) -> Eigenfunctions:
     InputError
         If the model is not linear in lifted coordinates.
     """
-    _refuse(model)
+    require_lifted(model)
     kept = deviations(model)[3]
     a = np.eye(model.lifted)  # The constant keeps itself exactly: what its fitted row errs by would pass for a mode.
     a[kept] = np.asarray(model.matrices[0], dtype=float)[kept]
@@ -292,8 +292,8 @@ def eigenfunctions(model: Any) -> Eigenfunctions:
     return Eigenfunctions(values[order].astype(complex), vectors.T[order].astype(complex), model)
 
 
-def _refuse(model: Any) -> None:
-    """Refuse a model that is not linear in lifted coordinates."""
+def require_lifted(model: Any) -> None:
+    """Raise InputError unless a model is linear in lifted coordinates."""
     if not isinstance(model, Lifted):
         raise InputError(
             f"{type(model).__name__}: not for control in lifted coordinates",
@@ -305,7 +305,7 @@ def _refuse(model: Any) -> None:
 
 def _point(model: Any, target: FloatArray | None, hold: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return target and hold of a model that can be used."""
-    _refuse(model)
+    require_lifted(model)
     goal = np.zeros(model.spec.ny) if target is None else np.asarray(target, dtype=float)
     rest = np.zeros(model.spec.nu) if hold is None else np.asarray(hold, dtype=float)
     if goal.shape != (model.spec.ny,) or rest.shape != (model.spec.nu,):

@@ -20,6 +20,8 @@ from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
 # Variance of the sensors against what a unit disturbance at the inputs does to them within the first samples.
 _SENSOR = 1e-4
+_NEWTON = 6  # Steps to the inputs that hold a plant at a state.
+_STILL = 1e-5  # By which a state may move within a sample where it is held: a tenth of the step of its derivatives.
 # A step that costs so many times the dearest one under the first controller: the design does not hold the plant.
 _FAR = 10.0
 
@@ -208,6 +210,52 @@ def linearise(
 
     (a, c), (b, d) = derivatives(True), derivatives(False)
     return LinearPlantModel(a, b, c, d if plant.spec.feedthrough else np.zeros_like(d))
+
+
+def held(plant: Any, x0: Mapping[str, float]) -> tuple[LinearPlantModel, FloatArray, FloatArray]:
+    """Return a plant linearised at a state where an input holds it, and the outputs (ny,) and inputs (nu,) there.
+
+    Parameters
+    ----------
+    plant : Plant
+        As for :func:`linearise`.
+    x0 : mapping
+        The state, by name; zero for states not named.
+
+    Raises
+    ------
+    InputError
+        If no input within the plant's ranges holds it there, or :func:`linearise` refuses it.
+
+    Examples
+    --------
+    >>> from plants.equations.ode import pendulum_ode
+    >>> aside = held(pendulum_ode(sample_time=0.05), {"theta": np.pi / 2})
+    >>> aside[2].round(6)  # N m, against the weight
+    array([1.])
+    """
+    hold = np.zeros(plant.spec.nu)
+    low, high = (np.array([getattr(one, side) for one in plant.spec.inputs]) for side in ("minimum", "maximum"))
+    for _ in range(_NEWTON):
+        around = linearise(plant, x0=x0, u0=hold)
+        target = np.asarray(plant.reset(rng=np.random.default_rng(0), x0=dict(x0)), dtype=float)
+        before = np.asarray(plant.truth(), dtype=float)
+        plant.step(hold)
+        moved = np.asarray(plant.truth(), dtype=float) - before
+        better = np.clip(hold - np.linalg.lstsq(around.b_matrix, moved, rcond=1e-9)[0], low, high)
+        if np.allclose(better, hold, rtol=1e-9, atol=1e-12):
+            break
+        hold = better
+    if np.abs(moved).max(initial=0.0) <= _STILL:
+        return around, target, hold
+    names = [channel.name for channel in plant.spec.states]
+    worst = int(np.argmax(np.abs(moved)))
+    raise InputError(
+        "point at which a plant is held",
+        expected="an equilibrium: a state in which some input within its range keeps the plant",
+        got=f"{names[worst]} moves by {moved[worst]:.2g} within a sample whatever the inputs",
+        remedy="give the state where it stays, to enough digits",
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,22 +85,38 @@ def regulation_costs(
     >>> regulation_costs(plant, still, [{"x1": 1.0}, {"x1": 2.0}], steps=50, q=one, r=one, **point).round(4)
     array([1.3333, 5.3333])
     """
-    found = []
-    for start in starts:
-        y = np.asarray(plant.reset(rng=np.random.default_rng(0), x0=start), dtype=float)
-        controller.reset(y)
-        cost = 0.0
-        for _ in range(steps):
-            u = controller.act(y)
-            away, pushed = y - target, u - hold
-            cost += float(away @ q @ away + pushed @ r @ pushed)
-            try:
-                y = np.asarray(plant.step(u), dtype=float)
-            except PlantError:
-                cost = np.inf
-                break
-            if not np.all(np.abs(y) < GONE):
-                cost = np.inf
-                break
-        found.append(cost)
-    return np.array(found)
+    return np.array([
+        regulation_steps(plant, controller, start, steps=steps, q=q, r=r, target=target, hold=hold).sum()
+        for start in starts
+    ])  # fmt: skip
+
+
+def regulation_steps(
+    plant: Any,
+    controller: Controller,
+    start: Mapping[str, float],
+    *,
+    steps: int,
+    q: FloatArray,
+    r: FloatArray,
+    target: FloatArray,
+    hold: FloatArray,
+) -> FloatArray:
+    """Return what every sample of one run costs (steps,), as :func:`regulation_costs` adds it up.
+
+    Where the plant ends, or its outputs leave every bound, the last of them is infinite and those after it are 0.
+    """
+    y, costs = np.asarray(plant.reset(rng=np.random.default_rng(0), x0=start), dtype=float), np.zeros(steps)
+    controller.reset(y)
+    for k in range(steps):
+        u = controller.act(y)
+        away, pushed = y - target, u - hold
+        costs[k] = away @ q @ away + pushed @ r @ pushed
+        try:
+            y = np.asarray(plant.step(u), dtype=float)
+        except PlantError:
+            y = np.array([np.inf])
+        if not np.all(np.abs(y) < GONE):
+            costs[k] = np.inf
+            break
+    return costs

@@ -47,6 +47,7 @@ def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
         "adaptive-balance",
         "adaptive-tracking",
         "control-worth",
+        "lifted-control",
         "offset-bound",
         "record-length",
         "finite-sample",

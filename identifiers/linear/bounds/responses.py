@@ -61,7 +61,7 @@ class LagsKnown:
 
         taken = self.inverse.shape[0] * self.inverse.shape[1] / records
         lost = len(rest) / max(len(rest) - taken, 1.0)  # what the fit took of the noise
-        return lost * float(welch(rest, nperseg=min(_PIECES, len(rest)), axis=0)[1].max()) / 2.0
+        return float(lost * welch(rest, nperseg=min(_PIECES, len(rest)), axis=0)[1].max() / 2.0)
 
     def gain_bound(self, density: float, ny: int, confidence: float) -> float:
         """Return the bound on the largest gain over all frequencies of the error."""
