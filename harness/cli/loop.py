@@ -146,7 +146,7 @@ def _close_fleet(
     junit: Path | None,
 ) -> None:
     """Close the loop on many records and print what they have in common."""
-    with jobs_bar("of records", source) as show:
+    with jobs_bar("records", source) as show:
         result = api.close_fleet(
             source,
             out=out,

@@ -163,7 +163,7 @@ def bench(
         apart = {"--workers": workers, "--seeds": seeds, "--shard": shard, "--dry-run": dry_run or None}
         _refused(apart, "another suite", "the public table")
         wanted = None if sets is None else [name.strip() for name in sets.split(",") if name.strip()]
-        with jobs_bar(suite, suite) as show:
+        with jobs_bar(f"benchmark {suite}", suite) as show:
             public = api.bench_public(
                 sets=wanted, only=only, out=folder, choices=choices, download=download, resume=resume, progress=show
             )
@@ -181,7 +181,7 @@ def bench(
             say(f"{count:6d}  {' x '.join(names)}")
         say(str(planned))
         return
-    with jobs_bar(suite, suite) as show:
+    with jobs_bar(f"benchmark {suite}", suite) as show:
         result = api.bench(
             suite,
             out=folder,

@@ -83,8 +83,8 @@ PROGRESS = "SYSID_HARNESS_PROGRESS"
 class Lines:
     """Progress where standard error is no terminal: one line every few seconds."""
 
-    def __init__(self, title: str) -> None:
-        self.title = title
+    def __init__(self, title: str, counted: bool) -> None:
+        self.title, self.counted = title, counted
         given = os.environ.get(PROGRESS, "")
         self.every = float(given) if given.replace(".", "", 1).isdecimal() else 5.0
         self.next = time.monotonic() + self.every
@@ -101,14 +101,15 @@ class Lines:
         if time.monotonic() < self.next:
             return
         self.next = time.monotonic() + self.every
-        share = f"{100 * completed:.0f} %" if total is None else f"{completed:.0f} of {total:.0f}"
-        print(f"{self.title}: {share}{f', {description}' if description else ''}", file=sys.stderr, flush=True)
+        share = 100 * completed / (total or 1.0)
+        come = f"{completed:.0f} of {total:.0f}" if self.counted and total else f"{share:.0f} %"
+        print(f"{self.title}: {come}{f', {description}' if description else ''}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def jobs_bar(title: str, name: str) -> Iterator[Callable[[int, int, str], None]]:
     """Show how many of many jobs are done; yields what is called as ``show(done, total, what)``."""
-    with progress_bar(f"benchmark {title}") as bar:
+    with progress_bar(title, counted=True) as bar:
         task = bar.add_task(name, total=None)
 
         def show(done: int, total: int, what: str) -> None:
@@ -130,10 +131,10 @@ def share_bar(title: str, name: str) -> Iterator[Callable[[float, str], None]]:
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Progress | Lines]:
+def progress_bar(title: str, *, counted: bool = False) -> Iterator[Progress | Lines]:
     """Show on standard error how far something long has come: a bar on a terminal, else a line now and then."""
     if not sys.stderr.isatty():
-        yield Lines(title)
+        yield Lines(title, counted)
         return
     from rich.console import Console
     from rich.progress import (
@@ -153,7 +154,7 @@ def progress_bar(title: str) -> Iterator[Progress | Lines]:
     with Bar(
         TextColumn("{task.description}"),
         BarColumn(),
-        MofNCompleteColumn() if title.startswith("benchmark") else TextColumn("{task.percentage:>3.0f}%"),
+        MofNCompleteColumn() if counted else TextColumn("{task.percentage:>3.0f}%"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),

@@ -9,8 +9,9 @@ import time
 
 import pytest
 
+from harness.app.jobs import PROGRESS as READ
 from harness.cli import app as cli
-from harness.cli.terminal import progress_bar
+from harness.cli.terminal import PROGRESS, jobs_bar, progress_bar, share_bar
 from harness.supervision.interrupts import INTERRUPTED, Interrupts
 
 
@@ -42,6 +43,25 @@ def test_long_work_stops_at_the_next_step_of_its_progress(terminal: bool, monkey
             with pytest.raises(KeyboardInterrupt):
                 bar.update(task, completed=0.2)
         bar.update(task, completed=0.3)
+
+
+def test_lines_of_progress_are_shares_or_counts(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page of ``sysid open`` reads the shares."""
+    monkeypatch.setenv(PROGRESS, "0")
+    with share_bar("closing the loop", "run") as share:
+        share(0.42, "backlash@theta")
+    with jobs_bar("records", "fleet") as count:
+        count(2, 6, "2 ok")
+    with progress_bar("simulating") as bar:
+        bar.update(bar.add_task("plant"), completed=50, total=200)
+    first, second, third = capsys.readouterr().err.splitlines()
+    assert first == "closing the loop: 42 %, backlash@theta"
+    read = READ.fullmatch(first)
+    assert read is not None
+    assert read.groups() == ("42", "backlash@theta")
+    assert (second, third) == ("records: 2 of 6, 2 ok", "simulating: 25 %")
 
 
 def test_a_command_that_came_to_its_end_says_that_it_was_interrupted(
