@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from lever import LEVER
 
 from harness.diagnosis.arm.misfit import apparent_inertia, inertia_below_nothing
 from harness.diagnosis.arm.motion import arm_runs
@@ -18,14 +19,6 @@ from harness.signals import Dataset, PlantSpec, Run, Trajectory
 DT, NOISE = 0.01, 0.05
 USES: tuple[Literal["estimation", "validation"], ...] = ("estimation", "validation")
 INERTIA = 0.02 + 1.0 * 0.3**2
-LEVER = """<robot name="lever">
-  <link name="base"/>
-  <link name="lever"><inertial><origin xyz="0 0 -0.3"/><mass value="1"/>
-    <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="hinge" type="revolute"><parent link="base"/><child link="lever"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
-</robot>
-"""
 
 
 @cache

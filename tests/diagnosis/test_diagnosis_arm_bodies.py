@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from lever import LEVER
 
 from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import ArmModel, load_arm
@@ -84,20 +85,10 @@ def test_bodies_are_physical_where_free_directions_are_not(tmp_path: Path) -> No
     assert "bodies that were fitted" in (tmp_path / "report.html").read_text()
 
 
-PENDULUM = """<robot name="lever">
-  <link name="base"/>
-  <link name="lever"><inertial><origin xyz="0 0 -0.3"/><mass value="1"/>
-    <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="hinge" type="revolute"><parent link="base"/><child link="lever"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
-</robot>
-"""
-
-
 def test_a_torque_that_no_body_needs_is_not_hidden_in_one(tmp_path: Path) -> None:
     """An inertia below 0 at a single joint: free directions swallowed it, and nothing was missing."""
     path = tmp_path / "lever.urdf"
-    path.write_text(PENDULUM)
+    path.write_text(LEVER)
     lever = load_arm(path, inertia="calibrated")
     runs = []
     for seed, use in enumerate(USES):

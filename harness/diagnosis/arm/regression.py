@@ -13,7 +13,7 @@ from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.diagnosis.search.fit import Begun, Column, ColumnKind, Fit, InOneGo, Jump, Linearised, Suspect
-from harness.diagnosis.systems import Parametrised
+from harness.diagnosis.systems import Parametrised, Starts
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
@@ -159,13 +159,7 @@ class RegressionForm(InOneGo):
 
     # ---- fits --------------------------------------------------------------------------------------------------------
 
-    def begin(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        hope: float = -np.inf,
-    ) -> Begun | None:
+    def begin(self, effects: Sequence[Placed], starts: Starts, base: Fit | None, hope: float = -np.inf) -> Begun | None:
         """See :class:`harness.diagnosis.search.fit.Form`; the steps of a regression are cheap."""
         del hope
         try:

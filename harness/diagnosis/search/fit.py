@@ -8,7 +8,7 @@ from typing import Literal, Protocol, cast
 
 import numpy as np
 
-from harness.diagnosis.systems import AnySystem, Parametrised
+from harness.diagnosis.systems import AnySystem, Parametrised, Starts
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.physics.definition.parameters import FAR, FarOff, Parameter, far_off
@@ -257,13 +257,7 @@ class Form(Protocol):
         """The effects of the run, and what they say of each other."""
         ...
 
-    def begin(
-        self,
-        effects: Sequence[Placed],
-        starts: Sequence[Mapping[str, float]],
-        base: Fit | None,
-        hope: float = -np.inf,
-    ) -> Begun | None:
+    def begin(self, effects: Sequence[Placed], starts: Starts, base: Fit | None, hope: float = -np.inf) -> Begun | None:
         """Take the first steps of a fit of the nominal model with effects, from one or more starts.
 
         ``base`` is the fit to go on from: its noise and initial states. None where it cannot be simulated. What is not
