@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from harness.diagnosis import close_loop
 from harness.diagnosis.records.motion import motion_is_state
+from harness.diagnosis.records.prepare import sizes_of
+from harness.diagnosis.runs.errors import equation_error
+from harness.diagnosis.runs.form import FreeRunForm
 from harness.effects import Placed, builtin, compose
 from harness.physics import load_model
 from harness.physics.compiled.system import System
@@ -186,3 +192,27 @@ def test_a_filter_behind_a_thermometer_is_tied_with_a_lag_of_the_heater() -> Non
     report = close_loop(data, nominal, dictionary=[builtin()[name] for name in rivals])
     (tie,) = report.data["tie_sets"]
     assert {(one["name"], one["at"]) for one in tie} == {("sensor_lag", "T2"), ("actuator_lag", "P")}
+
+
+@pytest.mark.parametrize(
+    ("law", "values", "told"),
+    [
+        ("sensor_gain", {"gain": 0.1}, True),
+        ("sensor_lag", {"tau": 0.05}, False),
+        ("sensor_filter", {"tau": 0.05, "c": 0.3}, False),
+    ],
+)
+def test_an_error_one_step_ahead_needs_readings_of_the_state(law: str, values: dict[str, float], told: bool) -> None:
+    """Behind a lag or a filter a reading is not the position: a step begun there erred by the whole motion."""
+    system, effects = load_model("pendulum"), (Placed(builtin()[law], "theta"),)
+    known = {"J": 0.1, "b": 0.05, "mgl": 1.0}
+    truth = known | {effects[0].name(name): value for name, value in values.items()}
+    u = np.sin(np.outer(0.02 * np.arange(300), [2.0, 5.0, 9.0])).sum(axis=1)
+    data = recorded(compose(system, list(effects)), truth, [u, u[::-1]], np.array([1e-4]), 0.02)
+    form = FreeRunForm(system, data, sizes=sizes_of(system, known, data), horizon=None, weights=np.array([1e-4]))
+    fitted: Any = SimpleNamespace(system=form.system(effects), values=truth, refitted={})
+    found = equation_error(form, None, fitted, data, inverse=False)
+    assert bool(found["validation"]) == told
+    assert found["meaning"].startswith("one-step" if told else "unknown: the state is not measured")
+    if told:
+        assert found["validation"]["theta"]["nrmse"] < 0.01

@@ -69,7 +69,11 @@ def _cards(rows: list[dict[str, Any]], changed: bool) -> list[dict[str, Any]]:
     first = [row for row in rows if row["use"] == "validation" and row["kind"] == "simulation error"]
     horizon = first[0]["horizon"] if first else ""
     chosen = [row for row in first if row["horizon"] == horizon]
-    chosen += [row for row in rows if row["use"] == "validation" and row["kind"] == "equation error"]
+    chosen += [
+        row
+        for row in rows
+        if row["use"] == "validation" and row["kind"] == "equation error" and row["after"] is not None
+    ]
     if not changed:
         return chosen
     fell = any((row["factor"] or 0.0) >= POLICY.changed for row in chosen)

@@ -49,7 +49,7 @@ def error_rows(data: dict[str, Any]) -> list[dict[str, Any]]:
         begun = [data["errors"][key]["simulation_error"].get("from_measured_state", {}) for key in ("before", "after")]
         for name, figures in begun[0].get(use, {}).items():
             text = f"{data['errors']['before']['simulation_error']['horizon_s']:g} s windows from the measured state"
-            rows.append(_error_row(data, use, "simulation error", text, name, figures, begun[1][use].get(name)))
+            rows.append(_error_row(data, use, "simulation error", text, name, figures, begun[1].get(use, {}).get(name)))
         others = data["errors"]["before"]["simulation_error"]["other_horizons"]
         later = data["errors"]["after"]["simulation_error"]["other_horizons"]
         for old, new in zip(others, later, strict=True):

@@ -74,7 +74,7 @@ def simulation_error(
     result["horizon_s"] = longest if horizon is None else horizon
     result["whole_record"] = horizon is None
     result["initial_state"] = "estimated on each window"
-    if horizon is not None and measured_coordinates(form.nominal) is not None:
+    if horizon is not None and _state_is_read(form, fitted):
         result["from_measured_state"] = at(horizon, "data")
     result["other_horizons"] = [
         {**at(other), "horizon_s": longest if other is None else other, "whole_record": other is None}
@@ -101,7 +101,7 @@ def equation_error(
             result[use] = figures(parts, pushes, strong.columns)
         result["meaning"] = "residual force on measured motion, low-passed and decimated"
         return result
-    known = measured_coordinates(output.nominal) is not None
+    known = _state_is_read(output, fitted)
     for use in USES:
         if not dataset.using(use) or not known:  # type: ignore[arg-type]
             result[use] = {}
@@ -117,3 +117,12 @@ def equation_error(
         else "unknown: the state is not measured"
     )
     return result
+
+
+def _state_is_read(form: FreeRunForm, fitted: Fitted) -> bool:
+    """Return True if the records tell the positions of a model: not where its sensor has a memory (a lag, a filter)."""
+    if measured_coordinates(form.nominal) is None:
+        return False
+    system, p = fitted.system, fitted.system.vector(fitted.values)
+    _, told = form.from_data(form.simulator(system, p), form.records["estimation"][0], p)
+    return all(told[coordinate.q] for coordinate in system.coordinates)
