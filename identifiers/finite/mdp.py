@@ -268,11 +268,13 @@ def finite_sizes(spec: PlantSpec, what: str) -> tuple[int, int]:
     """Return the numbers of outputs (or states) and actions, or refuse signals that are no categories."""
     kinds = [channel.kind for channel in (*spec.inputs, *spec.outputs)]
     if spec.ny != 1 or spec.nu > 1 or any(kind != "category" for kind in kinds):
+        inputs, outputs = ([one.name for one in side if one.kind == "category"] for side in (spec.inputs, spec.outputs))
+        chosen = " ".join([*(f"--input {name}" for name in inputs[:1]), *(f"--output {name}" for name in outputs[:1])])
         raise FitError(
             f"{what} needs a finite process",
             expected="one category output and at most one category input",
             got=str(spec),
-            remedy=SAY_CATEGORIES,
+            remedy=f"choose the signals that it is of, such as {chosen}" if outputs else SAY_CATEGORIES,
         )
     try:
         return spec.outputs[0].categories, spec.inputs[0].categories if spec.nu else 1

@@ -12,7 +12,14 @@ from harness.errors import FitError
 from harness.scoring import predict, regret
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import FiniteProcess, simulate_finite
-from identifiers.finite.mdp import MdpCounting, MdpModel, OnlineCounting, count_transitions, weissman_bound
+from identifiers.finite.mdp import (
+    MdpCounting,
+    MdpModel,
+    OnlineCounting,
+    count_transitions,
+    finite_sizes,
+    weissman_bound,
+)
 
 RNG = np.random.default_rng(0)
 
@@ -48,6 +55,15 @@ def test_unvisited_pairs_are_uniform_and_flagged():
     assert model.transition[2, 0] == pytest.approx(np.full(3, 1 / 3))
     assert np.isinf(model.bound[2, 0])
     assert [2, 0] in model.notes["unvisited"]
+
+
+def test_a_record_with_more_than_a_process_says_which_signals_to_choose():
+    action, seen = (Channel(name, "1", 0, 1, "category") for name in ("action", "heard"))
+    told = PlantSpec((action,), (Channel("reward"), seen), 1.0)
+    with pytest.raises(FitError, match="such as --input action --output heard"):
+        finite_sizes(told, "hidden-markov")
+    with pytest.raises(FitError, match="say that the numbers are names"):
+        finite_sizes(PlantSpec((action,), (Channel("reward"),), 1.0), "hidden-markov")
 
 
 def test_pseudo_counts():

@@ -82,7 +82,7 @@ def test_a_forced_van_der_pol_oscillator_is_predicted_as_well_as_published() -> 
     24.4 % with 100; over 3 s, as in their figure 2 (the table names no horizon).
     """
     rng = np.random.default_rng(0)
-    u, t, spec = rng.uniform(-1, 1, (200, 1001)), 0.01 * np.arange(1001), PlantSpec((Channel("u"),), STATES, 0.01)
+    u, t, spec = rng.uniform(-1, 1, (200, 1001)), 0.01 * np.arange(1001.0), PlantSpec((Channel("u"),), STATES, 0.01)
     told = van_der_pol(rng.uniform(-1, 1, (200, 2)), u)
     data = [Trajectory(t, one[:, None], y, spec) for one, y in zip(u, told, strict=True)]
     square = np.tile(np.where(np.arange(301) % 30 < 15, 1.0, -1.0), (100, 1))
