@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
 import harness
+from harness.data.oddities import DataCheck, examined
 from harness.data.oddities.filtered import filter_of
 from harness.diagnosis.records.thinning import thinned_dataset
 from harness.physics.models import pendulum
@@ -104,3 +105,17 @@ def test_the_loop_names_the_filter_and_keeps_the_parameters(kind: str, tmp_path:
     for name, true in VALUES.items():
         value = report["parameters"]["after"][name]
         assert abs(value["value"] - true) < 0.75 * (value["high"] - value["low"])
+
+
+def test_a_page_marks_no_rows_of_a_signal_that_is_odd_throughout() -> None:
+    u, y = swing(3)
+    late, spec = mean(y, 6), PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
+    late[500] += 1.0
+    records = [Trajectory(np.arange(N) * DT, u[:, None], z[:, None], spec) for z in (mean(y, 6), late)]
+    check = DataCheck(examined(Dataset("made", (Run(records[0], "estimation"), Run(records[1], "validation")))))
+    kinds = [{odd.kind for odd in check.oddities if odd.run == run} for run in (0, 1)]
+    assert kinds == [{"filtered"}, {"spike"}]
+    page = check.html()
+    assert page.count("<svg") == 1
+    assert "run 1: theta [rad], 1 odd row" in page
+    assert "reported" in page

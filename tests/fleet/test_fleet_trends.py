@@ -61,6 +61,9 @@ def test_many_records_are_counted_by_machine_and_folded() -> None:
     many = [row(k, found("coulomb@q", 0.1)) for k in range(LONG)] + [row(k, machine="B") for k in range(3)]
     page = fleet_page(many, planned=len(many), model="m", reports="reports")
     assert f"<details><summary>all {len(many)} records" in page
+    assert "details::details-content { content-visibility: visible" in page[page.index("@media print") :], (
+        "on paper all"
+    )
     assert f"{LONG} coulomb@q" in page
     few = fleet_page(many[:5], planned=5, model="m", reports="reports")
     assert "<details>" not in few

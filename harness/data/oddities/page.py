@@ -64,10 +64,11 @@ class DataCheck:
 
     def _parts(self) -> str:
         rows = [
-            (odd.run, odd.channel, odd.words, "left out of fits" if odd.used else "said" if odd.fault else "no fault")
+            (odd.run, odd.channel, odd.words, "left out" if odd.used else "reported" if odd.fault else "no fault")
             for odd in self.oddities
         ]
-        found = table(["run", "channel", "what is odd", ""], rows) if rows else "<p>nothing odd was found</p>"
+        titles = ["run", "channel", "what is odd", "what is done"]
+        found = table(titles, rows) if rows else "<p>nothing odd was found</p>"
         notes = table(["what was noticed on reading"], [[text] for text in self.dataset.warnings])
         return page(str(self.dataset), found, *odd_pictures(self.dataset), notes if self.dataset.warnings else "")
 
@@ -90,10 +91,10 @@ def oddities_data(dataset: Dataset) -> list[dict[str, Any]]:
 
 
 def odd_pictures(dataset: Dataset) -> list[str]:
-    """Return a drawing (SVG) of every channel with odd rows, these marked."""
+    """Return a drawing (SVG) of every channel with odd rows, these marked; what is odd of most rows is so of all."""
     marked: dict[tuple[int, str], set[int]] = {}
     for odd in dataset.oddities or ():
-        if odd.rows:
+        if 0 < 2 * len(odd.rows) < len(dataset.runs[odd.run].trajectory):
             marked.setdefault((odd.run, odd.channel), set()).update(odd.rows)
     pictures = []
     for (run, name), rows in sorted(marked.items()):
