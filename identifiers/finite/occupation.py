@@ -13,6 +13,8 @@ from harness.models.analysis import Findings, Takes
 from harness.options import check_options
 from harness.signals import FloatArray
 
+_GROWS = 10.0  # Range of the second half of a run in that of its first beyond which the plant runs away.
+
 
 def stationary(transition: FloatArray, tolerance: float = 1e-9) -> FloatArray:
     """Return the stationary distribution (S,) of a chain (S, S).
@@ -93,7 +95,8 @@ class Occupation:
     Parameters
     ----------
     discount : float, optional
-        None gives the stationary distribution; else the discounted occupation from the first states.
+        None gives the stationary distribution; else the discounted occupation from the first states, of a continuous
+        plant from those in which it begins, by restarts.
     boxes : int
         Along each of the first two outputs of a continuous plant.
     samples : int
@@ -143,27 +146,48 @@ class Occupation:
         words = (f"{kind}: half of the time is spent in {_half(share)} of {states} states",)
         return Findings("occupation", rows, words, {"share": share}, lambda: _bars(share, kind))
 
+    def _visited(self, plant: Any, rng: np.random.Generator) -> FloatArray:
+        """Return the first two outputs (N, 2) under random inputs.
+
+        With a discount every step is the last of its run with the rest of it as probability: the time spent anywhere is
+        then the discounted occupation (Puterman 1994, sec. 5.3).
+        """
+        spec = plant.spec
+        if self.policy is not None or any(channel.kind == "category" for channel in (*spec.inputs, *spec.outputs)):
+            raise InputError(
+                "occupation of a sampled plant", expected="real signals, and no policy", got=f"{spec}, {self.policy}",
+                remedy="count a finite process with mdp-counting, and leave the policy of a continuous plant out",
+            )  # fmt: skip
+        size = np.array([1.0 if not np.isfinite(c.maximum) else c.maximum for c in spec.inputs])
+        ends = (
+            np.zeros(self.samples, dtype=bool) if self.discount is None else rng.random(self.samples) >= self.discount
+        )
+        rows = [plant.reset(rng=rng)]
+        for row, end in zip(self.spread * size * rng.normal(size=(self.samples, spec.nu)), ends, strict=True):
+            rows.append(plant.reset(rng=rng) if end else plant.step(row))
+        return np.array(rows, dtype=float)[:, : min(2, spec.ny)]
+
     def _sampled(self, plant: Any, rng: np.random.Generator) -> Findings:
         """Return the occupation of a continuous plant on boxes of its first two outputs."""
         spec = plant.spec
-        size = np.array([1.0 if not np.isfinite(c.maximum) else c.maximum for c in spec.inputs])
-        y = np.array([plant.reset(rng=rng)])
-        u = self.spread * size * rng.normal(size=(self.samples, spec.nu))
-        rows = [plant.step(row) for row in u]
-        y = np.concatenate([y, np.array(rows)])[:, : min(2, spec.ny)]
-        if not np.isfinite(y).all() or (y.std(axis=0) == 0).any():
+        y = self._visited(plant, rng)
+        half = len(y) // 2
+        ranges = [np.ptp(part, axis=0) for part in (y[:half], y[half:])]
+        if not np.isfinite(y).all() or (np.ptp(y, axis=0) == 0).any() or np.any(ranges[1] > _GROWS * ranges[0]):
             raise FitError(
                 "occupation: the plant does not stay",
-                expected="a run that stays finite and moves in every output",
-                got="one that does not",
-                remedy="choose a stable plant, its rates among the outputs, or more spread",
+                expected="a run that stays within bounds and moves in every output",
+                got="one that does not: it stands still, or its second half reaches beyond its first by far",
+                remedy="choose a stable plant, its rates among the outputs, more spread, or a discount",
             )
         edges = [np.linspace(column.min(), column.max() + 1e-9, self.boxes + 1) for column in y.T]
         # Learned on the first half, judged on where the second half is.
-        half = len(y) // 2
-        chain, kept = ulam(y[:half], y[1 : half + 1], edges)
-        share = np.zeros(self.boxes ** y.shape[1])
-        share[kept] = stationary(chain)
+        if self.discount is None:
+            chain, kept = ulam(y[:half], y[1 : half + 1], edges)
+            share = np.zeros(self.boxes ** y.shape[1])
+            share[kept] = stationary(chain)
+        else:
+            share = np.histogramdd(y[:half], bins=edges)[0].ravel() / half
         seen = np.histogramdd(y[half:], bins=edges)[0].ravel()
         seen /= seen.sum()
         apart = 0.5 * float(np.abs(share - seen).sum())
@@ -180,11 +204,12 @@ class Occupation:
             }
             for number, index in zip(order, where, strict=True)
         ]
+        kind = "stationary density" if self.discount is None else f"occupation with discount {self.discount:g}"
         words = (
-            f"stationary density on {self.boxes} boxes an axis from {half} steps: half of the time in "
-            f"{_half(share)} of {len(kept)} boxes",
+            f"{kind} on {self.boxes} boxes an axis from {half} steps: half of the time in "
+            f"{_half(share)} of {np.count_nonzero(share)} boxes",
             f"the second half of the run is elsewhere with a share of {apart:.3g} (total variation)"
-            + (": too few steps for these boxes" if apart > 0.25 else ""),
+            + (": too few steps for these boxes, or a plant that drifts" if apart > 0.25 else ""),
         )
         shown = share.reshape((self.boxes,) * y.shape[1])
         names = [f"{c.name} [{c.unit}]" for c in spec.outputs[: y.shape[1]]]

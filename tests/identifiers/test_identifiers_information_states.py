@@ -141,6 +141,20 @@ def test_the_density_of_a_sampled_process_is_the_known_one():
     assert 0.5 * np.abs(stationary(chain) - np.diff(norm.cdf(edge / size))[kept]).sum() < 0.02
 
 
+def test_a_discount_of_a_sampled_plant_restarts_it_and_a_plant_that_runs_away_is_refused():
+    """Of y+ = a y + u from 0 the discounted second moment is ``d s^2 / (1 - d a^2)``, of an unstable plant too."""
+    for pole, discount in ((0.9, 0.9), (1.02, 0.8)):
+        plant = create("plants", "linear", A=[[pole]], B=[[1.0]])
+        details = Occupation(discount=discount, boxes=60).of(plant, rng=rng()).details
+        middle = np.mean([details["edges"][0][1:], details["edges"][0][:-1]], axis=0)
+        told = 0.3**2 * discount / (1 - discount * pole**2)
+        assert details["share"] @ middle**2 == pytest.approx(told, rel=0.12)
+    with pytest.raises(FitError, match="does not stay"):
+        Occupation().of(plant, rng=rng())
+    with pytest.raises(InputError, match="no policy"):
+        Occupation(policy=[0]).of(plant, rng=rng())
+
+
 def test_the_command_draws_finite_and_continuous_processes(tmp_path):
     cells = api.analyse("occupation", "corridors-mdp", subject_options={"length": 3}, out=tmp_path / "finite.png")
     assert sum(row["share"] for row in cells.rows) == pytest.approx(1.0)
