@@ -19,7 +19,7 @@ from harness.models.lqr import lqr_gain, stabilisable
 from harness.protocols import Model
 from harness.signals import FloatArray, Trajectory
 
-_CONSTANT = 1e-6  # a row of [A B] this near to one that keeps itself is that of the constant function
+_CONSTANT = 1e-6  # a function whose part in all but the constant is no larger is the constant itself
 _SHOWN = 0.95  # the largest values lie in corners that no record reached, and would hide the rest
 HORIZON = 30  # Samples that MPC looks ahead if nothing is said.
 
@@ -37,6 +37,11 @@ class Lifted(Model, Protocol):
         ...
 
     @property
+    def constant(self) -> int:
+        """Which lifted state is the constant function."""
+        ...
+
+    @property
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """A, B, C and D."""
         ...
@@ -45,11 +50,11 @@ class Lifted(Model, Protocol):
 def deviations(model: Lifted) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.intp]]:
     """Return A, B, C of deviations from an equilibrium, and which lifted states they keep: all but the constant.
 
-    The constant function keeps itself, no input moves it, and its deviation is 0: no design may ask to hold it.
+    The constant function keeps itself, whatever its fitted row errs by, no input moves it, and its deviation is 0: no
+    design may ask to hold it.
     """
     a, b, c, _ = (np.asarray(matrix, dtype=float) for matrix in model.matrices)
-    still = np.abs(a - np.eye(len(a))).max(axis=1) + np.abs(b).max(axis=1, initial=0.0) < _CONSTANT
-    kept = np.flatnonzero(~still)
+    kept = np.delete(np.arange(len(a)), model.constant)
     return a[np.ix_(kept, kept)], b[kept], c[:, kept], kept
 
 

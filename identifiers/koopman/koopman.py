@@ -210,6 +210,11 @@ class KoopmanModel:
         """Dimension of the lifted state."""
         return int(self.a_matrix.shape[0])
 
+    @property
+    def constant(self) -> int:
+        """Which of the lifted states is the constant function: it comes after the arguments."""
+        return len(self.dictionary.scale)
+
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (nx,) at the first sample; the past is the straight line through the first samples."""
         same_language(self.spec, data)

@@ -134,10 +134,12 @@ def test_eigenfunctions_are_multiplied_by_their_eigenvalues(fast: float, slow: f
 
 
 def test_the_constant_is_no_eigenfunction_beside_a_mode_that_hardly_dies_away() -> None:
-    """Its fitted row errs by 6e-11, and beside a mode of 0.9999 passed for one of a time constant of years."""
+    """A fitted row of it errs by 6e-11, and beside a mode of 0.9999 passed for one of a time constant of years."""
     plant = LinearPlant(A=np.diag([0.9999, 0.5]), B=np.ones((2, 1)))
     found = eigenfunctions(fitted(records(plant, 1.0, count=10), degree=2))
     assert found.values[0] == pytest.approx(0.9999, abs=1e-6)
+    late = fitted(records(duffing(), 2.0, count=20), degree=2, delays=3)  # badly conditioned
+    assert len(deviations(late)[3]) == late.lifted - 1
 
 
 def test_models_that_are_not_linear_in_lifted_coordinates_are_refused_by_type() -> None:
