@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.comparison.residuals import LAGS, Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
-from harness.comparison.uncertain import bode_lines, is_linear, pole_figure, pole_rows, step_figure
+from harness.comparison.uncertain import bode_lines, is_linear, pole_figure, pole_rows, response_figure
 from harness.display import STYLE, page, table
 from harness.errors import HarnessError, InputError
 from harness.models.determined import bands_of, bands_words
@@ -155,7 +155,8 @@ class Comparison:
             *([inlined(_bode_figure(self), "frequency responses")] if self.spectrum else []),
             *(
                 [
-                    inlined(step_figure(linear, self.dataset.recorded), "step responses"),
+                    inlined(response_figure(linear, self.dataset.recorded), "step responses"),
+                    inlined(response_figure(linear, self.dataset.recorded, "impulse"), "impulse responses"),
                     inlined(pole_figure(linear), "poles and zeros"),
                 ]
                 if linear

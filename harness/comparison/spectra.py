@@ -97,6 +97,12 @@ class Spectrum:
         spec, times = own_gains(self.spec, recorded)
         return replace(self, spec=spec, response=self.response * times, deviation=self.deviation * times)
 
+    def _repr_html_(self) -> str:
+        from harness.display import page
+        from harness.plots import inlined
+
+        return page(repr(self).strip("<>"), inlined(self.plot(), "frequency response"))
+
     def plot(self, colour: str | None = None) -> Any:
         """Draw magnitude with a band of two standard deviations, phase and coherence; returns the figure.
 

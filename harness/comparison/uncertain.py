@@ -80,8 +80,11 @@ def _drawn(
     return found
 
 
-def step_figure(models: Mapping[str, Any], recorded: Mapping[str, str] = NONE) -> Any:
-    """Draw the answers to a unit step of each input, with 95 % bands, in the units in which channels were recorded."""
+def response_figure(models: Mapping[str, Any], recorded: Mapping[str, str] = NONE, kind: str = "step") -> Any:
+    """Draw the answers to a unit step of each input, with 95 % bands, in the units in which channels were recorded.
+
+    - ``kind``: ``step``, or ``impulse`` for those to a pulse of one sample
+    """
     from harness.comparison.responses import length
     from harness.plots import sheet
 
@@ -91,9 +94,9 @@ def step_figure(models: Mapping[str, Any], recorded: Mapping[str, str] = NONE) -
     count = min(max(length(model) for model in models.values()), SHOWN)
     t = spec.sample_time * np.arange(count)
     for name, model in models.items():
-        y = steps(model.matrices, count) * times
+        y = steps(model.matrices, count, kind) * times
         spread = getattr(model, "spread", None)
-        half = quantile(spread) * step_deviation(model, count) * times if spread is not None else None
+        half = quantile(spread) * step_deviation(model, count, kind) * times if spread is not None else None
         for row in range(spec.ny):
             for column in range(spec.nu):
                 (line,) = axes[row, column].plot(t, y[:, row, column], linewidth=1.2, label=name)
@@ -102,9 +105,10 @@ def step_figure(models: Mapping[str, Any], recorded: Mapping[str, str] = NONE) -
                     axes[row, column].fill_between(
                         t, low[:, row, column], high[:, row, column], alpha=0.2, color=line.get_color()
                     )
+    what = "unit step" if kind == "step" else "unit pulse"
     for row, output in enumerate(spec.outputs):
         for column, given in enumerate(spec.inputs):
-            axes[row, column].set_title(f"{output} after a unit step of {given}", fontsize=9)
+            axes[row, column].set_title(f"{output} after a {what} of {given}", fontsize=9)
     axes[0, 0].legend(fontsize=8)
     for axis in axes[-1]:
         axis.set_xlabel("time [s]", fontsize=9)

@@ -16,7 +16,7 @@ from scipy.signal import cont2discrete, lfilter, tf2ss
 from harness import api, registry
 from harness.api.comparing import _names
 from harness.comparison import compare, correlations, spectrum
-from harness.comparison.uncertain import pole_rows, transmission_zeros
+from harness.comparison.uncertain import pole_rows, response_figure, transmission_zeros
 from harness.errors import InputError
 from harness.frequency import FrequencyResponse
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
@@ -201,7 +201,7 @@ def test_the_better_model_is_seen(folder: Path, sysid: Callable[..., Any]) -> No
     assert not rows["arx1", "validation"]["independent"]
     assert rows["arx2", "validation"]["independent"]
     text = page.read_text()
-    assert text.count("data:image/svg+xml") == 5  # motion over time, residuals, Bode, step responses, poles
+    assert text.count("data:image/svg+xml") == 6  # motion over time, residuals, Bode, step and impulse responses, poles
     assert "is determined by its data: " in text
     assert "modulus of the pole" in text
     assert "\N{PLUS-MINUS SIGN}" in text
@@ -277,3 +277,13 @@ def test_the_page_shows_every_model_over_time_with_what_it_may_miss_by() -> None
     model = registry.create("identifiers", "arx", order=2).fit(data.estimation, rng=np.random.default_rng(0))
     page = compare({"arx": model}, data).html()
     assert all(f'alt="{what}"' in page or what in page for what in ("measured and simulated", "poles and zeros"))
+
+
+def test_pulses_are_drawn_as_the_model_answers_them_in_the_units_of_the_data() -> None:
+    model = registry.create("identifiers", "arx", order=2).fit([record(1)], rng=np.random.default_rng(0))
+    (axis,) = response_figure({"arx": model}, {"y": "mm"}, "impulse").axes
+    drawn = axis.lines[0].get_ydata()
+    assert np.allclose(drawn, 1e3 * model.impulse_response(len(drawn))[:, 0, 0])
+    assert "after a unit pulse of u" in axis.get_title()
+    assert len(axis.collections) == 1, "the band"
+    assert 'alt="frequency response"' in spectrum([record(1)])._repr_html_(), "a notebook shows it"
