@@ -9,7 +9,10 @@ from harness.diagnosis.search.refusal import Kind, Refusal
 _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
     Kind.NOT_SIMULATED: lambda r: "with it the model cannot be simulated along these records",
     Kind.COST: lambda r: "it was not tried to the end: the search had cost what it may",
-    Kind.STOPPED: lambda r: "its fit was stopped early: its steps came near neither the best rival nor what it costs",
+    Kind.STOPPED: lambda r: (
+        "its fit was stopped early: its steps would not bring it within reach of the best rival, or of what its "
+        "parameters cost"
+    ),
     Kind.UNCONVERGED: lambda r: "its fit did not converge",
     Kind.EVIDENCE: lambda r: (
         f"too little evidence: {r.numbers[0]:.1f} in log-likelihood on the estimation records (its parameters paid) "
