@@ -10,7 +10,7 @@ import pytest
 from harness import api
 from harness.comparison import compare
 from harness.comparison.models import _bode_figure, _time_figure
-from harness.comparison.uncertain import step_figure
+from harness.comparison.uncertain import response_figure
 from harness.diagnosis.report import evidence_page
 from harness.units import told
 
@@ -91,7 +91,7 @@ def test_pictures_of_models_are_in_the_units_of_the_log(tmp_path: Path) -> None:
     named = {"input": "u", "output": "n"}
     model = api.identify(tmp_path / "a.csv", identifier="arx", **named).model  # type: ignore[arg-type]
     data = api.load_dataset(tmp_path / "a.csv", **named).dataset  # type: ignore[arg-type]
-    steps = step_figure({"arx": model}, data.recorded).axes[0]
+    steps = response_figure({"arx": model}, data.recorded).axes[0]
     assert steps.get_title() == "n [1/min] after a unit step of u [mV]"
     assert np.asarray(steps.lines[0].get_ydata())[-1] == pytest.approx(2000.0, rel=0.02)
     gain = _bode_figure(compare({"arx": model}, data)).axes[0]
