@@ -11,6 +11,7 @@ from harness.diagnosis.records.motion import measured_coordinates
 from harness.diagnosis.runs.equation_form import EquationForm
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm
+from harness.diagnosis.systems import by_equations
 from harness.signals import Dataset, FloatArray
 
 USES = ("estimation", "validation", "test")
@@ -125,4 +126,5 @@ def _state_is_read(form: FreeRunForm, fitted: Fitted) -> bool:
         return False
     system, p = fitted.system, fitted.system.vector(fitted.values)
     _, told = form.from_data(form.simulator(system, p), form.records["estimation"][0], p)
+    assert by_equations(system)  # as its nominal system is
     return all(told[coordinate.q] for coordinate in system.coordinates)
