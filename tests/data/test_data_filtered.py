@@ -77,6 +77,13 @@ def test_what_was_sampled_has_no_null_but_those_of_its_inputs(seed: int, hold: i
     assert filter_of(rng.standard_normal(n), np.zeros((n, 0))) is None
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_thermometer_of_coarse_steps_has_no_filter(seed: int) -> None:
+    """It is refreshed every twelve rows and mostly reads the same: rectangles, whose spectra have nulls."""
+    warmth = np.where(np.random.default_rng(seed).random(100) < 0.2, 26.1, 26.0).repeat(12)
+    assert filter_of(warmth, np.zeros((len(warmth), 0))) is None
+
+
 def test_a_record_of_a_slower_sensor_is_not_thinned() -> None:
     """Every third reading counts: every second row would keep one in six."""
     u, y = swing(1, 6000)

@@ -22,6 +22,8 @@ _SIDES = 16
 """Bins to each side among which something must stand above the null."""
 _ALSO = 0.7
 """Share of that depth which another null of the same comb has, or one of an input that the reading answers."""
+_MOVES = 0.5
+"""Share of the rows in which a reading changes at least: one that moves in a few coarse steps has nulls of its own."""
 _EDGE = 0.49
 """Frequency in cycles a row from which a null is that of a digital low-pass at half the sampling frequency."""
 _TOP, _ZEROS = (0.35, 0.485), 1.5
@@ -63,7 +65,7 @@ def filter_of(y: FloatArray, u: FloatArray) -> Filter | None:
     >>> found.every, round(found.null, 1), filter_of(y, none)
     (5, 0.2, None)
     """
-    if len(y) < _SEGMENTS * _SHORTEST:
+    if len(y) < _SEGMENTS * _SHORTEST or np.mean(np.diff(y) != 0.0) < _MOVES:
         return None
     frequency, power = _spectrum(y)
     depth = _depths(power)
