@@ -252,7 +252,7 @@ def _batches(tasks: Sequence[Task], traces: str) -> list[CellBatch]:
 
     Raises InputError if the choice is none of :data:`TRACES`.
     """
-    refuse_unknown("traces", traces, TRACES, remedy="choose one", place="traces")
+    refuse_unknown("traces", traces, TRACES, remedy="choose one")
     first: dict[tuple[str, str], int] = {}
     for task in tasks:
         first.setdefault((task.plant.name, task.scenario.name), task.seed)

@@ -118,7 +118,7 @@ def test_traces_are_kept_of_the_seeds_that_are_asked_for(traces: str, kept: list
     tasks = [task(seed=3), task(seed=1), task(seed=1, plant="q")]
     batches = _batches(tasks, traces)
     assert [batch.trace for batch in batches] == kept
-    with pytest.raises(InputError, match="expected first, all, none"):
+    with pytest.raises(InputError, match=r"^traces: expected one of first, all, none, got 'some'"):
         _batches(tasks, "some")
     several = _batches([task(jobs=("a", "b", "c")), task(jobs=("d",))], traces)
     left = list(_missing(several, {"b": row(), "d": row()}))
