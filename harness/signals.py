@@ -335,8 +335,7 @@ class Oddity:
     Attributes
     ----------
     kind : str
-        ``spike``, ``word``, ``held``, ``stuck``, ``leap``, ``twice``, ``rail``, ``step``, ``shift``, ``mismatch``,
-        ``trend``, ``slow``, ``fast``; see :mod:`harness.data.oddities`.
+        One of those that :mod:`harness.data.oddities` lists.
     run : int
         Number of the run.
     channel : str

@@ -130,15 +130,30 @@ def environment(
 ) -> Any:
     """Return a plant as a Gymnasium environment.
 
-    Raises InputError if an input has no finite limits; PluginError if gymnasium is not installed.
+    Parameters
+    ----------
+    plant : Plant
+        Inputs become the action, outputs the observation. Real channels become a Box with the declared limits (an
+        input needs finite ones), a single category channel becomes Discrete.
+    reward : callable, optional
+        ``reward(y, u)`` of the new output and the action; default 0: the harness scores models, not policies.
+    samples : int
+        An episode is truncated after so many steps. It terminates where the plant breaks or its outputs are not
+        finite.
+    x0 : mapping, optional
+        Named initial states; ``reset(options={"x0": ...})`` overrides them.
 
-    - ``plant``: inputs become the action, outputs the observation. Real channels become a Box with the declared limits
-      (an input needs finite ones), a single category channel becomes Discrete.
-    - ``reward``: ``reward(y, u)`` of the new output and the action; default 0: the harness scores models, not policies
-    - ``samples``: an episode is truncated after so many steps. It terminates where the plant breaks or its outputs are
-      not finite.
-    - ``x0``: named initial states; ``reset(options={"x0": ...})`` overrides them
-    - returns it closes the plant
+    Returns
+    -------
+    gymnasium.Env
+        It closes the plant.
+
+    Raises
+    ------
+    InputError
+        If an input has no finite limits.
+    PluginError
+        If gymnasium is not installed.
     """
     gym = _gymnasium()
 

@@ -132,7 +132,7 @@ def volume_of(W: FloatArray, columns: Sequence[int]) -> float:
 
     - ``W`` (M, k)
     - ``columns``: of the parameters
-    - returns infinite where the columns depend on each other
+    - returns infinity where the columns depend on each other
 
     Examples
     --------

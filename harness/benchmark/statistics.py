@@ -66,7 +66,7 @@ def standings(scores: Mapping[str, Sequence[float | None]]) -> dict[str, Standin
 
     - ``scores``: name to one score for each replicate, in the same order for all, above 0; None where there is none (it
       counts as infinite)
-    - returns empty where nobody has a finite median
+    - returns nothing where nobody has a finite median
 
     Examples
     --------

@@ -96,7 +96,7 @@ def settled(system: FmuSystem, record: Trajectory, noise: FloatArray, x0: FloatA
     - ``noise`` (ny,): standard deviation of the sensors
     - ``x0`` (nx,): where the states start
     - ``told``: tolerance of the FMU's default experiment
-    - returns with the coarsest settings that suffice; ``notes`` say where they are not the FMU's own, and where none
+    - returns the FMU with the coarsest settings that suffice; ``notes`` say where they are not its own, and where none
       does
     """
     run = record[:ROWS]

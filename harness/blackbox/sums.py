@@ -26,7 +26,7 @@ def summed(
     - ``slopes``: from the number of a window and the columns wanted (None: all) to the derivatives (N, ny, unknowns)
     - ``nx, unknowns``: states; parameters and states
     - ``floor``: error of every reading, in sigma, that is added to the costs: a fit that is exact still has one
-    - returns windows beyond their limit, and all of them beyond the budget, have infinite costs and were not
+    - returns the sums; windows beyond their limit, and all of them beyond the budget, have infinite costs and were not
       differentiated
     """
     measured, sigma, period = asked.data

@@ -37,7 +37,7 @@ def local_polynomial(
     The variance is infinite where no record has power of an input in the narrowest window.
 
     - ``records``: of one sample time; each has a transient of its own
-    - returns none where the records are too short
+    - returns None where the records are too short
     """
     spec = records[0].spec
     spectra: list[tuple[FloatArray, ComplexArray, ComplexArray]] = []

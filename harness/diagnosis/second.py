@@ -35,7 +35,7 @@ def searched_unless_carried(
     built on that effect before free runs were asked; where these do not follow either, the search goes on.
 
     - ``searched``: the search; takes ``lost`` and ``begun``, see :func:`harness.diagnosis.search.search.search`
-    - ``again``: none where nothing judges by free runs
+    - ``again``: None where nothing judges by free runs
     """
     if again is None or not overwhelmed(form, nominal, policy):
         return searched(), None

@@ -48,7 +48,7 @@ def fill(template: str, units: Mapping[str, str]) -> str:
     - ``template``: unit text in which the names in ``units`` (``F``, ``q``, ``v``, ``u``, ``y``, ``x``, ``Q``) stand
       for the units of the port; other names stand for themselves
     - ``units``: unit text of each of these names at one port
-    - returns in the form that :mod:`harness.units` reads; a radian stays a radian
+    - returns it in the form that :mod:`harness.units` reads; a radian stays a radian
 
     Examples
     --------

@@ -152,7 +152,7 @@ def build_fmu(
     - ``*options``: more options for the compiler
     - ``others``: also compile for the systems of :data:`CROSS` whose compiler is at hand
     - ``note``: text above the licence, such as whose the equations are
-    - returns names of the folders of binaries: the systems that the FMU runs on as it is
+    - returns the names of the folders of binaries: the systems that the FMU runs on as it is
 
     Raises
     ------

@@ -44,7 +44,7 @@ def build_once(key: str, name: str, make: Callable[[Path], None]) -> Path:
     - ``name``: file name
     - ``make``: ``make(target)`` writes the file. It is renamed into place when it is complete, so other processes see
       all of it or nothing; two that build at once both succeed.
-    - returns in :func:`cache_folder`
+    - returns its path in :func:`cache_folder`
     """
     folder = cache_folder() / "fmu" / key
     final = folder / name

@@ -29,7 +29,7 @@ def notes_of(
     """Return sentences on inputs, lengths and modes that the records leave undetermined.
 
     - ``shown``: of the records
-    - ``identifier``: none for the subspace fit of this room
+    - ``identifier``: None for the subspace fit of this room
     - ``passing``: rows of poles that are no modes
     """
     spec = records[0].spec

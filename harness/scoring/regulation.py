@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypedDict, Unpack
 
 import numpy as np
 
@@ -50,16 +50,18 @@ class StateFeedback:
         return np.asarray(np.clip(self.hold - self.gain @ (y - self.target), self.low, self.high))
 
 
+class Regulation(TypedDict):
+    """How long a run is, and how it is weighed."""
+
+    steps: int  # Samples
+    q: FloatArray  # (ny, ny): Weights of the outputs
+    r: FloatArray  # (nu, nu): Weights of the inputs
+    target: FloatArray  # (ny,): Point to be held
+    hold: FloatArray  # (nu,): Inputs there
+
+
 def regulation_costs(
-    plant: Any,
-    controller: Controller,
-    starts: Sequence[Mapping[str, float]],
-    *,
-    steps: int,
-    q: FloatArray,
-    r: FloatArray,
-    target: FloatArray,
-    hold: FloatArray,
+    plant: Any, controller: Controller, starts: Sequence[Mapping[str, float]], **run: Unpack[Regulation]
 ) -> FloatArray:
     """Return ``sum (y - y*)' q (y - y*) + (u - u*)' r (u - u*)`` of a run from each start (M,).
 
@@ -71,10 +73,8 @@ def regulation_costs(
     controller : Controller
     starts : sequence of mapping
         Initial states by name.
-    steps : int
-        Samples of a run.
-    q, r : array (ny, ny), (nu, nu)
-    target, hold : array (ny,), (nu,)
+    **run : Regulation
+        ``steps``, ``q``, ``r``, ``target`` and ``hold``.
 
     Examples
     --------
@@ -85,33 +85,22 @@ def regulation_costs(
     >>> regulation_costs(plant, still, [{"x1": 1.0}, {"x1": 2.0}], steps=50, q=one, r=one, **point).round(4)
     array([1.3333, 5.3333])
     """
-    return np.array([
-        regulation_steps(plant, controller, start, steps=steps, q=q, r=r, target=target, hold=hold).sum()
-        for start in starts
-    ])  # fmt: skip
+    return np.array([regulation_steps(plant, controller, start, **run).sum() for start in starts])
 
 
 def regulation_steps(
-    plant: Any,
-    controller: Controller,
-    start: Mapping[str, float],
-    *,
-    steps: int,
-    q: FloatArray,
-    r: FloatArray,
-    target: FloatArray,
-    hold: FloatArray,
+    plant: Any, controller: Controller, start: Mapping[str, float], **run: Unpack[Regulation]
 ) -> FloatArray:
     """Return what every sample of one run costs (steps,), as :func:`regulation_costs` adds it up.
 
     Where the plant ends, or its outputs leave every bound, the last of them is infinite and those after it are 0.
     """
-    y, costs = np.asarray(plant.reset(rng=np.random.default_rng(0), x0=start), dtype=float), np.zeros(steps)
+    y, costs = np.asarray(plant.reset(rng=np.random.default_rng(0), x0=start), dtype=float), np.zeros(run["steps"])
     controller.reset(y)
-    for k in range(steps):
+    for k in range(run["steps"]):
         u = controller.act(y)
-        away, pushed = y - target, u - hold
-        costs[k] = away @ q @ away + pushed @ r @ pushed
+        away, pushed = y - run["target"], u - run["hold"]
+        costs[k] = away @ run["q"] @ away + pushed @ run["r"] @ pushed
         try:
             y = np.asarray(plant.step(u), dtype=float)
         except PlantError:

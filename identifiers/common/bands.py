@@ -247,7 +247,7 @@ def held_out_runs(
       first that counts; by default the model's own ``initial_state``
     - ``least``: windows that have to fit into what is held out: 9, or fewer where these are joined with those of other
       models
-    - returns up to the longest horizon of which as many windows fit
+    - returns one for each, up to the longest horizon of which as many windows fit
     """
     held = [len(record) - cut for record, cut in zip(records, cuts, strict=True)]
     horizons = [h for h in _STEPS if sum((length - 1) // h for length in held) >= least]

@@ -166,7 +166,7 @@ def nearly_dependent(
 
     - ``solution, columns, least, what``: as of :func:`refuse_feedback`; here the outputs are the states (one lag)
     - ``records``: where the samples before are looked up; without them every combination that is small counts as noise
-    - returns none where there is no such combination
+    - returns None where there is no such combination
     """
     if least <= 0:
         return None

@@ -52,7 +52,7 @@ def coefficients_without(
     - ``blocks``: yields ``(Phi (n, p), Y (n, m))`` in the order of time, as for
       :func:`identifiers.common.regression.solve`
     - ``solution``: over all rows; with a ridge in its factor where there was one
-    - returns (array (G, p, m), float) or None: None of too few rows or too many regressors
+    - returns array (G, p, m) and a number; None of too few rows or too many regressors
 
     Examples
     --------
@@ -141,7 +141,7 @@ def triangles_without(blocks: Iterable[FloatArray], rows: int, width: int) -> li
 
     - ``blocks`` iterable of array (n, width): in the order of time
     - ``rows, width``: of all blocks together
-    - returns list of (array (width, width), int): Empty where a stretch less would leave too few rows
+    - returns pairs of an array (width, width) and a count; none where a stretch less would leave too few rows
 
     Examples
     --------

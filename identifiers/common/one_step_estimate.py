@@ -39,7 +39,7 @@ def least_squares_estimate(
     46:1293), and then no interval is claimed.
 
     - ``solution``: of ``y[k+1] = theta' [y[k], ..., u[k], ..., 1]`` over all of them
-    - returns none beyond 200 coefficients
+    - returns None beyond 200 coefficients
     """
     spec = records[0].spec
     theta = solution.coefficients
@@ -107,7 +107,7 @@ def lifted_estimate(functions: Sequence[str], spec: PlantSpec, solution: Solutio
 
     - ``functions``: names of the functions, without units
     - ``solution``: of ``z[k+1] = theta' [z[k], u[k]]``
-    - returns none beyond 200 coefficients
+    - returns None beyond 200 coefficients
     """
     if solution.coefficients.size > LARGEST:
         return None

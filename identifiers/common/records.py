@@ -203,7 +203,7 @@ def lagged(trajectory: Trajectory, lags: int) -> FloatArray:
 
     - ``trajectory``: one record: no row reaches across a seam
     - ``lags``: at least 1
-    - returns array (N - lags, lags * (ny + nu)): Row i belongs to the next output ``y[lags + i]``
+    - returns array (N - lags, lags * (ny + nu)): row i belongs to the next output ``y[lags + i]``
 
     Examples
     --------

@@ -46,7 +46,7 @@ def expected_counts(
 
     - ``records`` sequence of (observations, actions)
     - ``initial, transition, emission`` (S,), (S, A, S), (S, O)
-    - ``native``: false computes in numpy even where the compiled recursions are there
+    - ``native``: False computes in numpy even where the compiled recursions are there
     """
     states, actions, _ = transition.shape
     turned = np.ascontiguousarray(transition.transpose(1, 0, 2))

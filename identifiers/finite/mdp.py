@@ -24,7 +24,7 @@ def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:
     """Count the transitions of records of one finite process.
 
     - ``trajectories``: one category input (the action) or none, one category output (the state)
-    - returns array (S, A, S): How often action a in state s led to s'. No transition is counted across a seam.
+    - returns array (S, A, S): how often action a in state s led to s'. No transition is counted across a seam.
     """
     spec = trajectories[0].spec
     states, actions = finite_sizes(spec, "mdp-counting")

@@ -24,7 +24,7 @@ def state_space_estimate(model: LinearModel, singular_values: Sequence[float], r
 
     - ``singular_values``: that the order was read from, largest first
     - ``rule``: what decided the order
-    - returns none beyond 200 parameters
+    - returns None beyond 200 parameters
 
     Examples
     --------

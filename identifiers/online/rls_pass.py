@@ -98,7 +98,7 @@ def run(
     - ``u, y`` (n, nu), (n, ny): inputs and the outputs that they led to, contiguous. With n = 0 only the next
       prediction is prepared.
     - ``guesses`` (n, ny): receives the predictions, each made before its output was seen
-    - ``native``: false computes in numpy even where the compiled recursion is there
+    - ``native``: False computes in numpy even where the compiled recursion is there
     """
     call = _compiled() if native else None
     if call is None:
@@ -116,7 +116,7 @@ def rotated(
     - ``rows`` (n, p + 1)
     - ``group``: equations of one instant, which are forgotten together
     - ``forgetting``: weight of all that came before, for every group
-    - ``native``: false computes in numpy even where the compiled recursion is there
+    - ``native``: False computes in numpy even where the compiled recursion is there
 
     Examples
     --------

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -66,26 +66,22 @@ builtins.__import__, ctypes.CDLL.__init__ = imports, loads
 """As Windows looks to our own modules, in each process; others go on asking the system that is there."""
 
 
+def python(folder: Path, environment: Mapping[str, str], *words: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder; it has to succeed."""
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, check=False, timeout=300, cwd=folder, env=environment
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done
+
+
 @pytest.fixture
 def elsewhere(tmp_path: Path) -> Callable[..., str]:
     """Run Python where our modules see Windows; returns what it writes."""
     (tmp_path / "sitecustomize.py").write_text(ELSEWHERE, encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(Path(__file__).parents[2])))}
 
-    def run(*words: str) -> str:
-        done = subprocess.run(
-            [sys.executable, *words],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-            cwd=tmp_path,
-            env=environment,
-        )
-        assert done.returncode == 0, done.stderr[-2000:]
-        return done.stdout
-
-    return run
+    return lambda *words: python(tmp_path, environment, *words).stdout
 
 
 MODULES = """
@@ -151,15 +147,6 @@ def test_what_a_missing_compiler_costs_is_said_once(tmp_path: Path) -> None:
         "import numpy as np\nfrom harness.physics import load_model\n"
         "for name in ('pendulum', 'drive'):\n    load_model(name).simulator(0.01).prepare()\n"
     )
-    environment = {**os.environ, "SYSID_HARNESS_NO_COMPILER": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-        cwd=tmp_path,
-        env=environment,
-    )
+    done = python(tmp_path, {**os.environ, "SYSID_HARNESS_NO_COMPILER": "1"}, "-c", code)
     assert done.stderr.count("no C compiler was found") == 1
     assert "sysid-harness[compiler]" in done.stderr

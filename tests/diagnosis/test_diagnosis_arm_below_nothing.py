@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from lever import LEVER
+from lever import lever_urdf
 
 from harness.diagnosis.arm.misfit import apparent_inertia, inertia_below_nothing
 from harness.diagnosis.arm.motion import arm_runs
@@ -24,7 +24,7 @@ INERTIA = 0.02 + 1.0 * 0.3**2
 @cache
 def lever(folder: Path, inertia: str) -> ArmModel:
     path = folder / f"{inertia}.urdf"
-    path.write_text(LEVER)
+    path.write_text(lever_urdf())
     return load_arm(path, inertia=inertia)
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from lever import LEVER
+from lever import lever_urdf
 
 from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import ArmModel, load_arm
@@ -88,7 +88,7 @@ def test_bodies_are_physical_where_free_directions_are_not(tmp_path: Path) -> No
 def test_a_torque_that_no_body_needs_is_not_hidden_in_one(tmp_path: Path) -> None:
     """An inertia below 0 at a single joint: free directions swallowed it, and nothing was missing."""
     path = tmp_path / "lever.urdf"
-    path.write_text(LEVER)
+    path.write_text(lever_urdf())
     lever = load_arm(path, inertia="calibrated")
     runs = []
     for seed, use in enumerate(USES):

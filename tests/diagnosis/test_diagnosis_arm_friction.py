@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from lever import lever_urdf
 
 from harness.diagnosis.arm.joint import JointRegression, joint_dictionary
 from harness.diagnosis.arm.motion import arm_runs
@@ -20,14 +21,6 @@ from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 DT = 0.01
 USES: tuple[Literal["estimation", "validation"], ...] = ("estimation", "validation")
-LEVER = """<robot name="lever">
-  <link name="base"/>
-  <link name="lever"><inertial><origin xyz="0 0 -0.3"/><mass value="{mass}"/>
-    <inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="hinge" type="revolute"><parent link="base"/><child link="lever"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
-</robot>
-"""
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +30,7 @@ def levers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, ArmModel]:
     made = {}
     for name, mass in (("light", 1e-3), ("heavy", 2.0)):
         path = folder / f"{name}.urdf"
-        path.write_text(LEVER.format(mass=mass, inertia=0.02 * mass))
+        path.write_text(lever_urdf(mass, 0.02 * mass))
         made[name] = load_arm(path)
     return made
 

@@ -11,8 +11,9 @@ from harness.models.spread import gains, steps
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from identifiers.linear.bounds.finite_sample import FiniteSample
 from identifiers.linear.bounds.regressions import ellipsoids, small_ball
-from identifiers.linear.bounds.responses import realisation_bound, responses
+from identifiers.linear.bounds.responses import LagsKnown, realisation_bound, responses
 from identifiers.linear.ho_kalman import realize
+from identifiers.linear.markov import normal_equations
 
 A, B = np.array([[0.8, 0.2], [-0.2, 0.7]]), np.array([[0.0], [1.0]])
 STATES = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 1.0)
@@ -83,6 +84,19 @@ def test_bounds_on_responses_hold_for_white_and_for_smooth_inputs(smooth):
         assert found.block > found.measured_block
     assert np.mean(held) > 0.99
     assert np.all(np.mean(measured, axis=0) > 0.7)  # 19 neighbours tell a largest gain roughly
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e-6])
+def test_an_input_in_another_unit_tells_as_much(unit):
+    u = np.random.default_rng(4).normal(size=(1500, 2))
+    spec = PlantSpec((Channel("a"), Channel("b")), (Channel("y"),), 1.0)
+    units, found = np.array([1.0, unit]), []
+    for size in (np.ones(2), units):
+        record = Trajectory(np.arange(1500.0), u / size, np.zeros((1500, 1)), spec)
+        known = LagsKnown.of(normal_equations([record], 20, offset=True), 20, 2)
+        assert known is not None
+        found.append(known)
+    assert np.allclose(found[1].inverse / units / units[:, None, None], found[0].inverse, rtol=1e-6, atol=1e-12)
 
 
 def test_the_bound_on_a_realisation_holds_where_it_speaks():

@@ -68,8 +68,8 @@ def chosen(
     - ``train``: the records to learn from; no test record comes near this function
     - ``share, candidates``: see :class:`harness.benchmark.public.choices.BlackChoices`
     - ``progress``: called with what is fitted next
-    - returns (Model or None, Tried or None, list of Tried): The model, what was chosen, and all that was tried; None
-      where no candidate has a finite figure, or where the chosen one cannot be fitted to all of the records
+    - returns the model, what was chosen, and all that was tried; None for the first two where no candidate has a finite
+      figure, or where the chosen one cannot be fitted to all of the records
     """
     learn, validate = parted(train, share)
     tried: list[Tried] = []

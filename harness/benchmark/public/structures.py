@@ -58,7 +58,7 @@ def refitted(rule: Rule, structure: Structure, records: Sequence[Trajectory]) ->
 def halves_figure(rule: Rule, structure: Structure, records: Sequence[Trajectory]) -> float:
     """Return the rule's figure where each half of every record is foretold by a fit to the other halves.
 
-    - returns root mean square of both, in the rule's unit; infinite where a fit fails
+    - returns the root mean square of both, in the rule's unit; infinite where a fit fails
     """
     halves = [[one[: len(one) // 2] for one in records], [one[len(one) // 2 :] for one in records]]
     found = []

@@ -317,7 +317,8 @@ class _Look:
         words = (
             f"{channel.name} was filtered before it was written: at {found.null / self.spec.sample_time:.4g} Hz "
             f"nothing is left of it, as behind {how}. It may come late, and readings side by side err alike: "
-            f"close-loop counts every {_th(found.every)} row and looks for the filter; better write what was read"
+            f"close-loop counts every {_th(found.every)} row and looks for the filter, but for arms; better write what "
+            "was read"
         )
         self._add("filtered", channel, np.flatnonzero(np.arange(self.n) % found.every), words)
 

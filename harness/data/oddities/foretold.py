@@ -51,7 +51,7 @@ def foretold(
     - ``y`` (N,)
     - ``u`` (N, nu): nu may be 0
     - ``odd`` array of bool (N,): rows that say nothing, of the signal or of an input
-    - ``smooth``: true for inputs that are smooth over these rows: they tell what all lags do together, and no more is
+    - ``smooth``: True for inputs that are smooth over these rows: they tell what all lags do together, and no more is
       asked
 
     Examples

@@ -53,8 +53,8 @@ def check_run(
     - ``recorded``: unit by channel in which the data came: warnings tell values in it
     - ``inverse_dynamics``: the model gives the inputs of a motion (an arm): where a controller holds the motion, the
       torque follows it
-    - ``fitted``: false where no model is learned from the run: then it may be short, and rest
-    - ``whole``: false for one of several pieces of a record, which the longest of them speaks for: in a short one
+    - ``fitted``: False where no model is learned from the run: then it may be short, and rest
+    - ``whole``: False for one of several pieces of a record, which the longest of them speaks for: in a short one
       chance may make an input follow an output
     - ``of``: rows of the table whose last third was set aside without being asked for
     """

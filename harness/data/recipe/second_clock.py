@@ -32,7 +32,7 @@ def refuse_other_pace(
 
     - ``column``: the column that was taken for the clock
     - ``time`` (N,): its stamps [s]
-    - ``stated``: true if its unit was stated: else a column without a unit is compared as seconds too
+    - ``stated``: True if its unit was stated: else a column without a unit is compared as seconds too
     - ``used``: titles that are signals
     """
     own = table.find(column)

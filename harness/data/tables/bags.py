@@ -111,7 +111,8 @@ def _files(path: Path) -> list[Path]:
     if not is_bag_folder(path):
         return [path]
     yaml = optional("ruamel.yaml", "a bag")
-    with contextlib.suppress(Exception):  # the reader words what is wrong with the metadata
+    # the reader words what is wrong with the metadata
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, yaml.error.YAMLError):
         said = yaml.YAML(typ="safe").load((path / "metadata.yaml").read_text(encoding="utf-8"))
         named = [PurePath(one).name for one in said["rosbag2_bagfile_information"]["relative_file_paths"]]
         there = sorted(one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))

@@ -307,7 +307,7 @@ def refuse_thousands(cells: Sequence[str], where: Callable[[int], str], *, comma
     Raises InputError with the first of them.
 
     - ``cells``: without blanks about them
-    - ``commas``: true where other columns of the table have decimal commas
+    - ``commas``: True where other columns of the table have decimal commas
     """
     points = [row for row, cell in enumerate(cells) if "." in cell and cell.lower() not in EMPTY]
     if len(points) < POINTED or not all(_THOUSANDS[1].fullmatch(cells[row]) for row in points):

@@ -201,7 +201,7 @@ def clock_unit(title: str, *, path: bool = False) -> str | None:
     Raises InputError if the title states something that is no unit of time, or two of them.
 
     - ``title``: in any of a dozen languages, with brackets and signs of any kind
-    - ``path``: true where the title is a path in a file, whose steps may be called anything
+    - ``path``: True where the title is a path in a file, whose steps may be called anything
 
     Examples
     --------

@@ -92,7 +92,7 @@ def _titled(
     - ``by_key``: rows of the head
     - ``key``: of the row of names
     - ``rows``: cells below the head, without those of keys
-    - ``paired``: true where each channel has a key and a clock of its own
+    - ``paired``: True where each channel has a key and a clock of its own
     """
     width = len(rows[0])
     names = by_key[key][1 :: 2 if paired else 1]

@@ -256,7 +256,7 @@ class Columns:
 
         - ``rows``: rows that the column must have: in some files those of other groups have more or fewer
         - ``most``: rows that are read
-        - ``seconds``: true if a column without a unit counts seconds, as the clock itself
+        - ``seconds``: True if a column without a unit counts seconds, as the clock itself
         """
         texts = getattr(self._source, "texts", None)
         try:

@@ -186,7 +186,7 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
     is a remark (OriginLab, *Origin Help*: long name, units, comments).
 
     - ``rows``: the first rows of a table, numbers included, all cells without blanks about them
-    - returns (titles, count), or None: None also where two rows name every column once: nobody can say which are the
+    - returns (titles, count); None also where two rows name every column once: nobody can say which are the
       names
 
     Examples

@@ -36,7 +36,7 @@ def unwrapped(counts: FloatArray, *, of_day: bool = False) -> tuple[FloatArray, 
     began.
 
     - ``counts`` (N,): in the unit of the counter
-    - ``of_day``: true for times of day in seconds, whose clock may have twelve hours
+    - ``of_day``: True for times of day in seconds, whose clock may have twelve hours
 
     Returns
     -------

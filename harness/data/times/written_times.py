@@ -202,8 +202,8 @@ def ahead_of_utc(
     - ``zones``: by stamp
     - ``local`` array of int (N,): local times [s], counted from the day 0 of Python's proleptic calendar where they
       have dates
-    - ``dated``: true where they have
-    - returns array of int (N,), or None: None where the zones do not say it: abbreviations of two zones, a place
+    - ``dated``: True where they have
+    - returns array of int (N,); None where the zones do not say it: abbreviations of two zones, a place
       without dates, or an hour that came twice and of which nobody can say which one is meant
 
     Examples

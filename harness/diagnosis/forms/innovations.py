@@ -54,7 +54,7 @@ def answered(
     """Return the columns of directions.
 
     - ``paths``: by use, the pass over every record, with derivatives
-    - ``held``: true for an effect whose force is held between samples
+    - ``held``: True for an effect whose force is held between samples
     - ``rates_over``: sample time where forces are changes of rates; None for forces on coordinates
     """
     return [column for group in _portions(asked) for column in _together(group, paths, held, rates_over)]

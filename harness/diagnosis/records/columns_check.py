@@ -57,7 +57,7 @@ def check_columns(system: System, dataset: Dataset) -> list[Doubt]:
     """Say which columns of a data set are probably wrong: see :func:`doubts`, for its longest estimation record.
 
     - ``system``: the nominal model, its parameters at what is known of them
-    - returns empty, or one
+    - returns none, or one
     """
     return doubts(system, max(dataset.estimation, key=len), dataset.intersample)
 
@@ -73,7 +73,7 @@ def doubts(system: System, record: Trajectory, intersample: Intersample = "zoh")
     unless it is by the factor between degrees and radians that all are off.
 
     - ``system``: with declared values
-    - returns empty, or one with the channels and what to do
+    - returns none, or one with the channels and what to do
     """
     cut = _plain(record)
     before, values = _fit(system, cut, intersample)

@@ -73,7 +73,7 @@ def cut_alike(
 
     - ``references``: for each run of ``whole`` signals by name, arrays (N,)
     - ``whole, short``: before and after :func:`stretched`
-    - returns for each run of ``short``; the signals unchanged where its runs are no stretches of the others
+    - returns those of each run of ``short``; the signals unchanged where its runs are no stretches of the others
     """
     if len(references) != len(whole.runs):
         return references
@@ -217,7 +217,7 @@ def uncut(dataset: Dataset, column: int, ceiling: float, *, count: int = DATA_PO
     - ``column``: the output
     - ``ceiling``: readings of this size or more are cut off
     - ``count``: pieces of each use
-    - returns none if a use has no piece of ``DATA_POLICY.shortest`` samples
+    - returns None if a use has no piece of ``DATA_POLICY.shortest`` samples
 
     Examples
     --------

@@ -159,7 +159,7 @@ def local_cubics(readings: FloatArray, factor: int, half: int, period: float | N
     - ``readings`` (N,): naN where one is missing
     - ``factor, half``: with ``half`` below 2 the readings themselves
     - ``period``: of an angle that goes round
-    - returns array ((N - 1) // factor + 1,): The reading itself where neighbours are wanting or missing, or lie
+    - returns array ((N - 1) // factor + 1,): the reading itself where neighbours are wanting or missing, or lie
       further from the cubic than those of all but one in ten thousand windows of mere noise
 
     Examples
@@ -239,7 +239,7 @@ def hat_projection(u: FloatArray, factor: int, intersample: str = "zoh") -> Floa
     """Return the continuous piecewise linear signals with nodes at every so many rows that come nearest to inputs.
 
     - ``u`` (N, nu): held from row to row, or linear between rows (``intersample="foh"``)
-    - returns array ((N - 1) // factor + 1, nu): Values at the nodes. What they leave of the inputs is orthogonal to
+    - returns array ((N - 1) // factor + 1, nu): values at the nodes. What they leave of the inputs is orthogonal to
       every piecewise linear function with these nodes, as least squares over time are (Strang & Fix 1973, *An Analysis
       of the Finite Element Method*, sec. 1.3).
 

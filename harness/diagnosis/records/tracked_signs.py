@@ -40,7 +40,7 @@ def tracked(y: FloatArray) -> tuple[Path, ...]:
     """Return the signs of a folded record, likeliest first; empty where following it decides nothing.
 
     - ``y`` (N,): readings at equal distances in time that never change their sign
-    - returns more than one if the record does not tell: where the motion lingers at zero, another path explains it
+    - returns more than one path if the record does not tell: where the motion lingers at zero, another path explains it
       nearly as well. Empty if a path that never changes its sign does so.
 
     Notes

@@ -45,7 +45,7 @@ def unfoldings(runs: Sequence[Trajectory], column: int, *, most: int = 3) -> lis
     """Return the likeliest signs of an output that never changes its sign, best first.
 
     - ``column``: which output
-    - returns empty if the output changes its sign, or never turns near zero
+    - returns none if the output changes its sign, or never turns near zero
 
     Notes
     -----

@@ -62,7 +62,7 @@ def block_interval(
     - ``starts`` sequence of array (L_w * ny, k_w): for each window, in the order of the rows, an orthonormal basis of
       what its initial state can do; without it every record is one window, of which the initial state is known
     - ``blocks``: largest number of blocks
-    - ``adapt``: false keeps this number of blocks, however long the residual stays correlated
+    - ``adapt``: False keeps this number of blocks, however long the residual stays correlated
 
     Examples
     --------

@@ -125,10 +125,13 @@ def system_source(system: Any, prefix: str = "model") -> str:
     Delays and quantisers (``system.sampled``) act on samples and are not part of it.
 
     - ``prefix``: in front of each name
-    - returns with the macros ``PREFIX_NX``, ``PREFIX_NU``, ``PREFIX_NY``, ``PREFIX_NP``, ``PREFIX_NZ`` (hidden states)
-      and:: static void PREFIX_derivative(x, u, p, t, dx);   /* const double *x, *u, *p, *t; double *dx */ static void
-      PREFIX_output(x, u, p, t, y); static void PREFIX_initial(x, u, p, z);          /* start of the hidden states, the
-      last of x */ static void PREFIX_step(double *x, u, p, double t, double h);
+    - returns source with the macros ``PREFIX_NX``, ``PREFIX_NU``, ``PREFIX_NY``, ``PREFIX_NP``, ``PREFIX_NZ`` (hidden
+      states) and::
+
+        static void PREFIX_derivative(x, u, p, t, dx);   /* const double *x, *u, *p, *t; double *dx */
+        static void PREFIX_output(x, u, p, t, y);
+        static void PREFIX_initial(x, u, p, z);          /* start of the hidden states, the last of x */
+        static void PREFIX_step(double *x, u, p, double t, double h);
 
     Examples
     --------

@@ -68,7 +68,7 @@ class FilterMachine:
         - ``given``: ``x0`` (nx,), ``p0`` (nx, nx), ``p``, ``r``, ``w``, ``a``, ``q``, ``fade``, ``q_tau`` as the C code
           has, ``u`` (rows, nu), ``d`` (rows, nu, delays), ``measured`` (samples, ny)
         - ``times`` (samples,): [s]
-        - returns by name, a row for each sample
+        - returns arrays by name, a row for each sample
         """
         n, nx = len(times), self.nx
         known = np.isfinite(given["measured"])

@@ -302,7 +302,7 @@ class KalmanPass:
         - ``columns`` array of int: which of (p, x0) the innovations are differentiated by
         - ``keep``: keep what a smoother needs
         - ``by_noise``: differentiate by the noise too
-        - returns none if the state diverged
+        - returns None if the state diverged
         """
         p = np.ascontiguousarray(p, dtype=float)
         start, variance = np.zeros(self.nx), np.zeros((self.nx, self.nx))

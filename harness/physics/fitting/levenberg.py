@@ -52,9 +52,9 @@ def eliminated(
 
     - ``gram, gradient`` (W, ns, ns), (W, ns): J'J and J'r of each window by (p, x0)
     - ``count``: number of parameters
-    - ``damping``: marquardt's lambda, for the states
-    - returns (array (np, np), array (np,), back): ``back`` = (C^-1 B' (W, nx, np), C^-1 g (W, nx)): dx0 = back[1] -
-      back[0] dp
+    - ``damping``: Marquardt's lambda, for the states
+    - returns matrix (np, np), right-hand side (np,) and ``back`` = (C^-1 B' (W, nx, np), C^-1 g (W, nx)), so that
+      dx0 = back[1] - back[0] dp
     """
     a, g = gram[:, :count, :count].sum(axis=0), gradient[:, :count].sum(axis=0)
     nx = gram.shape[1] - count
@@ -90,9 +90,9 @@ def minimise(
     - ``p`` (np,): start
     - ``x0`` (W, nx): start
     - ``free`` array of bool (np,)
-    - ``states_free``: false keeps x0
+    - ``states_free``: False keeps x0
     - ``decrease``: relative decrease of the cost at which a minimum counts as reached
-    - returns with an infinite cost if the start diverges
+    - returns a solution with an infinite cost if the start diverges
     """
     system = windows.simulator.system
     logarithmic = log_scaled(system)

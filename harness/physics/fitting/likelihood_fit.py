@@ -45,15 +45,17 @@ def fit_likelihood(
 
     Every equation of motion (every rate, where there are none) is disturbed by a latent Gauss-Markov force and a white
     one; sensors have white noise. Parameters, initial states and noise are estimated together (Kristensen, Madsen &
-    Jorgensen 2004, *Parameter estimation in stochastic grey-box models*, Automatica 40:225). Raises FitError if the
-    filter stays finite from no start.
+    Jorgensen 2004, *Parameter estimation in stochastic grey-box models*, Automatica 40:225). Where the
+    maximum asks for finer steps of the solver than its start did, the search goes on from there with these: with too
+    coarse ones a maximum may lie where the solver errs, at the edge of its stability. Raises FitError if the filter
+    stays finite from no start.
 
     - ``system``: its outputs must be those of the records, in order
     - ``trajectories``: separate records; nothing crosses a seam
     - ``start``: where some parameters start; the others start where equation errors are least, or where the model says
     - ``fixed``: parameters that stay, besides those that the system declares fixed
-    - ``latent``: false for measurement noise only: output error
-    - ``white``: false for a latent force without a white part
+    - ``latent``: False for measurement noise only: output error
+    - ``white``: False for a latent force without a white part
     - ``intersample`` {"zoh", "foh", "smooth"}
 
     Examples

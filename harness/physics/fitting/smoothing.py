@@ -31,7 +31,8 @@ def smooth(signal: FloatArray, dt: float, *, period: float | None = None) -> Smo
     - ``signal`` (N,): uniformly sampled
     - ``dt``: sample time [s]
     - ``period``: of an angle: it is unwrapped first
-    - returns of the width, among 5 to 91 samples, with the least leave-one-out error; its arrays cannot be written to
+    - returns the signal at the width, among 5 to 91 samples, with the least leave-one-out error; its arrays cannot be
+      written to
 
     Examples
     --------
@@ -98,8 +99,8 @@ def local_cubics(signal: FloatArray, width: int, dt: float) -> tuple[FloatArray,
 def local_taps(width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return weights of the value and its derivatives per sample, by a cubic through ``width`` samples.
 
-    - returns middle, first, last : array (3, width), (3, half, width), (3, half, width): Value, first and second
-      derivative at the middle, and at the samples before and after it
+    - returns weights of the middle (3, width), and of the samples before and after it (3, half, width), each for the
+      value and its first and second derivative
     """
     half = width // 2
     at = np.arange(-half, half + 1) / max(half, 1)

@@ -38,8 +38,7 @@ def first_values(
     - ``free`` array of bool (np,): which parameters are fitted
     - ``given``: those whose value the caller chose; they stay
     - ``intersample`` {"zoh", "foh", "smooth"}
-    - returns list of array (np,): One or two: if nothing is left open, or the records do not tell all states, only the
-      first
+    - returns one or two vectors (np,): only the first if nothing is left open, or the records do not tell all states
     """
     plain = np.array([values[name] for name in system.parameter_names], dtype=float)
     open_parameters = np.array(

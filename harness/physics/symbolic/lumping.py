@@ -31,8 +31,8 @@ def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Spl
     that no addition theorem takes apart), a known parameter is unknown, or the mechanism is generated code.
 
     - ``known``: parameters whose value is known: they are replaced by it
-    - returns with the least number of combinations: monomials in the parameters that always come in the same proportion
-      to each other are added up (row reduction of the table of functions against monomials)
+    - returns the split with the least number of combinations: monomials in the parameters that always come in the same
+      proportion to each other are added up (row reduction of the table of functions against monomials)
 
     Examples
     --------

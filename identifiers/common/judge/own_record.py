@@ -49,7 +49,7 @@ def doubt_of_own_record(
     - ``feedback``: of the records
     - ``readings`` sequence of array of bool (N, ny): which values of each record's outputs are readings: the others
       decide nothing
-    - returns none where nothing could be asked
+    - returns None where nothing could be asked
     """
     if feedback.found and feedback.share > ANSWERED:
         return None

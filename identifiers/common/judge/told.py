@@ -46,7 +46,7 @@ def told(fit: Fit) -> Fit:
     For plug-ins too: the model is a dataclass with a dictionary ``notes``, where the finding stands under ``warning``.
 
     - ``fit``: of :class:`harness.protocols.Identifier`
-    - returns the same
+    - returns the same fit
     """
 
     @functools.wraps(fit)

@@ -34,7 +34,7 @@ def ellipsoids(phi: FloatArray, y: FloatArray, confidence: float) -> Ellipsoids 
 
     - ``phi, y`` (N, p), (N, m): in the order of time
     - ``confidence``: of all coefficients of all outputs together
-    - returns none where the first rows, or the others, do not determine the coefficients
+    - returns None where the first rows, or the others, do not determine the coefficients
 
     Examples
     --------

@@ -50,10 +50,12 @@ class LagsKnown:
     def of(cls, sums: NormalEquations, length: int, nu: int) -> LagsKnown | None:
         """Return it from equations of lags and a constant; none where the inputs do not excite so many lags."""
         gram = sums.gram[:-1, :-1] - np.outer(sums.gram[:-1, -1], sums.gram[-1, :-1]) / sums.gram[-1, -1]
-        values, vectors = np.linalg.eigh(gram)
+        size = np.sqrt(np.clip(np.diag(gram), 1e-300, None))  # the units of the inputs decide nothing
+        values, vectors = np.linalg.eigh(gram / np.outer(size, size))
         if values[0] <= 1e-10 * values[-1]:
             return None
-        return cls(((vectors / values) @ vectors.T).reshape(length, nu, length, nu), float(values[0]))
+        inverse = (vectors / values) @ vectors.T / np.outer(size, size)
+        return cls(inverse.reshape(length, nu, length, nu), 1.0 / float(np.linalg.eigvalsh(inverse)[-1]))
 
     def density(self, rest: FloatArray, records: int) -> float:
         """Return the largest spectral density of what the inputs of one of several records do not explain (N, ny)."""
@@ -83,7 +85,7 @@ def responses(
 
     - ``length``: L; the response must have died away by then
     - ``rng``: for draws of the measured error
-    - returns none where the inputs do not excite so many lags
+    - returns None where the inputs do not excite so many lags
 
     Examples
     --------

@@ -56,7 +56,7 @@ def prediction_error_estimate(spec: PlantSpec, fits: Sequence[Fitted], scaling: 
 
     - ``fits``: one for each output
     - ``scaling``: what the signals were divided by
-    - returns none beyond 200 coefficients
+    - returns None beyond 200 coefficients
     """
     from scipy.stats import t
 
