@@ -412,6 +412,11 @@ def test_tables_in_long_form(form: str, tmp_path: Path) -> None:
     same(text(tmp_path, LONG[form]), "names the signal of each row", **signals)
 
 
+@pytest.mark.parametrize("end", ["9,rare,1", ",$COUNT$,120"])
+def test_names_of_few_rows_are_left_out_of_a_long_form(end: str, tmp_path: Path) -> None:
+    same(text(tmp_path, [*LONG["in turn"], end]), "names in less than 20 rows are left out", **CHOSEN)
+
+
 def test_a_long_form_with_stamps_of_their_own_asks_for_a_grid(tmp_path: Path) -> None:
     rows = [x for t, u, y in CELLS for x in (f"{t},u,{u}", f"{float(t) + 0.003:g},theta,{y}")]
     path = text(tmp_path, ["time [s],name,value", *rows])
@@ -428,7 +433,6 @@ def test_a_long_form_with_stamps_of_their_own_asks_for_a_grid(tmp_path: Path) ->
 @pytest.mark.parametrize("change", [
     lambda lines: ["time [s],name,other", *lines[1:]],  # no word for readings
     lambda lines: [lines[0], *(line.replace(",u,", ",1,") for line in lines[1:])],  # a number is no name
-    lambda lines: [*lines, "9,rare,1"],  # a signal of one reading
     lambda lines: ["time [s],name,value,time of day", *(f"{line},10:00:00" for line in lines[1:])],  # which time?
 ])  # fmt: skip
 def test_what_is_no_certain_long_form_is_left_alone(change: Callable[[list[str]], list[str]], tmp_path: Path) -> None:

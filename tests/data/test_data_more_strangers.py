@@ -77,6 +77,7 @@ FORMS: dict[str, Callable[[datetime.datetime], str]] = {
     "an offset of GMT": lambda at: at.strftime("%Y-%m-%d %H:%M:%S.%f GMT+02:00"),
     "a place": lambda at: at.isoformat(timespec="microseconds") + "+01:00[Europe/Berlin]",
     "a colon before ms": lambda at: at.strftime("%H:%M:%S:") + f"{at.microsecond // 1000:03d}",
+    "a semicolon before ms": lambda at: at.strftime("%H:%M:%S;") + f"{at.microsecond // 1000:03d}",
     "Uhr": lambda at: at.strftime("%d.%m.%Y %H:%M:%S.%f Uhr"),
     "minutes and seconds": lambda at: at.strftime("%M:%S.%f"),
 }
@@ -466,6 +467,44 @@ def test_a_format_that_is_not_read_is_called_so(suffix: str, tmp_path: Path) -> 
     for options in ({"input": "u", "output": "y"}, {"model": "pendulum"}, {}):
         with pytest.raises(InputError, match="unknown format"):
             load_dataset(path, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("above", "sign"), [
+    ("name: rig\ntime u y\n---- - -\n", " "),
+    (" time | u | y \n------+---+---\n", " | "),
+    ("Rig 4\n=====\n\ntime;u;y\n-----;---;---\n", ";"),
+])  # fmt: skip
+def test_rules_above_the_rows_are_no_rows(tmp_path: Path, above: str, sign: str) -> None:
+    same(written(tmp_path / "log.txt", above + rows(TIME, U, Y, sign=sign)))
+
+
+@pytest.mark.parametrize("title", ["y[1][mm]", "y(1) [mm]", "y[1] (mm)"])
+def test_an_index_before_a_unit_is_a_part_of_the_name(tmp_path: Path, title: str) -> None:
+    path = written(tmp_path / "log.csv", f"time [s],u [V],{title}\n" + rows(TIME, U, Y))
+    name = title.removesuffix("[mm]").removesuffix("(mm)").strip()
+    same(path, 1e-3, output=name)
+    assert load_dataset(path, input="u", output=name).dataset.spec.outputs[0].name == name
+
+
+@pytest.mark.parametrize("steps", [(1, 2, 1, 3), (0.4, 1.7, 0.8, 1.1)])
+def test_where_a_split_would_leave_nothing_a_grid_is_the_remedy(tmp_path: Path, steps: tuple[float, ...]) -> None:
+    time = DT * np.cumsum(np.tile(steps, N // len(steps)))
+    path = written(tmp_path / "log.csv", "time [s],u [V],y [m]\n" + rows(time.round(6), U, Y))
+    with pytest.raises(InputError, match=r"declare \[resample\], and intersample"):
+        load_dataset(path, input="u", output="y")
+    (tmp_path / "dataset.toml").write_text(
+        'name = "x"\nintersample = "zoh"\n[resample]\nsample_time = 0.02\n[signals.u]\nrole = "input"\n'
+        '[signals.y]\nrole = "output"\n[[runs]]\nfile = "log.csv"\n'
+    )
+    (run,) = load_dataset(tmp_path / "dataset.toml").dataset
+    assert run.trajectory.t[-1] - run.trajectory.t[0] == pytest.approx(time[-1] - time[0], abs=0.02)
+
+
+def test_a_unit_that_a_title_seems_to_say_is_not_called_declared(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.csv", "time [s],u,y_deg\n" + rows(TIME, U, Y))
+    (said,) = [note for note in same(path, output="y_deg") if "seems to say" in note]
+    assert "--unit y_deg=deg" in said
+    same(path, np.pi / 180, output="y_deg", unit={"y_deg": "deg"})
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".prn", ".tab", ".lvm", ".dat"])

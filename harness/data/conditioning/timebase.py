@@ -48,6 +48,8 @@ SHORTEST = 20
 """Rows of a record: a model of second order in one input has three parameters and two initial values, and an estimate
 needs several readings for each unknown (Ljung 1999, sec. 16.4, counts parameters against samples); four here."""
 
+_GRID = "declare [resample], and intersample, in a dataset.toml: no one clock explains the stamps"
+
 
 @dataclass(frozen=True, eq=False)
 class Piece:
@@ -191,16 +193,24 @@ def _jumps(
             f"time is not uniform ({int(jumps.sum())} gap{'' if jumps.sum() == 1 else 's'})",
             expected=f"a step of {dt:g} s between rows",
             got=f"{steps[k]:g} s between {where(k)} and {where(k + 1)} (t = {stamps[k]:g} s)",
-            remedy=(
-                f"declare sample_time = {dt:.6g} if a clock took the rows and the stamps are rough, with "
-                if rough and rules.sample_time is None and _is_clock(stamps, float(f"{dt:.6g}"))
-                else "declare "
-            )
-            + f"{_remedy(inputs, rules, True)}, or cut the run by "
-            "rows = [start, stop]",
+            remedy=_remedy_of_jumps(stamps, jumps, dt, inputs, rules, rough=rough),
             place=where(k + 1),
         )
     return jumps
+
+
+def _remedy_of_jumps(
+    stamps: FloatArray, jumps: BoolArray, dt: float, inputs: tuple[bool, ...], rules: TimeRules, *, rough: bool
+) -> str:
+    """Return what may be declared for steps that differ: where a split leaves fragments or no clock, a grid."""
+    clock = rough and rules.sample_time is None and _is_clock(stamps, float(f"{dt:.6g}"))
+    longest = np.diff(np.flatnonzero(np.concatenate(([True], jumps, [True])))).max()
+    if not clock and rough:
+        return _GRID
+    if longest < SHORTEST:
+        return f"{_GRID.partition(':')[0]}: between the gaps stand less than {SHORTEST} rows"
+    rough_clock = f"sample_time = {dt:.6g} if a clock took the rows and the stamps are rough, with " if clock else ""
+    return f"declare {rough_clock}{_remedy(inputs, rules, True)}, or cut the run by rows = [start, stop]"
 
 
 def _stretches(time: FloatArray) -> list[npt.NDArray[np.int64]]:
@@ -361,7 +371,7 @@ def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], 
                 f"declare sample_time = {dt:.6g} if a clock took the rows and the stamps are rough; or [resample], and "
                 "intersample, if the stamps are true"
                 if _is_clock(time, float(f"{dt:.6g}"))
-                else "declare [resample], and intersample, in a dataset.toml: no one clock explains the stamps"
+                else _GRID
             ),
             place=where(k),
         )

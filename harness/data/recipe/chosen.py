@@ -134,7 +134,7 @@ class Chosen:
         """
         known = () if ports is None else (*ports.inputs, *ports.outputs)
         names = {TIME, *self.columns, *(channel.name for channel in known)}
-        names |= {table.split(title)[0] for title in (*(self.inputs or ()), *(self.outputs or ()))}
+        names |= {self._name(table, title) for title in (*(self.inputs or ()), *(self.outputs or ()))}
         titled = {title: name for name, title in self.columns.items() if isinstance(title, str)}
         if TIME not in self.columns and any(key not in names | set(titled) for key in self.units):
             clock = table.clock((*titled, *(self.inputs or ()), *(self.outputs or ())))
@@ -163,8 +163,8 @@ class Chosen:
         """
         if self.outputs is None or self.inputs is None:
             raise self._unnamed(table)
-        wanted = [("input", table.split(title)[0], title) for title in self.inputs]
-        wanted += [("output", table.split(title)[0], title) for title in self.outputs]
+        wanted = [("input", self._name(table, title), title) for title in self.inputs]
+        wanted += [("output", self._name(table, title), title) for title in self.outputs]
         names = [name for _, name, _ in wanted]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise InputError(
@@ -195,6 +195,11 @@ class Chosen:
                 found[title] = table.split(title)[0], SignalSection(role="reference")
         notes = [] if not plain else [f"no unit is stated for {', '.join(plain)}: their numbers count as they are"]
         return found, notes
+
+    def _name(self, table: Table, word: str) -> str:
+        """Return the name of a signal that a caller calls by its name, or by its column's title with a unit."""
+        title = None if word in self.columns else table.find(word)
+        return table.split(word if title is None else title)[0]
 
     def placed(self, table: Table, units: Mapping[str, str | None]) -> dict[str | int, str]:
         """Return by title which signal the caller said that it holds, or ``time``.

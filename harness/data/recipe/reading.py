@@ -346,7 +346,12 @@ class Reader:
         if stated_categories(unit) is not None:
             unit = "1"
         elif stated is not None and signal.unit is not None and not _same_unit(stated, unit):
-            self.notes.append(f"signals.{name}: the title says {stated!r}; {unit!r}, as declared, counts")
+            self.notes.append(
+                f"signals.{name}: the title seems to say {stated!r}; its numbers count as they are (declare unit = "
+                f'"{stated}", or --unit {name}={stated}, if they are that)'
+                if unit == "1"
+                else f"signals.{name}: the title says {stated!r}; {unit!r}, as declared, counts"
+            )
         self.recorded.setdefault(self.plan.channels[name].name, unit)
         scaled = raw if signal.scale == 1.0 and signal.offset == 0.0 else signal.scale * raw + signal.offset
         if np.isinf(scaled).any():

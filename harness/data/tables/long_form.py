@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.data.tables.cells import EMPTY, is_number, numbers_of, with_unit
 from harness.data.tables.headers import clock_of, says_time, split_header
+from harness.data.times.stamps import clock as dates_of
 from harness.data.times.stamps import is_time, is_time_of_day
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -35,6 +36,8 @@ class LongTable:
     Where all have the same stamps they share the rows; else each row holds what was written in it, in the order of the
     stamps, and the other signals are empty there.
 
+    Names that stand in less than 20 rows are left out with their rows, such as what an archive writes at its end.
+
     Raises InputError if a cell cannot be read, or a signal has two units.
 
     - ``source``: with texts
@@ -46,11 +49,13 @@ class LongTable:
         clock, name, value, unit = columns
         self._source, self._title = source, clock
         self._clock = clock if clock_of([clock]) else "time"
-        names = list(dict.fromkeys(tags))
+        counts = Counter(tags)
+        names = [one for one in counts if counts[one] >= FEWEST]
         self.titles = [self._clock, *names]
-        stamps: FloatArray = source.values(clock)
         written = np.array(tags)
         own = {one: np.flatnonzero(written == one) for one in names}
+        few = [f"{one} ({count})" for one, count in counts.items() if count < FEWEST]
+        stamps, self._dated = _stamps(source, clock, own, whole=not few)
         readings, inside = _readings(source, value, own)
         first = stamps[own[names[0]]]
         if all(len(rows) == len(first) and np.array_equal(stamps[rows], first) for rows in own.values()):
@@ -68,6 +73,7 @@ class LongTable:
         self.notes = [
             *source.notes,
             f"{name!r} names the signal of each row, {value!r} its reading: {shown} are columns",
+            *([f"names in less than {FEWEST} rows are left out: {', '.join(few[:6])}"] if few else []),
         ]
 
     def values(self, title: str) -> FloatArray:
@@ -82,12 +88,27 @@ class LongTable:
         """Return the unit that the rows of a signal state, and s for dates."""
         if title != self._clock:
             return self._units.get(title)
-        stated: str | None = self._source.unit(self._title)
+        stated: str | None = "s" if self._dated else self._source.unit(self._title)
         return stated
 
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as the table's owner counts it."""
         return str(self._source.where(int(self._rows[row])))
+
+
+def _stamps(source: Any, title: str, own: Mapping[str, Any], *, whole: bool) -> tuple[FloatArray, bool]:
+    """Return the stamps (N,) of the rows of all signals, NaN in other rows, and whether they are dates in seconds."""
+    if whole:
+        return source.values(title), False
+    rows, cells = np.sort(np.concatenate(list(own.values()))), source.texts(title)
+
+    def where(row: int) -> str:
+        return f"{source.where(int(rows[row]))}, column {title!r}"
+
+    stamps, texts = np.full(len(cells), np.nan), [cells[row] for row in rows]
+    dates = dates_of(texts, source.notes, where)
+    stamps[rows] = numbers_of(texts, where, source.notes) if dates is None else dates
+    return stamps, dates is not None
 
 
 def _readings(source: Any, value: str, own: Mapping[str, Any]) -> tuple[FloatArray, dict[str, str]]:
@@ -151,8 +172,8 @@ def _clock_of(source: Any, titles: Sequence[str], taken: Sequence[str]) -> str |
 def in_long_form(source: Any) -> LongTable | None:
     """Return the signals of a table in long form as columns; None for any other table.
 
-    Its titles must say it (``name`` and ``value``, or words like these, beside one clock), and every name must stand in
-    at least 20 rows.
+    Its titles must say it (``name`` and ``value``, or words like these, beside one clock), and two names and more must
+    stand in at least 20 rows.
     """
     titles = [title for title in source.titles if title]
     found = [
@@ -168,11 +189,7 @@ def in_long_form(source: Any) -> LongTable | None:
     if clock is None:
         return None
     tags = [tag.strip() for tag in source.texts(found[0][0])]
-    counts = Counter(tags)
-    if (
-        not 1 < len(counts) <= MOST
-        or min(counts.values()) < FEWEST
-        or any(not name or is_number(name) for name in counts)
-    ):
+    names = [name for name, count in Counter(tags).items() if count >= FEWEST]
+    if not 1 < len(names) <= MOST or any(not name or is_number(name) for name in names):
         return None
     return LongTable(source, (clock, found[0][0], found[1][0], found[2][0] if found[2] else ""), tags)

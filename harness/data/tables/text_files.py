@@ -52,7 +52,7 @@ _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
 NUMBERED = 200
 """Rows that are asked whether the first one numbers the columns."""
-_RULE = re.compile(r"[\s|+:=\-]*-{3,}[\s|+:=\-]*")
+_RULE = re.compile(r"[\s|+:=;,\-]*(?:-{3,}|={3,})[\s|+:=;,\-]*")
 _FRAME = re.compile(r"\+[-=+]{3,}\+")
 _OTHER_COMMENTS = (";", "//", "!", "*")
 _SETTING = re.compile(r"\w+\s*=\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*[a-zA-Zµ]*")
@@ -195,15 +195,17 @@ class TextFile:
         return f"line {self._lines[row][0]}"
 
     def _leave_out_comments(self) -> None:
-        """Leave out lines of other comments before a table without their sign, and a rule below its titles."""
+        """Leave out lines of other comments before a table without their sign, and rules above its rows."""
         for mark in _OTHER_COMMENTS:
             begin = next((row for row, (_, line) in enumerate(self._lines) if not line.lstrip().startswith(mark)), 0)
             if begin and len(self._lines) - begin > 2 and mark not in self._lines[-2][1]:
                 self._leave_out(begin)
         if self._lines[0][1].startswith("+-"):  # a table in a frame
             self._lines = [pair for pair in self._lines if not _FRAME.fullmatch(pair[1].strip())] or self._lines
-        if len(self._lines) > 2 and _RULE.fullmatch(self._lines[1][1]):
-            del self._lines[1]
+        for row in range(min(MOST_ABOVE, len(self._lines) - 2), 0, -1):
+            above = re.split(r"[\s,;|]+", self._lines[row - 1][1])
+            if _RULE.fullmatch(self._lines[row][1]) and not any(map(is_number, above)):
+                del self._lines[row]
 
     def _leave_out_again(self, head: set[str], text: str) -> None:
         """Leave out lines that repeat one of the header, where a logger began anew, and say so."""

@@ -45,7 +45,7 @@ _YEAR_LAST = re.compile(
     r"(?P<zone> [A-Z]{3,5}(?:[+-]\d\d:\d\d)?)?\s+(?P<year>\d{4})"
 )
 _UNPADDED = re.compile(r"(?P<year>\d{4})(?P<sign>[-/.])(?P<month>\d{1,2})(?P=sign)(?P<day>\d{1,2})(?!\d)")
-_FOURTH = re.compile(rf"(?P<whole>{_TIME}:[0-5]\d):(?P<part>\d{{3}}|\d{{6}}|\d{{9}})(?!\d)")
+_FOURTH = re.compile(rf"(?P<whole>{_TIME}:[0-5]\d)[:;](?P<part>\d{{3}}|\d{{6}}|\d{{9}})(?!\d)")
 _TWICE = re.compile(r"(?<=:\d\d\.\d{3}),(?=\d{3}\b)")
 """What Zephyr writes between milli- and microseconds."""
 _HOUR_MINUTE = re.compile(
@@ -74,14 +74,14 @@ def plain_time(cell: str) -> str:
     """Return a date with a time as a day of a month, with points or slashes; what is none comes back as it is.
 
     Names of months and days, signs of East Asia, AM and PM before the time, days and months without a zero before
-    them, hours and minutes without seconds behind a date, fractions behind a colon, names of a place behind an offset,
-    and dates without a year.
+    them, hours and minutes without seconds behind a date, fractions behind a colon or semicolon, names of a place
+    behind an offset, and dates without a year.
 
     Examples
     --------
     >>> plain_time("31-Mar-2024 00:30:00.5"), plain_time("2024/3/1 0:30"), plain_time("2024年3月1日 上午 9:30:05")
     ('31.3.2024 00:30:00.5', '2024/03/01 0:30:00', '2024-03-01 9:30:05 AM')
-    >>> plain_time("Sun Mar 31 00:30:00 2024"), plain_time("12:00:01:250"), plain_time("12:00:01.250,004")
+    >>> plain_time("Sun Mar 31 00:30:00 2024"), plain_time("12:00:01;250"), plain_time("12:00:01.250,004")
     ('31.3.2024 00:30:00', '12:00:01.250', '12:00:01.250004')
     >>> plain_time("2024-W18-3T10:00:05"), plain_time("2024-122T10:00:05Z"), plain_time("2024:122:10:00:05")
     ('2024-05-01T10:00:05', '2024-05-01T10:00:05Z', '2024-05-01 10:00:05')
