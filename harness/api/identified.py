@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from harness.errors import InputError
 from harness.fitted import Usable
 from harness.protocols import Model
 from harness.signals import Channel, Trajectory, Use
-from harness.units import behind, own_record, own_values, told
+from harness.units import behind, own_record, own_unit, own_values, told
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,6 +55,13 @@ class Identified(Usable):
         """Return a size in the unit of a channel as text, in the unit in which the channel was recorded."""
         own, unit = told(size, channel.unit, self.recorded.get(channel.name, channel.unit))
         return f"{own:.3g}{behind(unit)}"
+
+    def units_said(self) -> str:
+        """Return which signals a model holds in other units than those in which they were recorded; empty if none."""
+        channels = [*self.model.spec.inputs, *self.model.spec.outputs]
+        own = [(one, unit) for one in channels if (unit := own_unit(one, self.recorded)) != one.unit]
+        said = ", ".join(f"{one.name} in {one.unit} ({unit} in the data)" for one, unit in own)
+        return f"parameters, equations and residuals are those of SI units: {said}" if own else ""
 
     def plot(self) -> Figure:
         """Return the figure of the record that judges: its inputs, what was measured, and the free run of the model."""
@@ -144,6 +152,8 @@ class Identified(Usable):
                 (n, f"{v:.6g}", f"{spread[n]:.2g}" if n in spread else "", units.get(n, "")) for n, v in values.items()
             ]
             parts.append(table(["parameter", "value", "standard deviation", "unit"], shown))
+        if said := self.units_said():
+            parts.append(f"<p>{escape(said)}</p>")
         if self.judged is not None and len(self.judged) <= _DRAWN:
             from harness.plots import inlined
 

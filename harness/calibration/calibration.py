@@ -13,6 +13,7 @@ from harness.errors import printable
 from harness.models.estimate import Estimate
 from harness.physics.definition.parameters import FarOff, Parameter, far_off
 from harness.signals import PlantSpec
+from harness.units import own_unit, told
 
 Errors = Mapping[str, tuple[float, float]]
 """By output: rms of a free run, and the same over the deviation of the record (NRMSE); NaN where it breaks."""
@@ -48,6 +49,8 @@ class Calibration:
     runs : int
         Simulations that it took.
     notes : tuple of str
+    recorded : dict
+        Unit by channel in which the data came; what is not there is in that of the channel.
     """
 
     model: Path
@@ -65,6 +68,7 @@ class Calibration:
     reached: tuple[int, int] = (1, 1)
     runs: int = 0
     notes: tuple[str, ...] = field(default=())
+    recorded: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def units(self) -> dict[str, str]:
@@ -116,15 +120,16 @@ class Calibration:
         return rows
 
     def error_rows(self) -> list[dict[str, str]]:
-        """Return the errors before and after for a table."""
+        """Return the errors before and after for a table, in the units in which the signals were recorded."""
+        units = {one.name: own_unit(one, self.recorded) for one in self.spec.outputs}
         return [
             {
                 "use": use,
                 "run": str(run),
                 "output": printable(channel.name),
-                "unit": channel.unit,
-                "rms before": f"{was[channel.name][0]:.4g}",
-                "rms after": f"{now[channel.name][0]:.4g}",
+                "unit": units[channel.name],
+                "rms before": f"{told(was[channel.name][0], channel.unit, units[channel.name])[0]:.4g}",
+                "rms after": f"{told(now[channel.name][0], channel.unit, units[channel.name])[0]:.4g}",
                 "NRMSE before": f"{was[channel.name][1]:.4g}",
                 "NRMSE after": f"{now[channel.name][1]:.4g}",
             }

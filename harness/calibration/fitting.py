@@ -147,6 +147,7 @@ def calibrate(
         reached=alike,
         runs=count,
         notes=tuple(dict.fromkeys([*data.warnings, *notes])),
+        recorded=data.recorded,
     )
 
 

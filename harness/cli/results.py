@@ -140,6 +140,8 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     if torques := fitted.torque_rows():
         say("torques along the measured motion, filtered as in the fit")
         print_table(("use", "run", "torque", "rms", "NRMSE"), torques)
+    if said := fitted.units_said():
+        say(f"  {said}")
     estimate = estimate_of(fitted.model)
     named = getattr(fitted.model, "parameters", {})
     _print_parameters(fitted.model, named, estimate)

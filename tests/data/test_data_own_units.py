@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness import api
+from harness import api, registry
 from harness.comparison import compare
 from harness.comparison.models import _bode_figure, _time_figure
 from harness.comparison.uncertain import response_figure
 from harness.diagnosis.report import evidence_page
 from harness.units import told
+from plants.mockups import mockup
 
 
 @pytest.fixture
@@ -97,3 +98,25 @@ def test_pictures_of_models_are_in_the_units_of_the_log(tmp_path: Path) -> None:
     gain = _bode_figure(compare({"arx": model}, data)).axes[0]
     assert [text.get_text() for text in gain.get_legend().get_texts()] == ["n [1/min] / u [mV]", "arx"]
     assert np.asarray(gain.lines[1].get_ydata())[0] == pytest.approx(2000.0, rel=0.05)
+
+
+def test_a_fit_says_which_signals_its_parameters_hold_in_si_units(oven: Path) -> None:
+    found = api.identify(oven, input="P", output="T", identifier="arx", options={"order": 2})
+    assert found.units_said() == (
+        "parameters, equations and residuals are those of SI units: P in W (kW in the data), T in K (degC in the data)"
+    )
+    assert found.units_said() in found._repr_html_()
+    table = {"u": np.sin(np.arange(100.0)), "y": np.cos(0.3 * np.arange(100.0))}
+    assert api.identify(table, input="u", output="y", sample_time=0.1, identifier="arx").units_said() == ""
+
+
+def test_the_errors_of_a_calibration_are_in_the_units_of_the_log() -> None:
+    u = np.repeat(np.random.default_rng(0).normal(size=20), 10)
+    with registry.create("plants", "mass-spring-fmu", sample_time=0.05, m=1.5, k=4.0) as plant:
+        y = np.vstack([plant.reset(rng=np.random.default_rng(0)), plant.rollout(u[:-1, None])])[:, 0]
+        force, place = plant.spec.inputs[0].name, plant.spec.outputs[0].name
+    table = {"t [s]": 0.05 * np.arange(200), f"{force} [N]": u, f"{place} [mm]": 1e3 * y}
+    found = api.calibrate(table, model=mockup("mass_spring"), free=["m"], starts=1)
+    (row,) = (one for one in found.error_rows() if one["use"] == "validation")
+    assert row["unit"] == "mm"
+    assert float(row["rms before"]) == pytest.approx(1e3 * found.errors_before["validation"][0][place][0], rel=1e-3)
