@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import learnable, missing_notes
+
+_ROUNDED = 1e-12  # Deviation over level of a signal that rests: what rounding leaves of a constant.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +105,41 @@ def told_of_pass(model: LinearModel, trajectories: Sequence[Trajectory], records
     return replace(model, notes=notes)
 
 
-def sizes_of(squares: FloatArray, samples: int) -> FloatArray:
-    """Return the sizes of signals from their squares, summed over samples; one that is silent has the size 1."""
-    size = np.sqrt(squares / samples)
-    return np.where(size > 0, size, 1.0)
+class Standing(NamedTuple):
+    """About which levels signals (n,) move, and by how much, as they come (Welford 1962, *Technometrics* 4:419).
+
+    Examples
+    --------
+    >>> standing = Standing.blank(2)
+    >>> for values in ([299.0, 0.0], [301.0, 0.0]):
+    ...     standing = standing.heard(np.array(values))
+    >>> standing.relative(np.array([302.0, 0.0])).tolist(), standing.size.tolist()
+    ([2.0, 0.0], [1.0, 1.0])
+    """
+
+    level: FloatArray
+    squares: FloatArray
+    samples: int
+
+    @classmethod
+    def blank(cls, n: int) -> Standing:
+        """Return what is known of n signals before any sample."""
+        return cls(np.zeros(n), np.zeros(n), 0)
+
+    def heard(self, values: FloatArray) -> Standing:
+        """Return what is known after a further sample (n,)."""
+        away = values - self.level
+        level = self.level + away / (self.samples + 1)
+        return Standing(level, self.squares + away * (values - level), self.samples + 1)
+
+    @property
+    def size(self) -> FloatArray:
+        """Deviation (n,) about the level; of a signal that rests its level, and 1 if that is nought too."""
+        found = np.sqrt(self.squares / max(self.samples, 1))
+        rests = found <= _ROUNDED * np.abs(self.level)
+        return np.where(rests, np.where(self.level != 0, np.abs(self.level), 1.0), found)
+
+    def relative(self, values: FloatArray) -> FloatArray:
+        """Return values (..., n) about the level, in sizes."""
+        found: FloatArray = (values - self.level) / self.size
+        return found

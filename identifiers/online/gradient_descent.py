@@ -13,7 +13,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
 from identifiers.common.records import moving, real_signals
-from identifiers.online.along import OnePass, sizes_of
+from identifiers.online.along import OnePass, Standing
 
 _LEAST = 0.02  # Least real part of the characteristic polynomial on the unit circle, relative to z^n.
 _CIRCLE = 128  # Points of the unit circle on which it is held.
@@ -42,7 +42,8 @@ class GradientState(NamedTuple):
     """What gradient descent knows: parameters, the block in work, and the filtered inputs before it.
 
     ``theta`` is ``[a (n,), C (n + 1, nu, ny) of u[k], u[k-1] .. through 1/a, offset (ny,)]``; ``w`` (n, nu) are the
-    last inputs through 1/a, the newest first; ``block`` holds rows ``[u, y]`` of the stretch not learned from yet.
+    last inputs through 1/a, the newest first; ``block`` holds rows ``[u, y]`` of the stretch not learned from yet;
+    ``inputs`` and ``outputs`` are what the burn-in told of levels and sizes, in which all of these are taken.
     """
 
     theta: FloatArray
@@ -50,7 +51,8 @@ class GradientState(NamedTuple):
     block: tuple[FloatArray, ...]
     last: FloatArray
     seen: int
-    squares: FloatArray
+    inputs: Standing
+    outputs: Standing
     steps: int
 
 
@@ -74,7 +76,7 @@ class GradientDescent(OnePass):
     rate : float
         Step, in units of the inverse mean square of the gradients of the prediction.
     burn_in : int
-        Samples that only set the size of the signals; until then the last output is held.
+        Samples that only set level and size of the signals; until then the last output is held.
 
     Examples
     --------
@@ -106,15 +108,14 @@ class GradientDescent(OnePass):
     def model(self, state: GradientState, spec: PlantSpec) -> LinearModel:
         """Return the transfer function of a state as a linear model: ``x = [w[k-1], ..., w[k-n-1]]``."""
         nu, ny, n = spec.nu, spec.ny, self.order
-        size = sizes_of(state.squares, self.burn_in)
         den, gains, offset = self._parts(state.theta, nu, ny)
-        nx = (n + 1) * nu
-        a, b = np.eye(nx, k=-nu), np.eye(nx, nu) / size[:nu]
+        nx, size = (n + 1) * nu, state.outputs.size
+        a, b = np.eye(nx, k=-nu), np.eye(nx, nu) / state.inputs.size
         a[:nu, : n * nu] = np.kron(-den, np.eye(nu))
-        c = (gains * size[nu:]).transpose(2, 0, 1).reshape(ny, nx)
-        none = np.zeros((ny, nu))
-        offset, notes = offset * size[nu:], {"steps": state.steps}
-        return LinearModel(spec, a, b, c, none, np.zeros((nx, ny)), np.zeros(nx), offset, burn_in=n + 1, notes=notes)
+        c = (gains * size).transpose(2, 0, 1).reshape(ny, nx)
+        none, notes = np.zeros((ny, nu)), {"steps": state.steps}
+        at, level = -b @ state.inputs.level, state.outputs.level + offset * size
+        return LinearModel(spec, a, b, c, none, np.zeros((nx, ny)), at, level, burn_in=n + 1, notes=notes)
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> GradientState:
         """Return the state before any data."""
@@ -123,10 +124,9 @@ class GradientDescent(OnePass):
                 self, "gradient-descent", "order >= 1, block >= 4, rate > 0, burn_in >= 1", "order block rate burn_in"
             )
         real_signals(spec, self.called)
-        size = self.order + (self.order + 1) * spec.nu * spec.ny + spec.ny
-        return GradientState(
-            np.zeros(size), np.zeros((self.order, spec.nu)), (), np.zeros(spec.ny), 0, np.zeros(spec.nu + spec.ny), 0
-        )
+        theta, w = np.zeros(self.order + (self.order + 1) * spec.nu * spec.ny + spec.ny), (self.order, spec.nu)
+        none = Standing.blank(spec.nu), Standing.blank(spec.ny)
+        return GradientState(theta, np.zeros(w), (), np.zeros(spec.ny), 0, *none, 0)
 
     def start(self, state: GradientState, y: FloatArray) -> GradientState:
         """Return the state after the first output of a record; what was learned stays, the past does not."""
@@ -136,19 +136,19 @@ class GradientDescent(OnePass):
         """Return the output (ny,) that ``u`` leads to; the last output during the burn-in."""
         if state.seen < self.burn_in:
             return state.last.copy()
-        size, nu = sizes_of(state.squares, self.burn_in), len(u)
+        nu = len(u)
         a, gains, offset = self._parts(state.theta, nu, len(state.last))
-        inputs = np.array([row[:nu] for row in state.block] + [u]) / size[:nu]
+        inputs = state.inputs.relative(np.array([row[:nu] for row in state.block] + [u]))
         w = _filtered(a, inputs, state.w)
         rows = np.vstack([w[::-1], state.w])[: self.order + 1]
-        return np.asarray((np.einsum("iu,iuy->y", rows, gains) + offset) * size[nu:])
+        return np.asarray(state.outputs.level + (np.einsum("iu,iuy->y", rows, gains) + offset) * state.outputs.size)
 
     def update(self, state: GradientState, u: FloatArray, y: FloatArray) -> GradientState:
         """Return the state after ``u`` led to ``y``; at the end of a block a step is taken."""
         u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
         new = state._replace(last=y.copy(), seen=state.seen + 1)
         if state.seen < self.burn_in:
-            return new._replace(squares=state.squares + np.concatenate([u, y]) ** 2)
+            return new._replace(inputs=state.inputs.heard(u), outputs=state.outputs.heard(y))
         block = (*state.block, np.concatenate([u, y]))
         return new._replace(block=block) if len(block) < self.block else self._stepped(new, np.array(block), len(u))
 
@@ -175,8 +175,8 @@ class GradientDescent(OnePass):
 
     def _stepped(self, state: GradientState, block: FloatArray, nu: int) -> GradientState:
         """Return the state after a step on a block."""
-        size, ny = sizes_of(state.squares, self.burn_in), len(state.last)
-        inputs, y = block[:, :nu] / size[:nu], block[:, nu:] / size[nu:]
+        ny = len(state.last)
+        inputs, y = state.inputs.relative(block[:, :nu]), state.outputs.relative(block[:, nu:])
         a, gains, offset = self._parts(state.theta, nu, ny)
         n, first = self.order, len(block) // 4
         before, w = state.w, _filtered(a, inputs, state.w)

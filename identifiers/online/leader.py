@@ -86,7 +86,7 @@ class FollowTheLeader:
     """
 
     identifier: str | Identifier = "arx"
-    options: Mapping[str, Any] = field(default_factory=lambda: {"order": 2, "ridge": 1e-8})
+    options: Mapping[str, Any] = field(default_factory=lambda: {"order": 2, "ridge": 1e-12})
     burn_in: int = 40
     growth: float = 1.1
 

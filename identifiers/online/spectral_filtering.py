@@ -15,7 +15,7 @@ from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import moving, real_signals
-from identifiers.online.along import OnePass, sizes_of
+from identifiers.online.along import OnePass, Standing
 
 
 @functools.lru_cache(maxsize=16)
@@ -43,15 +43,18 @@ def wave_filters(window: int, count: int) -> tuple[FloatArray, FloatArray]:
 class SpectralState(NamedTuple):
     """What spectral filtering knows.
 
-    ``past`` (L, nu) inputs, the newest first; ``last`` (ny,) the last output; ``seen`` samples; ``squares`` (nu + ny,)
-    of the burn-in; ``weights`` (p, ny) of the scaled features; ``curvature`` (p, p), the inverse of their squares
-    summed (``newton``), or (1, 1), the largest square norm so far (``gradient``).
+    ``past`` (L, nu) inputs, the newest first, of which ``known`` are of this record; ``last`` (ny,) the last output;
+    ``seen`` samples; ``inputs`` and ``outputs``, what the burn-in told of levels and sizes; ``weights`` (p, ny) of the
+    scaled features; ``curvature`` (p, p), the inverse of their squares summed (``newton``), or (1, 1), the largest
+    square norm so far (``gradient``).
     """
 
     past: FloatArray
+    known: int
     last: FloatArray
     seen: int
-    squares: FloatArray
+    inputs: Standing
+    outputs: Standing
     weights: FloatArray
     curvature: FloatArray
 
@@ -77,7 +80,8 @@ class SpectralFiltering(OnePass):
     prior : float
         Of ``newton``: weight of M = 0, in samples of unit size.
     burn_in : int
-        Samples that only set the size of the signals, so that no unit decides; until then the last output is held.
+        Samples that only set level and size of the signals, so that neither decides; until then the last output is
+        held.
 
     Examples
     --------
@@ -111,23 +115,24 @@ class SpectralFiltering(OnePass):
     def model(self, state: SpectralState, spec: PlantSpec) -> LinearModel:
         """Return the predictor of a state as a linear model: ``x = [y[k], u[k-1], ..., u[k-L]]``."""
         nu, ny, length = spec.nu, spec.ny, self.window
-        size = sizes_of(state.squares, self.burn_in)
+        by, size = state.inputs.size[:, None], state.outputs.size[:, None]
         values, filters = wave_filters(length, self.filters)
-        weights = state.weights * size[nu:]
+        weights = state.weights * size.T
         waves = weights[: self.filters * nu].reshape(self.filters, nu, ny)
-        reach = np.einsum("j,jl,juy->luy", values**0.25, filters, waves) / size[:nu, None]
-        near, now, last, level = np.split(weights[self.filters * nu :], np.cumsum([nu, nu, ny]))
-        reach[0] += near / size[:nu, None]
+        reach = np.einsum("j,jl,juy->luy", values**0.25, filters, waves) / by
+        near, now, last, constant = np.split(weights[self.filters * nu :], np.cumsum([nu, nu, ny]))
+        reach[0] += near / by
         nx = ny + length * nu
         a, b, c = np.zeros((nx, nx)), np.zeros((nx, nu)), np.eye(ny, nx)
-        a[:ny, :ny] = (last / size[nu:, None]).T
+        a[:ny, :ny] = (last / size).T
         a[:ny, ny:] = reach.reshape(length * nu, ny).T
-        b[:ny] = (now / size[:nu, None]).T
+        b[:ny] = (now / by).T
         b[ny : ny + nu] = np.eye(nu)
         a[ny + nu :, ny : nx - nu] = np.eye((length - 1) * nu)
-        offset = np.concatenate([level[0], np.zeros(length * nu)])
+        offset, at, level = np.zeros(nx), state.inputs.level, state.outputs.level
+        offset[:ny] = level + constant[0] - a[:ny] @ np.concatenate([level, np.tile(at, length)]) - b[:ny] @ at
         gain = c.T.copy()
-        return LinearModel(spec, a, b, c, np.zeros((ny, nu)), gain, offset, np.zeros(ny), burn_in=length)
+        return LinearModel(spec, a, b, c, np.zeros((ny, nu)), gain, offset, np.zeros(ny), burn_in=length + 1)
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> SpectralState:
         """Return the state before any data."""
@@ -138,35 +143,33 @@ class SpectralFiltering(OnePass):
         curvature = np.eye(p) / self.prior if self.update_by == "newton" else np.zeros((1, 1))
         return SpectralState(
             np.zeros((self.window, spec.nu)),
+            0,
             np.zeros(spec.ny),
             0,
-            np.zeros(spec.nu + spec.ny),
+            Standing.blank(spec.nu),
+            Standing.blank(spec.ny),
             np.zeros((p, spec.ny)),
             curvature,
         )
 
     def start(self, state: SpectralState, y: FloatArray) -> SpectralState:
         """Return the state after the first output of a record; what was learned stays, the past does not."""
-        return state._replace(past=np.zeros_like(state.past), last=np.array(y, dtype=float))
+        return state._replace(known=0, last=np.array(y, dtype=float))
 
     def predict(self, state: SpectralState, u: FloatArray) -> FloatArray:
         """Return the output (ny,) that ``u`` leads to; the last output during the burn-in."""
         if state.seen < self.burn_in:
             return state.last.copy()
-        size = sizes_of(state.squares, self.burn_in)
-        guess: FloatArray = self._features(state, u, size) @ state.weights * size[len(u) :]
-        return guess
+        guess: FloatArray = self._features(state, u) @ state.weights
+        return state.outputs.level + guess * state.outputs.size
 
     def update(self, state: SpectralState, u: FloatArray, y: FloatArray) -> SpectralState:
         """Return the state after ``u`` led to ``y``."""
         u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-        squares, weights, curvature = state.squares, state.weights, state.curvature
-        if state.seen < self.burn_in:
-            squares = squares + np.concatenate([u, y]) ** 2
-        else:
-            size = sizes_of(squares, self.burn_in)
-            x = self._features(state, u, size)
-            wrong = y / size[len(u) :] - x @ weights
+        weights, curvature = state.weights, state.curvature
+        if state.seen >= self.burn_in:
+            x = self._features(state, u)
+            wrong = state.outputs.relative(y) - x @ weights
             if self.update_by == "newton":
                 gain = curvature @ x
                 gain /= 1.0 + x @ gain
@@ -176,8 +179,14 @@ class SpectralFiltering(OnePass):
                 curvature = np.maximum(curvature, x @ x)
                 step = self.rate / (curvature[0, 0] * np.sqrt(state.seen - self.burn_in + 1.0))
                 weights = weights + step * np.outer(x, wrong)
+        return self._moved(state, u, y)._replace(weights=weights, curvature=curvature)
+
+    def _moved(self, state: SpectralState, u: FloatArray, y: FloatArray) -> SpectralState:
+        """Return the state a sample on, nothing learned but, in the burn-in, level and size."""
+        if state.seen < self.burn_in:
+            state = state._replace(inputs=state.inputs.heard(u), outputs=state.outputs.heard(y))
         past = np.vstack([u[None], state.past[:-1]])
-        return SpectralState(past, y.copy(), state.seen + 1, squares, weights, curvature)
+        return state._replace(past=past, known=state.known + 1, last=y.copy(), seen=state.seen + 1)
 
     def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
         """Return the losses of the best fixed M (least squares), with the same held predictions in the burn-in."""
@@ -188,13 +197,9 @@ class SpectralFiltering(OnePass):
         for record in trajectories:
             state = self.start(state, record.y[0])
             for u, y in zip(record.u[:-1], record.y[1:], strict=True):
-                waits = state.seen < self.burn_in
-                size = np.ones(spec.nu + spec.ny) if waits else sizes_of(state.squares, self.burn_in)
-                rows.append(self._features(state, u, size))
+                rows.append(self._features(state, u))
                 held.append(state.last)
-                past = np.vstack([u[None], state.past[:-1]])
-                squares = state.squares + waits * np.concatenate([u, y]) ** 2
-                state = state._replace(past=past, last=y, seen=state.seen + 1, squares=squares)
+                state = self._moved(state, u, y)
         targets = np.concatenate([record.y[1:] for record in trajectories])
         guesses = np.array(held)
         late = slice(self.burn_in, None)
@@ -205,9 +210,8 @@ class SpectralFiltering(OnePass):
                 got=str(len(targets)),
                 remedy="record longer, or lower burn_in",
             )
-        x = np.array(rows)[late]
-        best = np.linalg.lstsq(x, targets[late], rcond=1e-13)[0]
-        guesses[late] = x @ best
+        x, level = np.array(rows)[late], state.outputs.level
+        guesses[late] = level + x @ np.linalg.lstsq(x, targets[late] - level, rcond=1e-13)[0]
         each = residual(spec.outputs, targets, guesses) ** 2
         exact = all(channel.period is None for channel in spec.outputs)
         growth = Growth("root", None, "any bounded stream (Hazan, Singh & Zhang 2017)")
@@ -220,11 +224,12 @@ class SpectralFiltering(OnePass):
         """Return the number of features."""
         return (self.filters + 2) * spec.nu + spec.ny + 1
 
-    def _features(self, state: SpectralState, u: FloatArray, size: FloatArray) -> FloatArray:
-        """Return the scaled features (p,) of the next output."""
+    def _features(self, state: SpectralState, u: FloatArray) -> FloatArray:
+        """Return the scaled features (p,) of the next output; inputs before the record count as their level."""
         values, filters = wave_filters(self.window, self.filters)
-        nu = len(u)
-        waves = (values**0.25)[:, None] * (filters @ (state.past / size[:nu]))
+        past = state.inputs.relative(state.past)
+        past[state.known :] = 0.0
+        waves = (values**0.25)[:, None] * (filters @ past)
         return np.concatenate(
-            [waves.ravel(), state.past[0] / size[:nu], u / size[:nu], state.last / size[nu:], np.ones(1)]
+            [waves.ravel(), past[0], state.inputs.relative(u), state.outputs.relative(state.last), np.ones(1)]
         )

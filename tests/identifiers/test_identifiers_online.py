@@ -13,7 +13,7 @@ from harness.registry import create
 from harness.scoring import predict, regret, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.least_squares import Arx
-from identifiers.online.along import along, sizes_of
+from identifiers.online.along import along
 from identifiers.online.leader import FollowTheLeader
 from identifiers.online.rls import RecursiveLeastSquares
 from identifiers.online.rls_pass import run
@@ -213,12 +213,32 @@ def test_the_model_of_a_pass_predicts_as_the_identifier_would(name, options):
     assert ahead[-1] == pytest.approx(frozen, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("rls", {}),
+        ("recursive-polynomial", {}),
+        ("follow-the-leader", {}),
+        ("spectral-filtering", {"filters": 4, "window": 30}),
+        ("spectral-filtering", {"filters": 4, "window": 30, "update_by": "gradient"}),
+        ("gradient-descent", {"order": 3}),
+    ],
+)
+def test_the_level_of_signals_does_not_decide_what_is_learned(name, options):
+    record = second_order(300, 0, 0.05)
+    warm = replace(record, u=record.u + 20.0, y=record.y + 300.0)
+    online = create("identifiers", name, **options)
+    ahead, above = (predict(online.fit([one], rng=np.random.default_rng(0)), one, 1) for one in (record, warm))
+    late = slice(100, None)
+    assert above[late] - 300.0 == pytest.approx(ahead[late], abs=0.01 * record.y.std())
+
+
 def with_state(online, state, record):
     """Return the prediction of the last output of a record by what is known at its start alone."""
     for k in range(len(record) - 2):
         new = online.update(state, record.u[k], record.y[k + 1])
         if hasattr(state, "theta"):  # gradient descent: the filter goes on, the parameters stay
-            w = record.u[k] / sizes_of(state.squares, online.burn_in)[:1]
+            w = state.inputs.relative(record.u[k])
             a = state.theta[: online.order]
             state = state._replace(w=np.vstack([w - a @ state.w, state.w[:-1]]))
         elif hasattr(state, "weights"):
