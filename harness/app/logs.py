@@ -95,13 +95,13 @@ class Logs:
         InputError
             If it cannot be read.
         """
-        from harness import api
+        from harness.data.recipe.contents import contents_of
 
         with self._lock:
             log = self._open(path)
             if log.content is None:
-                found = api.describe_file(path)
-                log.content = {**found["content"], "facts": found["facts"], "titles": list(log.table.titles)}
+                found = contents_of(path, tables={path: log.table})
+                log.content = {**found.to_dict(), "facts": found.facts(), "titles": list(log.table.titles)}
             return log.content
 
     def lines(

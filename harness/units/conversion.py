@@ -357,6 +357,8 @@ def is_unit(text: str) -> bool:
     """
     if text in COMMON:
         return True
+    if text.count("[") != text.count("]"):  # a part of a title, which needs no library to tell it
+        return False
     try:
         fits(text, "1")
     except InputError:

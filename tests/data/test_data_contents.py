@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,16 @@ def table(path: Path, titles: str, *columns: np.ndarray) -> Path:
     rows = zip(*columns, strict=True)
     path.write_text("\n".join([titles, *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n")
     return path
+
+
+def test_a_log_with_common_units_is_shown_without_the_library_of_units(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(
+        "time [s],u [N m],theta [rad]\n" + "".join(f"{k / 8},{k},{k}\n" for k in range(40))
+    )
+    code = "import sys; from harness.data.recipe.contents import contents_of; "
+    code += "print([one.unit for one in contents_of('log.csv').channels], 'pint' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['N m', 'rad'] False"
 
 
 def test_channels_units_rate_length_and_holes(tmp_path: Path) -> None:

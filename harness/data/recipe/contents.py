@@ -111,7 +111,7 @@ class Contents:
         return asdict(self)
 
 
-def contents_of(path: str | Path, sheet: str | None = None) -> Contents:
+def contents_of(path: str | Path, sheet: str | None = None, tables: dict[Path, Table] | None = None) -> Contents:
     r"""Return the columns, units, sampling and notes of a file of data.
 
     Parameters
@@ -120,6 +120,8 @@ def contents_of(path: str | Path, sheet: str | None = None) -> Contents:
         Any format of :data:`harness.data.tables.table.FORMATS`; nothing in it has to be declared.
     sheet : str, optional
         Of an Excel workbook.
+    tables : dict, optional
+        Tables that were opened before, by their path, which are not read again.
 
     Raises
     ------
@@ -138,7 +140,7 @@ def contents_of(path: str | Path, sheet: str | None = None) -> Contents:
     """
     path = Path(path)
     sheet, notes = (sheet, []) if sheet is not None else _sheet(path)
-    table = open_table(path, {}, sheet)
+    table = open_table(path, {} if tables is None else tables, sheet)
     columns = [(title, selector) for title in table.titles for selector in _selectors(table, title)]
     try:
         clock = table.clock()

@@ -286,6 +286,6 @@ def _installed(name: str) -> Path:
             f"model {name}",
             expected="the URDF that comes with PyBullet's data",
             got="pybullet_data is not installed",
-            remedy="install pybullet, or give a URDF file",
+            remedy="give a URDF file, or use Python 3.11 and pip install pybullet, which has no wheels for later ones",
         )
     return path
