@@ -20,6 +20,9 @@ from identifiers.linear.markov import markov_parameters, normal_equations
 
 _TAIL = 0.05  # The response has died out where its last tenth holds less than this share of its size.
 _SURE = 3.0  # Standard errors by which a Markov parameter is told from none.
+_LUCK = 1e-3  # Probability of so large a gain of late Markov parameters, were it none, below which it is no chance.
+_PAST = 8  # Samples of its own past that foretell what no input explains, which may wander.
+_GROWS = 3.0  # Powers of e in a record by which that grows, from which on the plant is unstable: no walk does.
 _FREQUENCIES = 128  # Points of the half circle on which gains are taken.
 
 
@@ -131,6 +134,13 @@ def estimated_response(
     noise = np.mean(np.concatenate(natural) ** 2)
     spread = np.sqrt(noise * spec.ny * np.einsum("lala->l", known.inverse))  # of the norm of each Markov parameter
     size = max(float(np.linalg.norm(markov)), 1e-300)
+    if (share := _lasting(records, natural, length)) > _TAIL:
+        raise FitError(
+            f"{what}: the response has not died out",
+            expected=f"Markov parameters that end with less than {_TAIL:g} of its gain",
+            got=f"{share:.2g} of it {length} samples after the input and later",
+            remedy="raise length, or stabilise the plant first (a plant that does not forget has no such controller)",
+        )
     if np.linalg.norm(direct) > max(_TAIL * size, _SURE * spread[0]):
         raise FitError(
             f"{what}: outputs answer the inputs within the same sample",
@@ -140,15 +150,53 @@ def estimated_response(
         )
     late = markov[-max(length // 10, 1) :]
     share = float(np.linalg.norm(late) / size / np.sqrt(len(late) / length))
-    if share > _TAIL and np.linalg.norm(late) > _SURE * np.linalg.norm(spread[-len(late) :]):
-        raise FitError(
-            f"{what}: the response has not died out",
-            expected=f"a tail of less than {_TAIL:g} of its size",
-            got=f"{share:.2g} in the last tenth of {length} samples",
-            remedy="raise length, or stabilise the plant first (a plant that does not forget has no such controller)",
-        )
     beyond = float(np.linalg.norm(late, axis=(1, 2)).sum()) if share > _TAIL else 0.0
     return Response(markov, known.gain_bound(density, spec.ny, confidence) + beyond, natural, (y_mean, u_mean))
+
+
+def _lasting(records: Sequence[Trajectory], natural: Sequence[FloatArray], length: int) -> float:
+    """Return the gain of Markov parameters from about ``length`` on beside that of all, where it is no chance.
+
+    What the past of nature's y tells of it is taken off outputs and inputs alike, which leaves the response as it is
+    (Cochrane & Orcutt 1949, J. Am. Stat. Assoc. 44:32): else what a plant never forgets looks like noise that wanders.
+    Twice as many lags are asked for, or as many as the inputs excite.
+    """
+    from scipy.signal import lfilter
+    from scipy.stats import f
+
+    spread = np.maximum(np.concatenate(natural).std(axis=0), 1e-300)
+    columns = [column for part in natural for column in (part / spread).T]
+    past = np.concatenate([np.stack([one[_PAST - j : -j] for j in range(1, _PAST + 1)], axis=1) for one in columns])
+    own = np.linalg.lstsq(past, np.concatenate([one[_PAST:] for one in columns]), rcond=1e-6)[0]
+    taps, spec = np.concatenate([[1.0], -own]), records[0].spec
+    if np.abs(np.roots(taps)).max(initial=0.0) > 1.0 + _GROWS / max(map(len, natural)):
+        return float("inf")
+    y_mean, u_mean = (np.concatenate([getattr(one, name) for one in records]).mean(axis=0) for name in ("y", "u"))
+    white = [
+        replace(one, y=lfilter(taps, [1.0], one.y - y_mean, axis=0), u=lfilter(taps, [1.0], one.u - u_mean, axis=0))
+        for one in records
+    ]
+    for reach in (2 * length, length):
+        asked = [one[_PAST:] for one in white if len(one) > 2 * reach + _PAST]
+        sums = normal_equations(asked, reach, offset=True) if asked else None
+        free = 0 if sums is None else sums.rows - reach * spec.nu - 1 - _PAST
+        known = LagsKnown.of(sums, reach, spec.nu) if sums is not None and free > reach * spec.nu else None
+        if sums is None or known is None:
+            continue
+        markov, _, rms = markov_parameters(asked, reach)
+        late = np.array(markov[length - max(length // 10, 1) :])
+        rounded = 1e-12 * np.concatenate([one.y for one in asked]).std(axis=0)
+        noise = np.maximum(np.maximum(rms * np.sqrt(sums.rows / free), rounded), 1e-300)
+        waves = np.exp(-1j * np.outer(np.linspace(0.0, np.pi, _FREQUENCIES), np.arange(len(late))))
+        inverse = known.inverse[-len(late) :, :, -len(late) :]
+        through = np.linalg.inv(np.einsum("fl,lamb,fm->fab", waves.conj(), inverse, waves, optimize=True))
+        gain = np.einsum("fl,lya->fya", waves, late)
+        sure = np.einsum("fya,fab,fyb->f", gain / noise[:, None], through, gain.conj() / noise[:, None]).real
+        count = spec.ny * spec.nu
+        lasts = _FREQUENCIES * f.sf(sure / count, 2 * count, 2 * free) < _LUCK
+        found = np.linalg.norm(gain, 2, axis=(1, 2))[lasts].max(initial=0.0)
+        return float(found / max(_largest_gain(markov[:length]), 1e-300))
+    return 0.0
 
 
 def response_controller(response: Response, q: FloatArray, r: FloatArray, taps: int) -> ResponseController:

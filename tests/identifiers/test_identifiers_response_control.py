@@ -108,6 +108,27 @@ def test_a_loop_and_inputs_that_act_at_once_are_refused():
         estimated_response([Trajectory(one.t, one.u, one.y + one.u, SPEC)], 50)
 
 
+@pytest.mark.parametrize("modulus", [1.0, 1.01])
+@pytest.mark.parametrize("pole", [0.0, 0.8])
+@pytest.mark.parametrize("turn", [0.0, 0.4])
+def test_a_plant_that_does_not_forget_is_refused(modulus, pole, turn):
+    """An integrator and undamped or unstable modes, among noise that they do not forget either."""
+    draw, x = rng(5), np.zeros(2)
+    u, y = lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], draw.normal(size=(1500, 1)), axis=0), np.zeros((1500, 1))
+    mode = modulus * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    for k in range(1500):
+        y[k] = x[0] + 0.1 * draw.normal()
+        x = mode @ x + np.array([1.0, 0.5]) * u[k] + 0.1 * draw.normal(size=2)
+    with pytest.raises(FitError, match="has not died out"):
+        estimated_response([Trajectory(np.arange(1500.0), u, y, SPEC)], 50)
+
+
+def test_a_load_that_wanders_is_no_memory_of_the_plant():
+    one = record(1500, 0)
+    load = 0.1 * np.cumsum(rng(9).normal(size=(1500, 1)), axis=0)
+    estimated_response([Trajectory(one.t, one.u, one.y + load, SPEC)], 50)
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.05, 0.9))
 def test_what_is_vouched_for_is_stable(seed, share):
