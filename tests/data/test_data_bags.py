@@ -149,24 +149,28 @@ def test_headers_count_where_all_have_them_and_one_topic_needs_no_grid(tmp_path:
     assert any("stamps of the headers" in note for note in data.warnings)
 
 
-def test_a_draft_knows_the_joints_of_the_urdf(tmp_path: Path) -> None:
+@pytest.mark.parametrize("prefix", ["", "left_"])
+def test_a_draft_knows_the_joints_of_the_urdf(prefix: str, tmp_path: Path) -> None:
     path = written(tmp_path, "mcap")
-    (tmp_path / "two.urdf").write_text(URDF)
+    (tmp_path / "two.urdf").write_text(URDF.replace('<joint name="', f'<joint name="{prefix}'))
     out = api.new_dataset([path], model=str(tmp_path / "two.urdf"), out=tmp_path / "dataset.toml")
     text = out.read_text()
     assert all(line in text for line in ('port = "q2"', 'port = "tau2"', "derivative = 1"))
-    assert "[resample]" in text
-    with pytest.raises(InputError, match=r"\?"):  # units are asked, and nothing is taken before they are told
+    assert "\n[resample]" not in text  # one topic, one clock
+    assert text.count('unit = "rad"') == text.count('unit = "rad/s"') == text.count('unit = "?"') == 2
+    with pytest.raises(InputError, match=r"\?"):  # an effort may be a current: it is asked
         load_dataset(out)
-    answered = text.replace('unit = "?"  # the title states none: which (the model\'s is rad)', 'unit = "rad"  #')
-    answered = answered.replace(
-        'unit = "?"  # the title states none: which (the model\'s is rad/s)', 'unit = "rad/s"  #'
-    )
-    answered = answered.replace('unit = "?"  # the title states none: which (the model\'s is N m)', 'unit = "N m"  #')
-    out.write_text(answered)
+    out.write_text(text.replace('unit = "?"', 'unit = "N m"'))
     data = load_dataset(out).dataset
     assert [channel.name for channel in data.spec.outputs][:2] == ["q1", "q2"]
     assert np.concatenate([run.trajectory.y[:, 1] for run in data]) == pytest.approx(-ANGLE)
+
+
+def test_joints_that_differ_by_more_than_a_prefix_are_asked(tmp_path: Path) -> None:
+    path = written(tmp_path, "mcap")
+    (tmp_path / "two.urdf").write_text(URDF.replace('"shoulder"', '"hip"').replace('"elbow"', '"knee"'))
+    out = api.new_dataset([path], model=str(tmp_path / "two.urdf"), out=tmp_path / "dataset.toml")
+    assert not re.search(r"^port = ", out.read_text(), re.MULTILINE)
 
 
 def test_a_broken_bag_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.data.conditioning.clock import ROUGH, sample_time_of
 from harness.data.conditioning.unstated import refuse_unlikely_seconds
+from harness.data.tables.merging import one_clock
 from harness.data.tables.table import WORKBOOKS, Table, open_table, suffix_of
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -150,7 +151,11 @@ def contents_of(path: str | Path, sheet: str | None = None, tables: dict[Path, T
     rows = max((channel.rows for channel in channels), default=0)
     if table.clocks([title for title in table.titles if title][:1]) is not None and clock in (None, "time"):
         clocks, kind = table.clocks([channel.column for channel in channels]) or ([], "")
-        notes.append(f"channels have clocks of their own ({kind}): [resample] sample_time puts them on one grid")
+        notes.append(
+            f"channels have one clock ({kind})"
+            if one_clock(clocks)
+            else f"channels have clocks of their own ({kind}): [resample] sample_time puts them on one grid"
+        )
         start, end = min(one[0] for one in clocks), max(one[-1] for one in clocks)
         return Contents(path.name, channels, rows, None, True, float(start), float(end - start), None, 0, 0,
                         (*table.notes, *notes))  # fmt: skip

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 
 from harness.data.conditioning.timebase import SHORTEST
@@ -18,6 +20,7 @@ from harness.errors import InputError
 from harness.signals import Channel, stated_categories
 from harness.units import fits
 
+_CURRENT = ", as REP 103 has it; some drivers write a current"
 _JOINT = re.compile(r"\.(?P<list>position|velocity|effort)\[(?P<joint>[^\]]+)\]$")
 
 
@@ -65,11 +68,16 @@ def draft_dataset(
     found = [contents_of(path, sheet) for path in paths]
     first = found[0]
     ports = None if model is None else ports_of(located_model(model, Path.cwd()), {})
+    alike = {} if ports is None else _alike(first, ports)
+    if ports is not None and alike:
+        ports = replace(ports, joints={one: ports.joints[own] for one, own in alike.items()})
     known = stored_spec(paths[0], [one.column for one in first.channels])
     if known is not None and not (inputs or outputs):
         inputs, outputs = [one.name for one in known.inputs], [one.name for one in known.outputs]
     roles = _roles(first, ports, inputs, outputs)
     lines = [f"name = {_quoted(paths[0].stem)}", *_clock(first, ports), ""]
+    if alike:
+        lines += ["# joints are those of the model but for a prefix: {} is {}, and so on".format(*alike.popitem()), ""]
     lines += [] if model is None else ["[nominal]", f"model = {_quoted(model)}", ""]
     lines += [] if model is not None else ['# [nominal] model = "..." names the model that you believe in', ""]
     lines += _signals(first, ports, roles)
@@ -153,13 +161,16 @@ def _used(found: Contents, ports: Ports | None) -> list[tuple[ChannelContent, st
 def _grid_rows(found: Contents, ports: Ports | None) -> int:
     """Return how many samples the drafted grid has: from the last channel to begin to the first output to end."""
     used = _used(found, ports)
-    if (
-        len({(channel.begin, channel.end, channel.rows) for channel, _ in used}) == 1
-    ):  # one topic: its messages are rows
+    if _one_topic(used):  # its messages are rows
         return used[0][0].rows
     ends = [channel.end or 0.0 for channel, role in used if role == "output"] or [used[0][0].end or 0.0]
     shared = min(ends) - max(channel.begin or 0.0 for channel, _ in used)
     return int(shared / _slowest(found, ports) + 1e-6) + 1 if shared > 0.0 else 0
+
+
+def _one_topic(used: Sequence[tuple[ChannelContent, str]]) -> bool:
+    """Return True for channels that share one clock."""
+    return len({(channel.begin, channel.end, channel.rows) for channel, _ in used}) == 1
 
 
 def _slowest(found: Contents, ports: Ports | None) -> float:
@@ -169,6 +180,8 @@ def _slowest(found: Contents, ports: Ports | None) -> float:
 
 def _clock(found: Contents, ports: Ports | None) -> list[str]:
     """Return the lines about time."""
+    if found.clock is None and found.length is not None and _one_topic(_used(found, ports)):
+        return [f"# steps of {_slowest(found, ports):.4g} s; [resample] sample_time is for stamps that are no clock's"]
     if found.clock is None and found.length is not None:
         return [
             "",
@@ -238,8 +251,13 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
         lines.append(f"column = {_quoted(channel.column)}")
     lines += _names(channel) if ports is None else []
     if not channel.unit and not (match and stated_unit(channel.column, rate_unit(match[0].unit, match[2]))):
-        wanted = "" if match is None else f" (the model's is {rate_unit(match[0].unit, match[2])})"
-        lines.append(f'unit = "{OPEN}"  # the title states none: which{wanted}?')
+        own = "" if match is None else rate_unit(match[0].unit, match[2])
+        joint = match is not None and _JOINT.search(channel.name)
+        if joint and joint["list"] != "effort":
+            lines.append(f'unit = "{own}"  # as REP 103 has it')
+        else:
+            wanted = f" (the model's is {own}{_CURRENT if joint else ''})" if own else ""
+            lines.append(f'unit = "{OPEN}"  # the title states none: which{wanted}?')
     return [*lines, ""]
 
 
@@ -277,6 +295,23 @@ def _port(channel: ChannelContent, ports: Ports) -> tuple[Channel, str, int] | N
                 if channel.name in (name, name.replace("_", "")) or (loose is not None and loose[0] == name):
                     return port, role, derivative
     return None
+
+
+def _alike(first: Contents, ports: Ports) -> dict[str, str]:
+    """Return the joints of a model by those of a log where they differ by one prefix only; nothing if others may."""
+    logged = dict.fromkeys(found["joint"] for one in first.channels if (found := _JOINT.search(one.name)))
+    if set(logged) & set(ports.joints):
+        return {}
+    ways: list[dict[str, str]] = []
+    for one in logged:
+        for own in ports.joints:
+            shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one[::-1], own[::-1], strict=False)))
+            prefix, other = one[: len(one) - shared], own[: len(own) - shared]
+            pairs = {name: other + name.removeprefix(prefix) for name in logged if name.startswith(prefix)}
+            pairs = {name: joint for name, joint in pairs.items() if joint in ports.joints}
+            if len(pairs) == len(ports.joints) and pairs not in ways:
+                ways.append(pairs)
+    return ways[0] if len(ways) == 1 else {}
 
 
 def _fitting(channel: ChannelContent, ports: Ports, role: str | None = None) -> str:
