@@ -71,6 +71,8 @@ class HmmModel(Described):
             stays = ", ".join(f"{p:.2f}" for p in self.transition[number, :, number])
             shows = ", ".join(f"{o} ({row[o]:.2f})" for o in most)
             said.append(f"state {number} shows {shows}; stays with {stays}" + (" by action" if self.spec.nu else ""))
+        if never := int(np.sum(self.emission.max(axis=0) == 0)):
+            said.append(f"{never} of {self.emission.shape[1]} observations never occurred: they count as impossible")
         if self.transition_error is not None and self.emission_error is not None:
             worst = self.transition_error.max(), self.emission_error.max()
             said.append("standard errors: at most {:.2g} of a transition, {:.2g} of an observation".format(*worst))

@@ -39,6 +39,27 @@ def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:
     return flat.reshape(states, actions, states)
 
 
+def ergodic(follows: npt.NDArray[np.bool_]) -> bool:
+    """Return True if every state leads to every other, without a cycle.
+
+    - ``follows`` (S, S): whether some action led from s to s'; what was never tried leads nowhere
+
+    Examples
+    --------
+    >>> ergodic(np.array([[True, True], [True, False]])), ergodic(np.array([[False, True], [True, False]]))
+    (True, False)
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    if connected_components(follows, directed=True, connection="strong")[0] != 1:
+        return False
+    n, reach = len(follows), follows.astype(float)
+    # Primitive: some power is positive; n^2 - 2n + 2 is enough (Wielandt 1950), squaring gets beyond it.
+    for _ in range(int(np.ceil(np.log2(max(2, n * n - 2 * n + 2))))):
+        reach = ((reach @ reach) > 0).astype(float)
+    return bool((reach > 0).all())
+
+
 def weissman_bound(count: FloatArray, states: int, confidence: float = 0.95) -> FloatArray:
     """Return the bound on the l1 error of an empirical distribution over ``states`` outcomes.
 
@@ -96,31 +117,16 @@ class MdpModel(Described):
         seen, never = self.visits[self.visits > 0], self.unvisited
         said = [
             f"{seen.size} pairs of state and action, tried {seen.min():.0f} to {seen.max():.0f} times: the worst row "
-            f"is off by at most {self.bound[self.visits > 0].max():.3g} (l1, 95 %)"
+            f"is off by at most {min(2.0, self.bound[self.visits > 0].max()):.3g} (l1, 95 %; 2 is all there is)"
         ]
         if never:
             shown = ", ".join(map(str, never[:SHOWN])) + (", ..." if len(never) > SHOWN else "")
             said.append(
                 f"{len(never)} of {self.visits.size} pairs were never tried, of which nothing is known: {shown}"
             )
-        if not self.ergodic():
-            said.append("not ergodic: some states are not reached from others, or only in cycles")
+        if not self.notes.get("ergodic", True):
+            said.append("not ergodic, as far as was tried: some states are not reached from others, or only in cycles")
         return tuple(said)
-
-    def ergodic(self) -> bool:
-        """Return True if every state can be reached from every other under random actions, without a cycle."""
-        from scipy.sparse.csgraph import connected_components
-
-        mixed = self.transition.mean(axis=1) > 0
-        parts, _ = connected_components(mixed, directed=True, connection="strong")
-        if parts != 1:
-            return False
-        n = mixed.shape[0]
-        reach = mixed.astype(float)
-        # Primitive: some power is positive; n^2 - 2n + 2 is enough (Wielandt 1950), squaring gets beyond it.
-        for _ in range(int(np.ceil(np.log2(max(2, n * n - 2 * n + 2))))):
-            reach = ((reach @ reach) > 0).astype(float)
-        return bool((reach > 0).all())
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the distribution (S,) that is certain of the first output."""
@@ -179,8 +185,8 @@ class MdpCounting:
         total = weights.sum(axis=2, keepdims=True)
         transition = np.where(total > 0, weights / np.where(total > 0, total, 1.0), 1.0 / states)
         model = MdpModel(spec, transition, visits)
-        notes = {"unvisited": [list(pair) for pair in model.unvisited], "ergodic": model.ergodic()}
-        return MdpModel(spec, transition, visits, notes=notes)
+        model.notes.update(unvisited=[list(pair) for pair in model.unvisited], ergodic=ergodic(counts.sum(axis=1) > 0))
+        return model
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -225,6 +226,13 @@ def test_standard_errors_hold_the_truth_and_follow_relabelling():
     assert turned.transition_error[0, 1, 2] == model.transition_error[2, 1, 1]
     assert turned.emission_error.tolist() == model.emission_error[[2, 0, 1]].tolist()
     assert HmmModel.from_dict(model.to_dict()).transition_error.tolist() == model.transition_error.tolist()
+
+
+def test_observations_that_never_occurred_are_said():
+    one = record(400).measured()
+    wider = replace(one.spec.outputs[0], maximum=one.spec.outputs[0].maximum + 3)
+    model = HiddenMarkov(states=2).fit([replace(one, spec=replace(one.spec, outputs=(wider,)))], rng=RNG)
+    assert any("3 of" in said and "never occurred" in said for said in model.findings)
 
 
 def test_a_record_too_short_for_its_states_is_said():

@@ -17,6 +17,7 @@ from identifiers.finite.mdp import (
     MdpModel,
     OnlineCounting,
     count_transitions,
+    ergodic,
     finite_sizes,
     weissman_bound,
 )
@@ -100,8 +101,18 @@ def test_counting_error_falls_with_the_root_of_the_samples_below_its_bound():
     ],
 )
 def test_ergodicity(P, expected):
-    n = len(P)
-    assert MdpModel(finite(n), np.array(P)[:, None], np.ones((n, 1))).ergodic() is expected
+    assert ergodic(np.array(P) > 0) is expected
+
+
+@pytest.mark.parametrize("identifier", [MdpCounting(), MdpCounting(prior=0.5), OnlineCounting()])
+def test_what_was_never_tried_makes_no_process_ergodic(identifier):
+    """A cycle of four states, the last of which is never left, among six: no count shows what is assumed of others."""
+    model = identifier.fit([record(range(4), states=6)], rng=np.random.default_rng(0))
+    assert model.notes["ergodic"] is False
+    assert "3 of 6 pairs were never tried" in model.findings[1]
+    assert "at most 2 (l1" in model.findings[0]
+    around = identifier.fit([record([0, 1, 2, 3] * 3, states=4)], rng=np.random.default_rng(0))
+    assert around.notes["ergodic"] is False
 
 
 def test_predictions_of_every_horizon_are_powers_of_the_matrix():
