@@ -81,6 +81,8 @@ def test_a_scope_writes_its_settings_beside_the_first_rows(tmp_path: Path) -> No
     data = load_dataset(path, input="none", output="CH1").dataset
     assert np.concatenate([run.trajectory.y[:, 0] for run in data]) == pytest.approx(DRIVE)
     assert (data.spec.sample_time, data.spec.outputs[0].unit) == (pytest.approx(DT), "V")
+    with pytest.raises(InputError, match="columns beside the channel of the scope"):  # not left out without a word
+        load_dataset(table(tmp_path, [], [f"{row},0.5," for row in rows]), input="none", output="CH1")
     rows[7] = rows[7].replace("Units,s", "Units,Hz")  # a spectrum
     with pytest.raises(InputError):
         load_dataset(table(tmp_path, [], rows), input="none", output="CH1")

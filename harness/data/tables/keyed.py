@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from harness.data.tables.cells import is_number, is_unit_cell
 from harness.data.tables.headers import split_header
 from harness.data.tables.stacked import MOST_ABOVE
+from harness.errors import InputError
 
 Line = tuple[int, str]
 """Number of a line in its file, and its text."""
@@ -191,6 +192,8 @@ def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str]
     Rigol counts the samples, and start and increment of the time stand once, behind the titles. Tektronix writes its
     settings beside the first rows, in the first three columns.
 
+    Raises InputError if other columns stand beside those of a Tektronix.
+
     Examples
     --------
     >>> rows = [["X", "CH1", "Start", "Increment"], ["Sequence", "Volt", "-0.5", "0.01"], ["0", "1.5", ""]]
@@ -213,5 +216,13 @@ def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str]
     settings = {row[0]: row[1] for row in rows if len(row) > 4 and row[0]}
     if names[:1] + units[:1] != ["Record Length", "Sample Interval"] or settings.get("Horizontal Units") != "s":
         return None
+    if further := next((cell for row in rows for cell in row[5:] if cell.strip()), ""):
+        raise InputError(
+            "columns beside the channel of the scope",
+            expected="five columns, as a Tektronix writes them: settings, time and readings of one channel",
+            got=repr(further),
+            remedy="give each channel a file of its own",
+            place="line 1",
+        )
     titles = ["time [s]", f"{settings.get('Source', 'y')} [{settings.get('Vertical Units', '1')}]"]
     return titles, 0, lambda cells: cells[3:5], "the settings of the scope beside the first rows are left aside"
