@@ -478,6 +478,21 @@ def test_rules_above_the_rows_are_no_rows(tmp_path: Path, above: str, sign: str)
     same(written(tmp_path / "log.txt", above + rows(TIME, U, Y, sign=sign)))
 
 
+def test_a_decimal_comma_in_one_column_tells_what_it_is_in_others(tmp_path: Path) -> None:
+    comma = [[f"{value:.3f}".replace(".", ",") for value in column] for column in (100 + np.arange(N), Y)]
+    path = written(tmp_path / "log.csv", "t [ms];u;y\n" + rows((1e3 * TIME).round().astype(int), *comma, sign=";"))
+    assert read(path)[1] == pytest.approx(100.0 + np.arange(N))
+    text = path.read_text().replace("t [ms];u;y", "t [ms];u")
+    with pytest.raises(InputError, match="none for thousands"):
+        read(
+            written(
+                path, "\n".join(line.rpartition(";")[0] if k else line for k, line in enumerate(text.splitlines()))
+            ),
+            output="u",
+            input="none",
+        )
+
+
 @pytest.mark.parametrize("title", ["y[1][mm]", "y(1) [mm]", "y[1] (mm)"])
 def test_an_index_before_a_unit_is_a_part_of_the_name(tmp_path: Path, title: str) -> None:
     path = written(tmp_path / "log.csv", f"time [s],u [V],{title}\n" + rows(TIME, U, Y))

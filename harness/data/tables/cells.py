@@ -140,7 +140,8 @@ def numbers_of(
     notes : list of str, optional
         Gets a sentence where signs between thousands were read.
     commas : bool
-        True where other columns of the table have decimal commas: points in this one may stand between thousands.
+        True where other columns of the table have decimal commas: so has this one, and its points may stand between
+        thousands.
 
     Raises
     ------
@@ -161,7 +162,7 @@ def numbers_of(
         if notes is not None and text not in notes:
             notes.append(text)
     signs = [cell for cell in cells if "," in cell]
-    thousands = bool(signs) and all(map(_THOUSANDS[0].fullmatch, signs))
+    thousands = bool(signs) and not commas and all(map(_THOUSANDS[0].fullmatch, signs))
     commas = not thousands and not any("." in cell for cell in cells)
     refuse_thousands(cells, where, commas=commas and style is None)
     numbers = []
