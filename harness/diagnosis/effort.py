@@ -117,6 +117,12 @@ class Effort:
         3, "times that a fit goes on with finer steps of the solver, where its law became faster than they are", "cost"
     )
     choices: int = number(12, "choices of an effect's nonlinear parameters in the score test", "cost")
+    wide: float = number(
+        0.03,
+        "share of three times the rms speed over which forces change their sign where initial states are looked for",
+        "a smoothing that a step of the solver follows",
+        "a falling reaction wheel's pendulum ended 40 % above its least error, and at it with widths of 0.6 to 9 %",
+    )
     knots: int = number(25, "test functions on one axis of a free force", "a law of friction has two bends")
     joint_knots: tuple[int, int] = number((9, 6), "test functions on each of two axes", "cost: 54 together")
     own_starts: tuple[float, ...] = number(

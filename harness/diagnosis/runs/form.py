@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.signs import signs_by_model
 from harness.diagnosis.runs.states import carried_states, led_states, settled_states, state_bases
@@ -15,7 +16,9 @@ from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.physics.compiled.simulator import Simulator, default_substeps
+from harness.physics.compiled.system import System
 from harness.physics.compiled.windows import Windows, data_states
+from harness.physics.definition.model_equations import Equations
 from harness.physics.fitting.levenberg import minimise_states
 from harness.signals import Dataset, FloatArray, Trajectory
 
@@ -210,5 +213,24 @@ class FreeRunForm:
         return Windows(simulator, records, horizon, self.weights)
 
     def fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
-        """Return initial states (W, nx) fitted with the parameters held."""
-        return minimise_states(windows, p, x0, most)
+        """Return initial states (W, nx) fitted with the parameters held.
+
+        Where a force changes its sign sooner than a step of the solver, derivatives by initial states tell nothing of
+        longer steps: they are looked for with a wider change too, and what comes nearer is kept.
+        """
+        ends, wide = minimise_states(windows, p, x0, most), self._with_wide_signs(windows.simulator.system, p)
+        if wide is None:
+            return ends
+        other = minimise_states(windows, p, minimise_states(windows, wide, x0, most), most)
+        costs = [np.nan_to_num(windows.trial(p, each).costs, nan=np.inf) for each in (ends, other)]
+        return np.where((costs[1] < costs[0])[:, None], other, ends)
+
+    def _with_wide_signs(self, system: Equations, p: FloatArray) -> FloatArray | None:
+        """Return parameters with which forces change their sign over a share of the largest speeds; None if they do."""
+        if not isinstance(system, System) or not system.switches:
+            return None
+        wide, speeds = p.copy(), EFFORT.wide * moving(system, self.sizes)
+        for state, name in system.switches:
+            k = system.parameter_names.index(name)
+            wide[k] = max(p[k], speeds[state])
+        return wide if (wide > p).any() else None
