@@ -121,6 +121,12 @@ HEADS = {
     "ControlDesk": "ControlDesk,CSV,1.0\npath,,u,y\nunit,s,V,V\ntrace_values,x,y,y\n" + joined([""] * N, SECONDS, U, Y),
     "TwinCAT": "Name,Scope\nFile,C:\\a.tcscopex\n\nName,u,Name,y\nSampleTime[ms],20,SampleTime[ms],20\nPort,1,Port,1\n"
     "\n" + joined(MS, U, MS, Y),
+    "National Instruments, a clock for each channel": "Timestamp,2024-11-29 10:00:00,Timestamp,2024-11-29 10:00:00\n"
+    'Interval,0.02,Interval,0.02\nChannel name,"u",Channel name,"y"\nUnit,"V",Unit,"V"\n'
+    + joined(SECONDS, U, SECONDS, Y),
+    "a drive's log: the clock's unit among what others measure": "Axis1\nNumber of sampling data,60\n"
+    "Time,u,y,Digital 1,Digital 2\nms,Servo motor speed,Torque,Not selected,Not selected\n"
+    + joined(MS, U, Y, [0] * N, [0] * N),
     "Rigol, settings in the titles": "Time(s),u,y,t0 = -0.3s, tInc = 0.02\n" + joined(SECONDS, U, Y, [""] * N),
     "pandas, two levels": ",motor,motor\n,u,y\ntime,,\n" + joined(SECONDS, U, Y),
     "pandas, spans as index": ",u,y\n" + joined(clock(DT, "0 days 00:{:02d}:{:09.6f}"), U, Y),

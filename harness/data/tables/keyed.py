@@ -12,14 +12,16 @@ from harness.errors import InputError
 Line = tuple[int, str]
 """Number of a line in its file, and its text."""
 
-NAMES = ("tracename", "path", "name", "symbolname")
+NAMES = ("tracename", "path", "name", "symbolname", "channel name")
 """Keys of the row of names, in small letters, the fullest first where a head has several."""
 UNITS = ("vunit", "unit", "units", "y_unit_label")
 STEPS = {"hresolution": "hunit", "delta_x": "", "sampletime[ms]": ""}
 """Keys of the row of sample times, and that of their unit where it is no other."""
+PAIRED_STEPS = {"sampletime[ms]": "ms", "interval": "s"}
+"""The same where each channel has a key and a clock of its own, with the unit in which the clock then counts."""
 STARTS = ("hoffset", "x0")
-UNEVEN = 1e-3
-"""Milliseconds by which the first step of a clock may differ from the stated one: else it counts something else."""
+UNEVEN = 0.01
+"""Part of the stated step by which the first step of a clock may differ: else it counts something else."""
 _END = "***End_of_Header***"
 SETTINGS = 30
 """Rows beside which a scope writes its settings."""
@@ -29,7 +31,8 @@ def keyed(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
     """Return the lines of a table under titles that its keyed head gives, and what to say; None for any other head.
 
     LabVIEW writes its settings above a table with titles, of which only the sampling counts; Yokogawa's recorders and
-    ControlDesk leave the first cell of every row to the keys; TwinCAT's scope gives each channel a key, and a clock.
+    ControlDesk leave the first cell of every row to the keys; TwinCAT's scope and National Instruments' loggers give
+    each channel a key, and a clock.
 
     References: National Instruments, *Specification for the LabVIEW Measurement File (.lvm)*; Yokogawa, *DL850 ASCII
     file format*; Beckhoff, *TwinCAT Scope: export to CSV*.
@@ -96,19 +99,27 @@ def _titled(
     - ``paired``: True where each channel has a key and a clock of its own
     """
     width = len(rows[0])
-    names = by_key[key][1 :: 2 if paired else 1]
-    if any(len(row) != width for row in rows) or width != len(names) * (2 if paired else 1):
+    each = 2 if paired else 1
+    names = by_key[key][1::each]
+    if any(len(row) != width for row in rows) or width != len(names) * each:
         return None
-    if paired:
-        stated = by_key.get("sampletime[ms]", ["", ""])[1]
-        counted = is_number(stated) and abs(float(rows[1][0]) - float(rows[0][0]) - float(stated)) < UNEVEN
-        return [title for name in names for title in ("time [ms]" if counted else "time", name)], None
-    units = next((by_key[one][1:] for one in UNITS if one in by_key), [])
+    units = next((by_key[one][1::each] for one in UNITS if one in by_key), [])
     titles = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, [*units, *[""] * width], strict=False)]
+    if paired:
+        clock = next((f"time [{unit}]" for one, unit in PAIRED_STEPS.items() if _counts(by_key.get(one), rows)), "time")
+        return [title for name in titles for title in (clock, name)], None
     if not names[0] and units:
         return [f"time [{units[0]}]", *titles[1:]], None
     step = _sampling(by_key)
     return None if step is None else ([f"time [{step[2]}]", *titles], step[:2])
+
+
+def _counts(stated: Sequence[str] | None, rows: Sequence[Sequence[str]]) -> bool:
+    """Return True if the first column of rows goes on by the step that the head states for it."""
+    if not stated or not is_number(stated[1]):
+        return False
+    step = float(stated[1])
+    return abs(float(rows[1][0]) - float(rows[0][0]) - step) < UNEVEN * step
 
 
 def _is_row(line: str) -> bool:

@@ -210,6 +210,7 @@ def stacked_titles(rows: Sequence[Sequence[str]]) -> tuple[list[str], int] | Non
     names = _names(head, used)
     if names is None:
         return None
+    units = units if any(units) else _unit_of_clock(head, names)
     titles = units_below(names, units) if any(units) else names
     return None if titles is None else (titles, count + named)
 
@@ -363,6 +364,19 @@ def _names(head: Sequence[Sequence[str]], used: Sequence[int]) -> list[str] | No
     return names if all(chosen) and len(set(chosen)) == len(chosen) else None
 
 
+def _unit_of_clock(head: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
+    """Return the unit of time that another row of a header states at the clock, its column's; the others say words."""
+    units = [""] * len(names)
+    try:
+        clock = clock_of(names)
+    except InputError:
+        return units
+    if clock is not None:
+        at = names.index(clock)
+        units[at] = next((row[at] for row in head if _bare_unit(row[at]) in TIME_UNITS), "")
+    return units
+
+
 def _told_apart(names: Sequence[str], above: Sequence[Sequence[str]], used: Sequence[int], step: int) -> list[str]:
     """Return names with a text from above in front of each that another used column has too."""
     apart = list(names)
@@ -448,7 +462,12 @@ def _units_above(head: Sequence[Row]) -> bool:
         clock = clock_of(head[1])
     except InputError:
         return False
-    return clock is not None and head[0][head[1].index(clock)].strip("[](){}<> ").lower() in TIME_UNITS
+    return clock is not None and _bare_unit(head[0][head[1].index(clock)]) in TIME_UNITS
+
+
+def _bare_unit(cell: str) -> str:
+    """Return what stands in a cell without brackets, in small letters."""
+    return cell.strip("[](){}<> ").lower()
 
 
 def _are_units(head: Sequence[Row], kinds: Sequence[Callable[[str], bool] | None]) -> bool:
