@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -11,9 +12,12 @@ import numpy as np
 from harness.errors import FitError
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray
+from identifiers.common.regression import Solution
 
 # Eigenvalues of a model that is asked to be stable stay within this: at 1 itself a free run never forgets its start.
 RADIUS = 0.999
+# Error one step ahead over that of the fit, above which a stable model is said to contradict the records.
+_WORSE = 1.5
 # Rounds of the search: each halves the rest at most, and costs one small eigenvalue problem.
 _ROUNDS = 40
 
@@ -110,6 +114,32 @@ def nearest_stable(
     return found
 
 
+def told_of_stable(
+    solution: Solution, found: FloatArray, weights: FloatArray, fitted: FloatArray | None = None
+) -> dict[str, Any]:
+    """Return what the notes say of a stable model in place of a fit that is not, with a warning where it errs by more.
+
+    - ``found`` (p, ny): coefficients of the stable model
+    - ``weights`` (ny,): one over the size of each output
+    - ``fitted``: the fit, where it is not that of least squares
+    """
+    start = solution.coefficients if fitted is None else fitted
+    factor = solution.factor * solution.scale
+    moved, after, before = (
+        float(np.linalg.norm(factor @ away * weights))
+        for away in (found - start, found - solution.coefficients, start - solution.coefficients)
+    )
+    least = float(np.sqrt(solution.rows) * np.linalg.norm(solution.residual_rms * weights))
+    worse = np.hypot(after, least) / max(np.hypot(before, least), 1e-300)
+    notes: dict[str, Any] = {"stabilized": True, "moved by": moved}
+    if worse > _WORSE:
+        notes["warning"] = (
+            f"the stable model errs {min(worse, 1e6):.3g} times as much one step ahead as the fit, which is not: the "
+            "records contradict it; is the plant stable, and does nothing drift?"
+        )
+    return notes
+
+
 def convex_stable(theta: FloatArray, factor: FloatArray, own: int, weights: FloatArray) -> FloatArray:
     """Return stable coefficients by a semidefinite program: no start, no step, and not always the nearest ones.
 
@@ -133,12 +163,19 @@ def convex_stable(theta: FloatArray, factor: FloatArray, own: int, weights: Floa
     held = cp.bmat([[e + e.T - p, state.T], [state, p]])
     constraints = [held >> 1e-7 * np.eye(2 * own), e + e.T >> 2.0 * np.eye(own)]
     program = cp.Problem(cp.Minimize(cp.norm(rows @ (explicit @ e.T - implicit), "fro")), constraints)
-    program.solve(solver="CLARABEL")
-    if e.value is None:
+    try:
+        with warnings.catch_warnings():  # an inaccurate solution is judged below
+            warnings.simplefilter("ignore", UserWarning)
+            program.solve(solver="CLARABEL")
+    except cp.SolverError:
+        e.value = None
+    found = theta
+    if e.value is not None:
+        found = np.linalg.solve(e.value, implicit.value.T).T * scale[:, None] / weights
+    if spectral_radius(found[:own]) >= 1.0:
         raise FitError(
             "stable model", expected="a solved semidefinite program", got=str(program.status), remedy="use stable=true"
         )
-    found: FloatArray = np.linalg.solve(e.value, implicit.value.T).T * scale[:, None] / weights
     # The inputs' coefficients again, now for the explicit equation.
     miss = factor[:, :own] @ (theta[:own] - found[:own])
     others = np.linalg.lstsq(factor[:, own:], miss, rcond=1e-12)[0] if len(theta) > own else np.zeros((0, own))

@@ -22,7 +22,7 @@ from identifiers.common.one_step_estimate import foretold_output, least_squares_
 from identifiers.common.records import lagged, lagged_blocks, learnable, missing_notes, snapshot_sums, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import EXACT, lively, sizes, together
-from identifiers.common.stability import nearest_stable, stable_lags
+from identifiers.common.stability import nearest_stable, stable_lags, told_of_stable
 from identifiers.linear.arx_channels import arx_by_channel, arx_orders_of, channel_neighbours
 from identifiers.linear.polynomials.orders import Counts
 
@@ -106,8 +106,8 @@ class Arx:
             weights = 1.0 / sizes([record.y for record in records])
             factor = solution.factor * solution.scale
             coefficients = nearest_stable(solution.coefficients, factor, own, stable_lags, weights)
+            notes = {**notes, **solution_notes(solution), **told_of_stable(solution, coefficients, weights)}
             coefficients = _widened(coefficients, spec, order, delay)
-            notes = {**notes, **solution_notes(solution), "stabilized": True}
             return lag_model(spec, coefficients, order, self.offset, notes)
         model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})
         return with_lag_neighbours(model, records, solution, order, self.offset, delay=delay, estimate=estimate)

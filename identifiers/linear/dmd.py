@@ -24,7 +24,7 @@ from identifiers.common.one_step_estimate import least_squares_estimate
 from identifiers.common.records import learnable, missing_notes
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import Scaling, lively, noise_levels, sizes
-from identifiers.common.stability import clip_eigenvalues, nearest_stable, stable_lags
+from identifiers.common.stability import clip_eigenvalues, nearest_stable, stable_lags, told_of_stable
 from identifiers.linear.arx import lag_model, one_step, operating_point, solution_notes, with_lag_neighbours
 from identifiers.linear.state_space_estimate import state_space_estimate
 
@@ -168,7 +168,8 @@ class Dmdc:
             factor = solution.factor * solution.scale
             project = clip_eigenvalues if self.delays == 1 else stable_lags
             coefficients = nearest_stable(coefficients, factor, self.delays * spec.ny, project, weights)
-            return lag_model(spec, coefficients, self.delays, self.offset, {**notes, "stabilized": True})
+            notes |= told_of_stable(solution, coefficients, weights)
+            return lag_model(spec, coefficients, self.delays, self.offset, notes)
         model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})
         model = with_lag_neighbours(model, records, solution, self.delays, self.offset, estimate=estimate)
         if self.ridge > 0.0 and self.delays == 1 and (estimate := state_space_estimate(model, [], "given")):
@@ -225,8 +226,8 @@ class Dmdc:
             refuse_feedback(solution, Columns.lifted(rank, spec), self.least_excitation, what)
         coefficients, notes = solution.coefficients, solution_notes(solution)
         if self.stable and spectral_radius(coefficients[:rank]) >= 1.0:
-            notes["stabilized"] = True
             coefficients = nearest_stable(coefficients, solution.factor * scale, rank, clip_eigenvalues, np.ones(rank))
+            notes |= told_of_stable(solution, coefficients, np.ones(rank))
         theta = coefficients.T
         return LinearModel(
             spec,

@@ -22,7 +22,7 @@ from identifiers.common.one_step_estimate import jackknife_estimate, least_squar
 from identifiers.common.records import learnable, missing_notes
 from identifiers.common.regression import Solution
 from identifiers.common.scaling import sizes
-from identifiers.common.stability import clip_eigenvalues, convex_stable, nearest_stable
+from identifiers.common.stability import clip_eigenvalues, convex_stable, nearest_stable, told_of_stable
 from identifiers.linear.arx import (
     Arx,
     design,
@@ -127,8 +127,10 @@ class StateLeastSquares:
                 coefficients = convex_stable(coefficients, factor, spec.ny, weights)
             else:
                 coefficients = nearest_stable(coefficients, factor, spec.ny, clip_eigenvalues, weights)
-            moved = float(np.linalg.norm(factor @ (coefficients - fitted) * weights))
-            notes.update({"stabilized": True, "moved by": moved})
+            doubt = notes.get("warning")
+            notes |= told_of_stable(solution, coefficients, weights, fitted)
+            if doubt and notes["warning"] != doubt:
+                notes["warning"] = f"{doubt}; {notes['warning']}"
         elif estimate is not None:  # of the nearest stable model the spread of the fit says nothing
             notes["estimate"] = estimate.to_dict()
         model = lag_model(spec, coefficients, 1, self.offset, notes)

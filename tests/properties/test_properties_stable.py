@@ -108,3 +108,20 @@ def test_the_convex_program_is_stable_too_and_about_as_near(data):
     # It minimises a bound on the error: of 142 unstable fits at most 1.28 times as far as the local search, half of
     # them within 1.1 %, a quarter nearer (down to 0.49, where the search stuck).
     assert fits["convex"].notes["moved by"] <= 2.0 * fits[True].notes["moved by"] + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("least-squares", {}), ("least-squares", {"stable": "convex"}), ("arx", {"order": 1}), ("dmdc", {})],
+)
+@pytest.mark.parametrize(("radius", "contradicts"), [(1.1, True), (1.0, False)])
+def test_records_that_contradict_a_stable_model_say_so(name, options, radius, contradicts):
+    """At 1.0 the fit of a short record is a little outside, or not at all: nothing to warn of."""
+    rng, x = np.random.default_rng(4), np.zeros((70, 2))
+    u = rng.normal(size=(70, 1))
+    for k in range(69):
+        x[k + 1] = radius * x[k, ::-1] * [1.0, -1.0] + np.array([0.5, 1.0]) * u[k] + 0.1 * rng.normal(size=2)
+    record = Trajectory(np.arange(70.0), u, x, SPEC)
+    model = create("identifiers", name, **({"stable": True} | options)).fit([record], rng=rng)
+    assert growth(model) < 1.0
+    assert ("stable model errs" in model.notes.get("warning", "")) is contradicts
