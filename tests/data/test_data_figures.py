@@ -115,6 +115,15 @@ def test_rest_before_and_after_the_motion_is_no_stuck_sensor() -> None:
 STRETCHES = [(150, 25), (400, 25), (700, 60), (900, 200)]
 
 
+@pytest.mark.parametrize("friction", [2.0, 4.0, 6.0])
+def test_a_joint_that_rests_at_its_turns_is_no_stuck_sensor(friction: float) -> None:
+    rng, u = np.random.default_rng(3), 12.0 * np.sin(2 * np.pi * np.arange(8000) / 800)
+    holds = np.repeat(friction * rng.uniform(0.6, 1.4, size=20), 400)  # dry friction is not the same at every turn
+    moving = np.maximum(np.abs(u) - holds, 0.0)
+    speed = np.round(np.sign(u) * moving * 20.0 + rng.normal(size=8000) * (moving > 0.0))
+    assert stuck_rows(speed) == []
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_stuck_stretches_of_any_lengths_do_not_hide_each_other(noise: float) -> None:
     rng = np.random.default_rng(3)

@@ -186,10 +186,10 @@ def scatters(values: FloatArray) -> bool:
 def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     """Return first row and length of every stretch in which a sensor stood still while it otherwise never does.
 
-    One that is ten times longer than any other, or fifty times than they are in the mean, is told by that. Others,
-    which may be shorter, are exceptions so much longer than nearly all the rest and less than half of the rows; and the
-    signal was on its way before each, as one that settles is not, and went on at once, as one that sticks does not, by
-    more than a few steps of its readings, as an encoder at rest does not.
+    One that is ten times longer than any other between start and end is told by that. Others, which may be shorter, are
+    exceptions so much longer than nearly all the rest, and than all rests at the same value, and less than half of the
+    rows; and the signal was on its way before each, as one that settles is not, and went on at once, as one that sticks
+    does not, by more than a few steps of its readings, as an encoder at rest does not.
 
     - ``y`` (N,)
 
@@ -207,7 +207,8 @@ def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     usual, step = float(np.median(moves)), step_of(y)
     ends = starts + lengths
     # a plant at rest before its first and after its last excitation is no fault
-    inside = (starts > 0) & (ends < len(y)) & (y[starts] != y.max()) & (y[starts] != y.min())
+    between = (starts > 0) & (ends < len(y))
+    inside = between & (y[starts] != y.max()) & (y[starts] != y.min())
     sudden = inside & (lengths >= ODD.brief)
     for k in np.flatnonzero(sudden):
         arrived = moves[max(k - _BEFORE, 0) : k].max()
@@ -217,11 +218,15 @@ def stuck_rows(y: FloatArray) -> list[tuple[int, int]]:
     for count in range(len(places), 0, -1):
         others = np.delete(lengths, places[:count])
         least = int(lengths[places[count - 1]])
+        again = between & np.isin(y[starts], y[starts[places[:count]]])
+        again[places[:count]] = False
+        if least < 10 * lengths[again].max(initial=0):  # a machine that sticks has no speed at all its turns
+            continue
         if 2 * others.sum() > len(y) and least >= min(10 * np.percentile(others, _NEARLY_ALL), 50 * np.mean(others)):
             return [(int(starts[k]), int(lengths[k])) for k in np.sort(places[:count])]
     first = int(np.argmax(lengths))
-    others = np.delete(lengths, first)
-    long = inside[first] and lengths[first] >= max(ODD.still, 0.01 * len(y))
-    if long and lengths[first] >= min(10 * int(others.max()), 50 * float(np.mean(others))):
+    others = np.where(inside, lengths, 1)
+    others[first] = 1
+    if inside[first] and lengths[first] >= max(ODD.still, 0.01 * len(y), 10 * int(others.max())):
         return [(int(starts[first]), int(lengths[first]))]
     return []
