@@ -520,6 +520,8 @@ def test_a_unit_that_a_title_seems_to_say_is_not_called_declared(tmp_path: Path)
     (said,) = [note for note in same(path, output="y_deg") if "seems to say" in note]
     assert "--unit y_deg=deg" in said
     same(path, np.pi / 180, output="y_deg", unit={"y_deg": "deg"})
+    with pytest.raises(InputError, match="did you mean 'y_deg'"):
+        load_dataset(path, input="u", output="y")
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".prn", ".tab", ".lvm", ".dat"])

@@ -400,6 +400,7 @@ class Columns:
             names = {split_header(title)[0].lower(): title for title in titles}
             near = difflib.get_close_matches(column.lower(), list(names), n=2, cutoff=0.5)
             word = column.lower()
+            near = near or [one for one in names if one.startswith(f"{word}_")][:2]  # perhaps a unit behind it
             near = near or [one for one in names if min(len(one), len(word)) > 2 and (one in word or word in one)][:2]
             said = " or ".join(repr(names[name]) for name in near)
             remedy = (
