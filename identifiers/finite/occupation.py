@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from harness.errors import FitError, InputError
+from harness.errors import FitError, InputError, PlantError
 from harness.models.analysis import Findings, Takes
 from harness.options import check_options
 from harness.signals import FloatArray
@@ -163,8 +163,11 @@ class Occupation:
             np.zeros(self.samples, dtype=bool) if self.discount is None else rng.random(self.samples) >= self.discount
         )
         rows = [plant.reset(rng=rng)]
-        for row, end in zip(self.spread * size * rng.normal(size=(self.samples, spec.nu)), ends, strict=True):
-            rows.append(plant.reset(rng=rng) if end else plant.step(row))
+        try:
+            for row, end in zip(self.spread * size * rng.normal(size=(self.samples, spec.nu)), ends, strict=True):
+                rows.append(plant.reset(rng=rng) if end else plant.step(row))
+        except PlantError:  # it ran away: what comes after is no number
+            rows.append(np.full(spec.ny, np.nan))
         return np.array(rows, dtype=float)[:, : min(2, spec.ny)]
 
     def _sampled(self, plant: Any, rng: np.random.Generator) -> Findings:

@@ -149,8 +149,9 @@ def test_a_discount_of_a_sampled_plant_restarts_it_and_a_plant_that_runs_away_is
         middle = np.mean([details["edges"][0][1:], details["edges"][0][:-1]], axis=0)
         told = 0.3**2 * discount / (1 - discount * pole**2)
         assert details["share"] @ middle**2 == pytest.approx(told, rel=0.12)
-    with pytest.raises(FitError, match="does not stay"):
-        Occupation().of(plant, rng=rng())
+    for away in (plant, create("plants", "linear", A=[[1.2]], B=[[1.0]])):  # the second beyond what a number holds
+        with pytest.raises(FitError, match="does not stay"):
+            Occupation().of(away, rng=rng())
     with pytest.raises(InputError, match="no policy"):
         Occupation(policy=[0]).of(plant, rng=rng())
 
