@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import statistics
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,28 +15,28 @@ from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
 MEASURED = 8
-"""Runs of a length that tell what one costs."""
+"""Runs of a length that tell what one costs; the first, which loads the library, takes several times as long."""
 
 
 @dataclass
 class _Alike:
-    """Runs of one length: how many, and what the first of them took [s]."""
+    """Runs of one length: how many, and what each of the first of them took [s]."""
 
     count: float = 0.0
-    measured: int = 0
-    took: float = 0.0
+    took: list[float] = field(default_factory=list)
 
     @property
     def cost(self) -> float:
-        return 2.0 ** round(math.log2(self.took / self.measured)) if self.took > 0.0 else 0.0
+        middle = statistics.median(self.took)
+        return 2.0 ** (0.5 * round(2 * math.log2(middle))) if middle > 0.0 else 0.0
 
 
 @dataclass
 class Meter:
-    """What runs of an FMU cost: each the CPU time [s] of the first ones as long as it, rounded to a power of two.
+    """What runs of an FMU cost: each the median CPU time [s] of the first ones as long as it, as half a power of two.
 
     So a run costs the same whatever else the machine does later, and two searches end at the same place, but for the
-    rare FMU whose runs take what lies between two powers. One that took several times that, as a solver inside may that
+    rare FMU whose runs take what lies between two such. One that took several times that, as a solver inside may that
     is led astray, counts 2, 4 or more times.
 
     Examples
@@ -43,7 +44,7 @@ class Meter:
     >>> meter = Meter()
     >>> for took in [0.01] * 8 + [0.012, 0.05]:
     ...     meter.add(1000, took)
-    >>> meter.seconds == (8 + 1 + 4) * 2**-7
+    >>> meter.seconds == (8 + 1 + 4) * 2**-6.5
     True
     """
 
@@ -52,8 +53,9 @@ class Meter:
     def add(self, steps: int, seconds: float) -> None:
         """Count a run."""
         alike = self.runs.setdefault(steps, _Alike())
-        if alike.measured < MEASURED:
-            alike.measured, alike.took, alike.count = alike.measured + 1, alike.took + seconds, alike.count + 1.0
+        if len(alike.took) < MEASURED:
+            alike.took.append(seconds)
+            alike.count += 1.0
         else:
             longer = seconds / alike.cost if alike.cost > 0.0 else 1.0
             alike.count += 2.0 ** math.floor(math.log2(max(longer, 1.0)))
@@ -75,6 +77,7 @@ class Runner:
         self._set: dict[str, float] = {}
         self._finer: dict[int, Runner] = {}
         self.meter = Meter()
+        self.steps: dict[tuple[str, int], float] = {}  # Relative steps of differences by parameter and length of a run
         self._rng = np.random.default_rng(0)  # an FMU draws nothing
 
     @property

@@ -49,6 +49,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         self.runner: Runner = Runner(system, dataset.spec.sample_time) if beside is None else beside.runner
         self._beside = beside
         self._left: dict[str, None] = {}
+        self._finished: set[frozenset[str]] = set() if beside is None else beside._finished
         super().__init__(system, dataset, sizes, laws)
 
     def on(self, dataset: Dataset) -> FmuForm:
@@ -58,9 +59,14 @@ class FmuForm(LikelihoodForm[FmuSystem]):
     def spent(self, effects: Sequence[Placed], base: Fit | None, seconds: float) -> bool:
         """Return whether the FMU's runs took the time that a search may cost, and keep what that leaves out.
 
-        The fit of the nominal model to the data themselves is no part of a search.
+        The fit of the nominal model to the data themselves is no part of a search. What was finished once is asked for
+        again to be confirmed, which is to end it: that may cost what finishing may.
         """
-        if (base is None and self._beside is None) or self.runner.seconds <= seconds:
+        which = frozenset(map(str, effects))
+        limit = EFFORT.ending if which in self._finished else seconds
+        if (base is None and self._beside is None) or self.runner.seconds <= limit:
+            if seconds == EFFORT.ending:
+                self._finished.add(which)
             return False
         known = set() if base is None else set(map(str, base.effects))
         self._left |= dict.fromkeys(name for name in map(str, effects) if name not in known)

@@ -1,0 +1,32 @@
+"""Derivatives of an FMU's free runs: what several parameters do together is the small difference of what each does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.blackbox.reader import fmu_system
+from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator
+from harness.signals import Channel, PlantSpec
+from plants.mockups import mockup
+
+DT = 0.02
+SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
+
+
+@pytest.mark.parametrize("seconds", [20, 80])
+def test_parameters_that_scale_together_do_what_a_smaller_input_does(seconds: int) -> None:
+    """J, b and mgl by one factor are the input over it; over a long swing each alone moves the phase by much more."""
+    system = fmu_system(mockup("pendulum"), SPEC, {"J": 0.06, "b": 0.0005, "mgl": 1.1})
+    simulator, p = FmuSimulator(system, Runner(system, DT)), system.vector()
+    t = DT * np.arange(seconds / DT)
+    u = np.sum([0.05 * np.sin(2 * np.pi * f * t) for f in (0.31, 0.55, 0.9)], axis=0)[:, None]
+    x0 = np.array([0.2, 0.0])
+    _, _, found = simulator.windows(p[None], x0[None], u[None], None, t[:1])
+    assert found is not None
+    together = sum(p[k] * found[0][..., k] for k, one in enumerate(system.parameters) if not one.fixed)
+    above, below = (simulator.run(p, x0, (1 + part) * u)[1] for part in (-1e-5, 1e-5))
+    wanted = (above - below) / 2e-5
+    assert np.abs(together - wanted).max() < 0.02 * np.abs(wanted).max()
+    assert np.abs(found[0][..., 0] * p[0]).max() > 10 * np.abs(wanted).max(), "as each by itself does"
