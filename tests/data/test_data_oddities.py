@@ -54,6 +54,15 @@ def clean() -> tuple[FloatArray, FloatArray]:
     return u, swing(u)
 
 
+@pytest.mark.parametrize(("shaking", "said"), [(0.02, False), (2.0, True)])
+def test_a_speed_that_rises_moves_as_slowly_as_it_rises(shaking: float, said: bool) -> None:
+    t, rng = np.arange(N) * DT, np.random.default_rng(4)
+    shakes = np.sin(2 * np.pi * 46.0 * t + np.cumsum(0.3 * rng.standard_normal(N)))  # of 50 Hz at most
+    record = Trajectory(t, np.ones((N, 1)), (0.1 * t + shaking * 0.1 * shakes)[:, None], SPEC)
+    oddities = examined(Dataset("x", (Run(record),))).oddities or ()
+    assert any(odd.kind == "slow" for odd in oddities) == said
+
+
 @given(rows=st.sets(st.integers(20, N - 20), min_size=1, max_size=8), size=st.floats(0.1, 1e5), sign=st.booleans())
 @settings(max_examples=15, deadline=None)
 def test_spikes_of_any_size_are_marked_row_by_row(rows: set[int], size: float, sign: bool) -> None:

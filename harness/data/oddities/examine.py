@@ -18,7 +18,7 @@ from harness.data.oddities.hum import hum_of
 from harness.data.oddities.leaps import POSITIONS, SIDE, STRIDES, leaps_of
 from harness.data.oddities.levels import coarse_step, saturated, stuck
 from harness.data.oddities.numbers import ODD
-from harness.data.oddities.pace import band_of, trend_of
+from harness.data.oddities.pace import band_of, line_share, trend_of
 from harness.data.oddities.rows import slips_of
 from harness.data.oddities.spikes import Spikes, alike, spikes_of, unfelt
 from harness.resolution import resolution
@@ -376,7 +376,8 @@ class _Look:
     def _pace(self, column: int, channel: Channel) -> None:
         """Compare the motion with the sampling, and with a line."""
         y = self.y[:, column]
-        band, dt = band_of(y), self.spec.sample_time
+        band = 0.0 if line_share(y) >= ODD.power else band_of(y)  # what a speed that rises does besides is a hundredth
+        dt = self.spec.sample_time
         nothing = np.zeros(0, dtype=np.intp)
         if band > ODD.slow:
             words = (

@@ -38,14 +38,14 @@ def trend_of(y: FloatArray, u: FloatArray) -> float:
     >>> round(trend_of(0.01 * t + np.sin(t), np.zeros((500, 0))), 1), trend_of(0.01 * t, t[:, None])
     (0.8, 0.0)
     """
-    line = np.linspace(-1.0, 1.0, len(y))
-
-    def share(values: FloatArray) -> float:
-        centred = values - values.mean()
-        power = float(centred @ centred)
-        return float((centred @ line) ** 2 / (line @ line) / power) if power > 0 else 0.0
-
     # a plant that integrates an input with a mean has a trend too
     inputs = [*u.T, *np.cumsum(u, axis=0).T]
-    found = share(y)
-    return found if found >= ODD.trend and all(share(values) < ODD.trend for values in inputs) else 0.0
+    found = line_share(y)
+    return found if found >= ODD.trend and all(line_share(values) < ODD.trend for values in inputs) else 0.0
+
+
+def line_share(y: FloatArray) -> float:
+    """Return the share of the scatter of values (N,) about their mean that a straight line is."""
+    line, centred = np.linspace(-1.0, 1.0, len(y)), y - y.mean()
+    power = float(centred @ centred)
+    return float((centred @ line) ** 2 / (line @ line) / power) if power > 0 else 0.0
