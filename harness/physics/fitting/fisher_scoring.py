@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from harness.physics.compiled.kalman_pass import Filtered
 from harness.physics.fitting.maximum import FIRST_DAMPING, LONGEST, LikelihoodFit
+from harness.physics.fitting.secant import Here, Secant
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class Quadratic:
 
     by_e: FloatArray  # (n, K): What the entries do to innovations, over their deviations
     gradient: FloatArray  # (n,)
-    matrix: FloatArray  # (n, n): Fisher's
+    matrix: FloatArray  # (n, n): Fisher's, in the last steps of free runs with what gradients told beyond it
     live: npt.NDArray[np.bool_]  # array of bool (n,): Entries that the gradient does not hold on a bound
 
     @property
@@ -167,6 +168,7 @@ class FisherScoring:
         self._noise_follows = not latent and int((entries >= len(names) - ny).sum()) == ny
         self._matrix = np.eye(len(entries))
         self._deviations: FloatArray | None = None
+        self._secant = None if latent else Secant(len(entries))
         self.at, self.damping, self.last, self.valley = begin, damping, near, False
         # free runs of parameters that these records hardly tell apart lie in a narrow valley: there damping rises from
         # where it held, and a short step that brings little is no end while a long one promises more
@@ -210,9 +212,13 @@ class FisherScoring:
             by_e, by_s = by_e + self.more[0], by_s + self.more[1]
         gradient, self._matrix = scored(at.passes, by_e, by_s)
         self._deviations = 1.0 / np.sqrt(np.maximum(np.diag(self._matrix), 1e-300))
-        z = at.z[entries]
+        z, matrix = at.z[entries], self._matrix
+        if self._secant is not None:
+            here = Here(z, at.value, gradient, matrix, (by_e, by_s))
+            self._secant.learn(here, lambda derivatives: scored(at.passes, *derivatives)[0])
+            matrix = self._secant.added_to(matrix) if self.last else matrix
         stuck = ((z <= self._low) & (gradient > 0)) | ((z >= self._high) & (gradient < 0))
-        return Quadratic(by_e, gradient, self._matrix, ~stuck)
+        return Quadratic(by_e, gradient, matrix, ~stuck)
 
     def _step(self, model: Quadratic) -> Step:
         """Return a step that is damped until it raises the likelihood, or promises next to nothing."""
@@ -293,7 +299,9 @@ class FisherScoring:
         if self.gain >= ENOUGH:
             return False
         short = self.damping > 8.0 * _LEAST_DAMPING and not (self.valley and self._latent)
-        if short and not model.whole_promise() < _ROUGH:  # a narrow valley that bends: long steps, corrected for it
+        if (
+            short and not replace(model, matrix=self._matrix).whole_promise() < _ROUGH
+        ):  # a narrow valley that bends: long steps, corrected for it
             self.valley, self.least_raised, self.damping = True, _LEAST_DAMPING, _LEAST_DAMPING
             return False
         self.converged = self.more is None or self.seen - self.at.value < _STALE
