@@ -182,6 +182,7 @@ class Engine:
         else:
             self._slow = SlowLoop(self)
             self.one, self.look, self.peek = self._slow.one, self._slow.get, self._slow.peek
+        self.initial = self.peek  # the same of all kinds while the FMU initialises
 
     def renew(self) -> None:
         """Take over the address of a new instance (the old one could not be reset)."""

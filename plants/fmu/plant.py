@@ -30,7 +30,17 @@ from plants.fmu.options import (
 )
 from plants.fmu.stops import finish, stopped
 from plants.fmu.trust import FirstRun, Start
-from plants.fmu.variables import Port, channels, choose, describe, feeds_through, resize, starts, states_of
+from plants.fmu.variables import (
+    Port,
+    channels,
+    choose,
+    describe,
+    feeds_through,
+    own_values,
+    resize,
+    starts,
+    states_of,
+)
 from plants.mockups import mockup
 
 __all__ = ["FmuPlant", "describe"]
@@ -211,17 +221,27 @@ class FmuPlant(Beyond):
         self._entered = Start(values)
         self._enter(values)
 
-    @property
-    def drives(self) -> bool:
-        """Whether :meth:`drive` is to be had: co-simulation of FMI 2.0 or 3.0 without event mode."""
-        return self.kind == "cs" and self.file.version > 1 and not self._instance.event_mode
+    drives = True
+    """Whether :meth:`drive` is to be had."""
 
     def drive(self, u: FloatArray) -> FloatArray:
-        """Set inputs (nu,) while the FMU initialises (FMI 2.0.5 sec. 4.2.4); returns the outputs (ny,) that follow."""
-        self._engine.u[:] = u
-        if self._engine.peek():
+        """Set inputs (nu,) while the FMU initialises (FMI 2.0.5 sec. 4.2.4); returns the outputs (ny,) that follow.
+
+        FMI 1.0 has no such mode: where an input is to begin otherwise, a fresh instance is initialised with it.
+        """
+        if self.file.version > 1:
+            self._entered = Start(self._entered.values, u.copy())
+            self._engine.u[:] = u
+            broken = self._engine.initial()
+        else:
+            before = self._entered.driven
+            if not np.array_equal(u, self.input_starts if before is None else before):
+                self._instance.renew()
+                self._enter({**self._entered.values, **own_values(self._inputs, u)})
+            self._entered = Start(self._entered.values, u.copy())
+            broken = self._engine.look()
+        if broken:
             raise stopped(self._engine)
-        self._entered = Start(self._entered.values, u.copy())
         return self._engine.y.copy()
 
     def leave(self) -> FloatArray:
@@ -236,10 +256,14 @@ class FmuPlant(Beyond):
 
     def _begin(self, start: Start) -> None:
         """Initialise the FMU anew and read the outputs."""
-        self._enter(start.values)
-        if start.driven is not None:
-            self._engine.u[:] = start.driven
-            self._engine.peek()
+        driven = start.driven
+        if driven is not None and self.file.version == 1:
+            self._enter({**start.values, **own_values(self._inputs, driven)})
+        else:
+            self._enter(start.values)
+            if driven is not None:
+                self._engine.u[:] = driven
+                self._engine.initial()
         self._leave()
 
     def _enter(self, values: Mapping[str, Any]) -> None:

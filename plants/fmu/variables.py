@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import InputError, did_you_mean
-from harness.signals import Channel
+from harness.signals import Channel, FloatArray
 from plants.fmu.archive import FmuFile, Kind, read_fmu
 from plants.fmu.units import si_conversion
 
@@ -180,6 +180,15 @@ def starts(ports: Iterable[Port], given: Mapping[str, Any]) -> list[float]:
         listed = [0.0 if value is None else one.scale * value + one.offset for value in raw] or [0.0]
         values += (listed * one.size)[: one.size]
     return values
+
+
+def own_values(ports: Iterable[Port], u: FloatArray) -> dict[str, Any]:
+    """Return inputs (nu,) in SI as values of scalar variables, by name, in the FMU's own types and units."""
+    kinds: dict[str, Callable[[float], Any]] = {"Boolean": bool, "Integer": round, "Enumeration": round}
+    return {
+        one.variable.name: kinds.get(one.variable.type, float)((float(value) - one.offset) / one.scale)
+        for one, value in zip(ports, u, strict=True)
+    }
 
 
 def unknown(file: FmuFile, what: str, name: object, known: Sequence[str]) -> InputError:

@@ -68,7 +68,9 @@ def serve() -> None:
                 abilities = tuple(sorted(plant.abilities))
                 starts = tuple(map(float, getattr(plant, "input_starts", ())))
                 beyond = tuple(map(str, getattr(plant, "beyond", ())))
-                made = Made(plant.spec, abilities, None if tolerance is None else float(tolerance), starts, beyond)
+                drives = bool(getattr(plant, "drives", False))
+                tolerance = None if tolerance is None else float(tolerance)
+                made = Made(plant.spec, abilities, tolerance, starts, beyond, drives)
                 answer = Answer(made=made)
             elif plant is None:
                 raise PlantError("no plant was made")
@@ -78,9 +80,9 @@ def serve() -> None:
                 answer = Answer(number=number)
             else:
                 outputs = np.ascontiguousarray(_obey(plant, name, arguments, states), dtype=np.float64)
-                knows = "truth" in plant.abilities and name != "preset"  # then it does not run
+                knows = "truth" in plant.abilities and name not in ("preset", "enter", "drive")  # then it does not run
                 truth = cast(Truth, plant).truth().tobytes() if knows else b""
-                renew = name == "reset" and bool(getattr(plant, "needs_process", False))
+                renew = name in ("reset", "enter") and bool(getattr(plant, "needs_process", False))
                 answer = Answer(values=outputs.tobytes(), truth=truth, renew=renew)
         except HarnessError as error:
             answer = Answer(trouble=frames.trouble(error))
@@ -107,6 +109,12 @@ def _obey(plant: Plant, name: str, arguments: tuple[Any, ...], states: dict[int,
     if name == "preset":
         cast(Any, plant).preset(arguments[0])
         return np.zeros(0)
+    if name == "enter":
+        cast(Any, plant).enter(rng=arguments[0], x0=arguments[1])
+        return np.zeros(0)
+    if name in ("drive", "leave"):
+        outputs: FloatArray = getattr(plant, name)(*arguments)
+        return outputs
     if name == "rollout_partials":
         found: FloatArray = cast(Any, plant).rollout_partials(*arguments)
         return found

@@ -43,6 +43,7 @@ class Made(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     snapshot_tolerance: float | None = None
     input_starts: tuple[float, ...] = ()
     beyond: tuple[str, ...] = ()
+    drives: bool = False
 
 
 class Answer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

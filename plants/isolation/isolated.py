@@ -82,6 +82,8 @@ class IsolatedPlant:
     snapshot_tolerance: float
     input_starts: tuple[float, ...]
     beyond: tuple[str, ...]
+    drives: bool
+    """Whether :meth:`enter`, :meth:`drive` and :meth:`leave` are to be had."""
 
     def __init__(
         self,
@@ -122,19 +124,35 @@ class IsolatedPlant:
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
         """Start anew, in a new child if the last one died; returns ``y[0]`` (ny,)."""
+        return self._output(self._begun("reset", rng, x0), (self.spec.ny,))
+
+    def enter(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> None:
+        """Begin a :meth:`reset`, which :meth:`leave` ends, where the plant inside ``drives``."""
+        self._begun("enter", rng, x0)
+
+    def drive(self, u: FloatArray) -> FloatArray:
+        """Set inputs (nu,) while the plant inside initialises; returns the outputs (ny,) that follow."""
+        return self._output(self._call("drive", self._fitting(u)), (self.spec.ny,))
+
+    def leave(self) -> FloatArray:
+        """End what :meth:`enter` began; returns ``y[0]`` (ny,)."""
+        return self._output(self._call("leave"), (self.spec.ny,))
+
+    def _begun(self, order: str, rng: np.random.Generator, x0: Mapping[str, float] | None) -> frames.Answer:
+        """Give the order that begins a run, again in a new child where only that brings the plant back."""
         self._resets += 1
         if self._child is None or self._doubtful or self._resets > self._recycle:
             self._start()
         self._tell_values()
         start = None if x0 is None else dict(x0)
-        answer = self._call("reset", rng, start)
+        answer = self._call(order, rng, start)
         if answer.renew:  # neither its reset nor a fresh instance brings the plant back
             self._recycle = 1
             self._start()
             self._resets = 1
             self._tell_values()
-            answer = self._call("reset", rng, start)
-        return self._output(answer, (self.spec.ny,))
+            answer = self._call(order, rng, start)
+        return answer
 
     def preset(self, values: Mapping[str, Any]) -> None:
         """Set parameters and start values for the resets to come, where the plant inside has ``preset``."""
@@ -241,7 +259,7 @@ class IsolatedPlant:
         if made is None:
             raise self._nonsense("make")
         self.spec, self.abilities = made.spec, frozenset(made.abilities) | {"batch"}
-        self.input_starts = made.input_starts
+        self.input_starts, self.drives = made.input_starts, made.drives
         self.beyond = tuple(frames.plain(text) for text in made.beyond)
         if "truth" in self.abilities:
             self.abilities |= {"batch-truth"}

@@ -86,3 +86,28 @@ def test_parts_of_a_loop_without_an_end_begin_at_their_own_start_values_and_that
     assert levels(plant) == pytest.approx([40, 40, 80])
     (said,) = plant.warnings
     assert said.startswith("a, b: ")
+
+
+@pytest.mark.parametrize("id", ["fmu", "isolated"])
+@pytest.mark.parametrize(
+    ("name", "version", "output", "options"),
+    [("events", 3, "y", {"event_mode": True}), ("ball", 2, "h", {"kind": "me"}), ("ball", 3, "h", {"kind": "me"})],
+)
+def test_every_kind_of_part_starts_from_what_drives_it(
+    odd_fmu: Callable[..., Path], id: str, name: str, version: int, output: str, options: dict[str, Any]
+) -> None:
+    """Where the time "when" is past, both begin with twice their input."""
+    given = {"sample_time": 0.1, "inputs": ["u"], "parameters": {"when": -1.0}, **options}
+    given |= {"path": str(odd_fmu(name, version)), **({"plant": "fmu"} if id == "isolated" else {})}
+    driven = registry.create("plants", id, **given)
+    first = registry.create("plants", "fmu", path=odd_fmu("events", 3), sample_time=0.1, inputs=[], start={"y": 3.0})
+    with Coupled({"b": driven, "a": first}, [("a.y", "b.u")], outputs=[f"b.{output}"]) as pair:
+        for _ in range(3):
+            assert pair.reset(rng=np.random.default_rng(0)) == pytest.approx([6.0])
+            pair.step(np.zeros(0))
+
+
+def test_a_chain_of_parts_in_their_own_processes_starts_as_one_without(settled: Made) -> None:
+    parts = {name: settled("isolated", inputs=[] if name == "c" else ["flow"]) for name in "bac"}
+    wires = [("c.level", "b.flow"), ("b.level", "a.flow")]
+    assert levels(Coupled(parts, wires, outputs=["a.level", "b.level", "c.level"])) == pytest.approx([160, 80, 40])

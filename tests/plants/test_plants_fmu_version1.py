@@ -5,12 +5,16 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from harness import registry
+from harness.cosim import Coupled
 from harness.errors import PlantError
 from harness.fmi import build
+from harness.protocols import Plant
 from plants.fmu import engine as fmu_engine
 from plants.fmu.plant import FmuPlant
 
@@ -92,3 +96,20 @@ def test_model_exchange(old_fmu: Callable[[str], Path], solver: str) -> None:
             first = plant.reset(rng=RNG, x0={"x": start})
             y = np.vstack([first, plant.rollout(u.reshape(-1, 1))])
             assert y[:, 0] == pytest.approx(exact(u, x=start), abs=1e-6)
+
+
+@pytest.mark.parametrize("id", ["fmu", "isolated"])
+@pytest.mark.parametrize("kind", ["cs", "me"])
+def test_a_part_of_a_system_starts_from_what_drives_it(old_fmu: Callable[[str], Path], kind: str, id: str) -> None:
+    """In mode 5 each begins with twice its input; fmpy by hand gives 6 and 12."""
+
+    def made(**options: Any) -> Plant:
+        given = {"path": str(old_fmu(kind)), "sample_time": 0.1, "outputs": ["x"], "parameters": {"mode": 5}, **options}
+        plant: Plant = registry.create("plants", id, **({"plant": "fmu"} if id == "isolated" else {}), **given)
+        return plant
+
+    parts = {"c": made(inputs=["u"]), "b": made(inputs=["u"]), "a": made(inputs=[], start={"u": 1.5})}
+    with Coupled(parts, [("a.x", "b.u"), ("b.x", "c.u")], outputs=["b.x", "c.x"]) as three:
+        for _ in range(3):
+            assert three.reset(rng=RNG) == pytest.approx([6.0, 12.0])
+            three.step(np.zeros(0))

@@ -1,4 +1,5 @@
-/* FMI 1.0, co-simulation (-DCS) or model exchange: x' = u - k x, y = x, and a step counter as integer. */
+/* FMI 1.0, co-simulation (-DCS) or model exchange: x' = u - k x, y = x, and a step counter as integer.
+   In mode 5 x begins with 2 u. */
 #include <stdlib.h>
 #include <string.h>
 #include <math.h>
@@ -11,6 +12,7 @@ typedef struct { B converged, references, values, terminate, upcoming; double ne
 typedef struct { double x, u, k, t; int steps, up, mode; B on; Callbacks callbacks; } M;
 #define F(name) __attribute__((visibility("default"))) Old_fmi##name
 #define I ((M *)c)
+#define STEADY if (I->mode == 5) I->x = 2 * I->u
 static void fresh(M *m) { m->x = 1, m->u = 0, m->k = 2, m->t = 0, m->steps = 0, m->up = 0, m->mode = 0, m->on = 0; }
 static M *make(S guid, Callbacks callbacks) { if (strcmp(guid, "old-1")) return NULL; M *m = calloc(1, sizeof *m); fresh(m); m->callbacks = callbacks; return m; }
 
@@ -27,7 +29,7 @@ int F(SetString)(C c, const VR vr[], size_t n, const S v[]) { (void)c, (void)vr,
 #ifdef CS
 S F(GetTypesPlatform)(void) { return "standard32"; }
 C F(InstantiateSlave)(S name, S guid, S location, S mime, double timeout, B visible, B interactive, Callbacks callbacks, B logging) { (void)name, (void)location, (void)mime, (void)timeout, (void)visible, (void)interactive, (void)logging; return make(guid, callbacks); }
-int F(InitializeSlave)(C c, double t, B stop_defined, double stop) { (void)stop_defined, (void)stop; I->t = t, I->up = 1; return I->mode == 9 ? 3 : 0; }
+int F(InitializeSlave)(C c, double t, B stop_defined, double stop) { (void)stop_defined, (void)stop; I->t = t, I->up = 1; STEADY; return I->mode == 9 ? 3 : 0; }
 int F(TerminateSlave)(C c) { (void)c; return 0; }
 int F(ResetSlave)(C c) { fresh(c); return 0; }
 void F(FreeSlaveInstance)(C c) { free(c); }
@@ -57,7 +59,7 @@ void F(FreeModelInstance)(C c) { free(c); }
 int F(SetTime)(C c, double t) { I->t = t; return 0; }
 int F(SetContinuousStates)(C c, const double x[], size_t n) { (void)n; I->x = x[0]; return 0; }
 int F(CompletedIntegratorStep)(C c, B *event) { I->steps++; *event = 0; return 0; }
-int F(Initialize)(C c, B controlled, double tolerance, Info *info) { (void)controlled, (void)tolerance; if (I->up) return 3; I->up = 1; memset(info, 0, sizeof *info); info->converged = 1; return 0; }
+int F(Initialize)(C c, B controlled, double tolerance, Info *info) { (void)controlled, (void)tolerance; if (I->up) return 3; I->up = 1; STEADY; memset(info, 0, sizeof *info); info->converged = 1; return 0; }
 int F(GetDerivatives)(C c, double dx[], size_t n) { (void)n; dx[0] = I->u - I->k * I->x; return 0; }
 int F(GetEventIndicators)(C c, double z[], size_t n) { (void)c, (void)z, (void)n; return 0; }
 int F(EventUpdate)(C c, B intermediate, Info *info) { (void)c, (void)intermediate; memset(info, 0, sizeof *info); info->converged = 1; return 0; }
