@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from harness.diagnosis.contested import explains_nothing, follows_whole
 from harness.diagnosis.dictionary import Laws, placed
 from harness.diagnosis.forms.fit_records import reading_noise
@@ -203,6 +205,25 @@ def sizes_off(system: AnySystem, fit: Fit, factor: float = FAR) -> list[str]:
     """Return a warning about parameters that the data determine, and a factor from what was declared."""
     far = fit.far_off(system.parameters, factor)
     return [f"{said_far(far)}. If the plant is that size, give the model such values"] if far else []
+
+
+def over_nothing(fit: Fit) -> list[str]:
+    """Return warnings about effects whose size, with the values that are shown, may be nothing at all.
+
+    What was accepted was told beside fewer readings, or before the rounding of the sensors was known.
+    """
+    warnings = []
+    for one in fit.effects:
+        main, name = one.effect.main, one.main()
+        if main is None or name not in fit.free or name in fit.on_bound or not np.isfinite(fit.deviations[name]):
+            continue
+        low, high = fit.interval(name)
+        if main.neutral is not None and low <= main.neutral <= high:
+            warnings.append(
+                f"the 95 % interval of {name}, {low:.3g} to {high:.3g}, holds {main.neutral:g}: by all readings "
+                f"{one.effect.name.replace('_', ' ')} may not be there"
+            )
+    return warnings
 
 
 def beaten(rival: str) -> list[str]:

@@ -39,7 +39,7 @@ class FreeRuns:
     beyond_start: float
     """The same over what the fitted start leaves alone: a place goes on along a line, a speed or a level stays where it
     is. A line takes up nearly all of a car that rolls out, and says nothing of why it does."""
-    motion: FloatArray  # (ny,): What a straight line leaves, with its noise
+    motion: FloatArray  # (ny,): What the fitted start leaves, with its noise
     noise: FloatArray  # (ny,): Variance of what the sensors read besides, as far as neighbours tell it
     worst: int | None  # That output; None where the simulation diverges
 
@@ -47,16 +47,16 @@ class FreeRuns:
     def of(cls, horizon: Horizon, output: FreeRunForm, before: Fitted | None, after: Fitted | None) -> FreeRuns:
         """Return the free runs of two models with what the second leaves of the validation records."""
         records = output.records["validation"]
-        motion = _motion(records, horizon)
+        line, still = (_motion(records, horizon, degree) for degree in (1, 0))
+        motion = np.where(_places(output), line, still)
         noise = told_noise(output.weights, output.records["estimation"])
         if after is None or not after.finite:
             return cls(horizon, output, before, after, np.inf, np.inf, motion, noise, None)
         square = np.concatenate(list(after.validation)) ** 2 * output.weights**2
         # what cannot be told from noise is not left, of a motion that can be
-        least, still = np.maximum(noise, 1e-300), _motion(records, horizon, degree=0)
+        least = np.maximum(noise, 1e-300)
         left, beyond = (
-            np.maximum(square.mean(axis=0) - noise, 0.0) / np.maximum(moved - noise, least)
-            for moved in (motion, np.where(_places(output), motion, still))
+            np.maximum(square.mean(axis=0) - noise, 0.0) / np.maximum(moved - noise, least) for moved in (line, motion)
         )
         worst = int(np.argmax(left))
         return cls(horizon, output, before, after, float(left[worst]), float(beyond.max()), motion, noise, worst)
@@ -175,7 +175,7 @@ def _places(output: FreeRunForm) -> npt.NDArray[np.bool_]:
     return np.array([bool(places.numel() and ca.depends_on(system.h[row], places)) for row in range(system.ny)])
 
 
-def _motion(records: Sequence[Trajectory], horizon: Horizon, degree: int = 1) -> FloatArray:
+def _motion(records: Sequence[Trajectory], horizon: Horizon, degree: int) -> FloatArray:
     """Return the mean square of every output about a straight line, or a constant, through each window (ny,).
 
     Nothing at all knows an angle that goes round to half a turn.
