@@ -10,7 +10,7 @@ from made_rows import row
 
 from harness.benchmark.control import _regret
 from harness.benchmark.page.tables import _shown
-from harness.benchmark.records import _recorded
+from harness.benchmark.records import _recorded, noise_floor
 from harness.benchmark.running import _seed_list
 from harness.benchmark.summary import Quartiles
 from harness.benchmark.work import _pooled, _score_regret
@@ -115,3 +115,14 @@ def test_the_floor_of_a_recording_is_the_noise_that_it_declares(tmp_path: Path) 
     assert floor == pytest.approx(0.05 / np.std(0.5 * np.sin(5 * t)), rel=1e-6)
     file.write_text(text.replace("noise = 0.05\n", ""))
     assert _recorded(str(file)).floor is None
+
+
+def test_the_floor_of_several_outputs_is_the_mean_of_their_own() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(500) * 0.01
+    clean = np.column_stack([3.0 * np.sin(3 * t), 0.01 * np.cos(5 * t)])
+    noise = rng.normal(0.0, [0.3, 0.002], clean.shape)
+    spec = PlantSpec((), (Channel("x", "m"), Channel("theta", "rad")), 0.01)
+    made = Trajectory(t, np.zeros((500, 0)), clean + noise, spec)
+    wanted = np.sqrt(np.mean(np.mean(noise**2, axis=0) / np.var(made.y, axis=0)))
+    assert noise_floor([(made, dict(enumerate(clean)))]) == pytest.approx(wanted)
