@@ -11,7 +11,7 @@ from harness.fmi.build import compiler
 from harness.physics import Parameter, SampledBlock, models
 from harness.physics.compiled import compilation
 from harness.physics.compiled.windows import Windows
-from harness.physics.fitting.levenberg import minimise, minimise_states
+from harness.physics.fitting.levenberg import eliminated, minimise, minimise_states
 from harness.signals import PlantSpec, Trajectory
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler: install gcc")
@@ -162,6 +162,13 @@ def test_a_diverging_window_costs_infinitely_much_and_spares_the_others():
     rest = np.arange(len(windows)) != 2
     assert np.array_equal(found.costs[rest], whole.costs[rest])
     assert np.array_equal(found.gram[rest], whole.gram[rest])
+
+
+def test_sums_of_squares_beyond_all_numbers_end_in_no_step_and_no_warning():
+    gram = np.full((2, 3, 3), 1e308)
+    gram[:, 0, 0] = np.inf
+    matrix, _, _ = eliminated(gram, np.full((2, 3), 1e300), 1, 1e-3, True)
+    assert not np.isfinite(matrix).any()
 
 
 @needs_compiler

@@ -45,6 +45,7 @@ def log_scaled(system: Equations) -> npt.NDArray[np.bool_]:
     return np.array([parameter.positive for parameter in system.parameters], dtype=bool)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # far off, sums of squares leave all numbers: no step is taken there
 def eliminated(
     gram: FloatArray, gradient: FloatArray, count: int, damping: float, states_free: bool
 ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray] | None]:
