@@ -119,7 +119,7 @@ def test_the_floor_of_a_recording_is_the_noise_that_it_declares(tmp_path: Path) 
 
 def test_the_floor_of_several_outputs_is_the_mean_of_their_own() -> None:
     rng = np.random.default_rng(0)
-    t = np.arange(500) * 0.01
+    t = np.asarray(np.arange(500) * 0.01, dtype=np.float64)
     clean = np.column_stack([3.0 * np.sin(3 * t), 0.01 * np.cos(5 * t)])
     noise = rng.normal(0.0, [0.3, 0.002], clean.shape)
     spec = PlantSpec((), (Channel("x", "m"), Channel("theta", "rad")), 0.01)
