@@ -88,6 +88,28 @@ def test_a_drift_that_no_input_makes_is_said():
     assert "a free run over the records that the model was fitted to" in warning("random-forest", data)
 
 
+@pytest.mark.parametrize("name", ["arx", "n4sid", "prediction-error"])
+def test_inputs_that_move_nothing_are_said(name):
+    """A record that wanders beside an input that it never saw got a model and not a word; one in twenty may."""
+    said = 0
+    for seed in range(8):
+        rng, y = np.random.default_rng(seed), np.zeros(N)
+        for k in range(1, N):
+            y[k] = 0.9 * y[k - 1] + rng.standard_normal()
+        said += "nothing tells that the inputs move y" in warning(name, replace(record(staircase(100)), y=y[:, None]))
+    assert said >= 6
+
+
+@pytest.mark.parametrize("dead", [0, 30])
+def test_a_faint_answer_is_no_silence(dead):
+    """An input that makes a third of the variance, or an output that answers later than the test looks."""
+    noise = np.random.default_rng(5).standard_normal((N, 1))
+    data = record(staircase())
+    answer = np.roll(data.y, dead, axis=0)
+    faint = replace(data, y=answer + (1.4 if dead == 0 else 0.2) * answer.std() * noise)
+    assert "nothing tells" not in warning("prediction-error", faint)
+
+
 def test_a_curve_of_two_levels_is_a_guess():
     rng = np.random.default_rng(1)
     binary = np.repeat(rng.choice([0.0, 1.0], size=N // 5), 5)

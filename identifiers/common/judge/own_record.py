@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,10 @@ UNEXPLAINED = 0.7
 """What a free run leaves of an output over the output, from which on a model without an order says so: half of the
 variance is none of the inputs', and such a model takes load or drift for states."""
 WORTHLESS = 1.0  # The same of any model: beyond it the mean of the output foretells more.
+NOTHING = 0.9
+"""What a free run leaves of an output over the output, from which on it is asked whether the inputs move it at all: a
+fifth of its variance, of inputs that do, shows in any record that is worth a fit."""
+BY_CHANCE = 0.05  # Probability beyond which what inputs explain of an output tells nothing: the usual level of a test.
 PAST = 8  # Samples of its own past that foretell what is left, which may wander.
 LAGS = 16  # Samples by which an input may reach an output in the test: twice as many.
 EACH = 4  # Samples for each number of the test at least.
@@ -93,25 +97,38 @@ def _doubt(
     )
     if not len(rest):
         return None
-    if (size := float(whole.std())) > 0 and float(rest.std()) > limit * size:
+    answered = _answered(records, [one[:, column] - rest.mean() for one in left], column, first, taken)
+    share = float(rest.std() / whole.std()) if whole.std() > 0 else 0.0
+    if answered is not None and share > NOTHING and answered.idle > BY_CHANCE:
         return (
-            f"a free run over the records that the model was fitted to errs by {percent(rest.std() / size)} of "
+            f"nothing tells that the inputs move {name}: chance explains as much of it as they do (probability "
+            f"{answered.idle:.2g}), and a free run leaves {percent(share)} of it: move them more, or record what does"
+        )
+    if share > limit:
+        return (
+            f"a free run over the records that the model was fitted to errs by {percent(share)} of "
             f"{name}, whose motion is mostly not the inputs': take a drift out, or use a linear model"
             if limit < WORTHLESS
             else f"a free run over the records that the model was fitted to errs by more than {name} moves "
-            f"({percent(rest.std() / size)}): its mean foretells more; use another method, or a longer record"
+            f"({percent(share)}): its mean foretells more; use another method, or a longer record"
         )
-    answered = _answered(records, [one[:, column] - rest.mean() for one in left], column, first, taken)
     if answered is None:
         return None
-    share, chance = answered
-    if share <= RIGHT or chance >= COLOURED / len(records[0].spec.outputs):
+    if answered.share <= RIGHT or answered.chance >= COLOURED / len(records[0].spec.outputs):
         return ""
     return (
-        f"a free run over the records that the model was fitted to leaves {percent(share)} of what the inputs "
-        f"do to {name} (probability {chance:.1g} if it were {percent(RIGHT)}): take a drift or a level "
+        f"a free run over the records that the model was fitted to leaves {percent(answered.share)} of what the inputs "
+        f"do to {name} (probability {answered.chance:.1g} if it were {percent(RIGHT)}): take a drift or a level "
         "out, a better structure, or another method"
     )
+
+
+class _Answered(NamedTuple):
+    """What inputs explain."""
+
+    share: float  # Of what is left, over what they explain of the output
+    chance: float  # Probability of so much if the error of the model is ``RIGHT``
+    idle: float  # Probability of what they explain of the output if they do nothing to it
 
 
 def _answered(
@@ -120,11 +137,8 @@ def _answered(
     column: int,
     first: int,
     taken: Sequence[npt.NDArray[np.bool_]],
-) -> tuple[float, float] | None:
-    """Return what inputs explain of what is left over what they explain of an output, and the chance of so much.
-
-    The chance is that of a model whose error is ``RIGHT``. None where the readings are too few to tell.
-    """
+) -> _Answered | None:
+    """Return what inputs explain of what is left and of an output; None where the readings are too few to tell."""
     from scipy.stats import f
 
     whole = [_unbroken(rows) for rows in taken]
@@ -153,7 +167,10 @@ def _answered(
     chance = f.sf(
         answer / free / noise / (1.0 + beyond), free * (1.0 + beyond) ** 2 / (1.0 + 2.0 * beyond), count - free
     )
-    return float(np.sqrt(answer / size)), float(chance)
+    besides = max((float(np.sum(y**2)) - size) / (count - free), 1e-300)
+    return _Answered(
+        float(np.sqrt(answer / size)), float(chance), float(f.sf(size / free / besides, free, count - free))
+    )
 
 
 def _unbroken(taken: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
