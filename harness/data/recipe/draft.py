@@ -250,15 +250,20 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
         lines = [head, f'role = "{OPEN}"  # "input", "output" or "reference"?{sizes.replace("  #", "")}']
         lines.append(f"column = {_quoted(channel.column)}")
     lines += _names(channel) if ports is None else []
-    if not channel.unit and not (match and stated_unit(channel.column, rate_unit(match[0].unit, match[2]))):
-        own = "" if match is None else rate_unit(match[0].unit, match[2])
-        joint = match is not None and _JOINT.search(channel.name)
-        if joint and joint["list"] != "effort":
-            lines.append(f'unit = "{own}"  # as REP 103 has it')
-        else:
-            wanted = f" (the model's is {own}{_CURRENT if joint else ''})" if own else ""
-            lines.append(f'unit = "{OPEN}"  # the title states none: which{wanted}?')
+    lines += _unit(channel, match)
     return [*lines, ""]
+
+
+def _unit(channel: ChannelContent, match: tuple[Channel, str, int] | None) -> list[str]:
+    """Return what says in which unit a channel is whose title states none, or asks for it."""
+    own = "" if match is None else rate_unit(match[0].unit, match[2])
+    if channel.unit or (match is not None and stated_unit(channel.column, own)):
+        return []
+    joint = None if match is None else _JOINT.search(channel.name)
+    if joint and joint["list"] != "effort":
+        return [f'unit = "{own}"  # as REP 103 has it']
+    wanted = f" (the model's is {own}{_CURRENT if joint else ''})" if own else ""
+    return [f'unit = "{OPEN}"  # the title states none: which{wanted}?']
 
 
 def _sizes(channel: ChannelContent) -> str:
