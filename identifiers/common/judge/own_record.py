@@ -168,9 +168,32 @@ def _answered(
         answer / free / noise / (1.0 + beyond), free * (1.0 + beyond) ** 2 / (1.0 + 2.0 * beyond), count - free
     )
     besides = max((float(np.sum(y**2)) - size) / (count - free), 1e-300)
-    return _Answered(
-        float(np.sqrt(answer / size)), float(chance), float(f.sf(size / free / besides, free, count - free))
-    )
+    idle = min(float(f.sf(size / free / besides, free, count - free)), _late(records, column, own, whole))
+    return _Answered(float(np.sqrt(answer / size)), float(chance), min(2.0 * idle, 1.0))
+
+
+def _late(records: Sequence[Trajectory], column: int, own: FloatArray, whole: Sequence[npt.NDArray[np.bool_]]) -> float:
+    """Return the probability of the largest correlation with an input up to a quarter of a record before, by chance.
+
+    Of an input that its own past does not foretell (Box & Jenkins 1976, *Time Series Analysis*, sec. 11.1): a dead time
+    may be longer than the lags of a regression.
+    """
+    from scipy.signal import correlate
+    from scipy.special import erfc
+
+    lags, least = min(map(len, records)) // 4, 1.0
+    for k in range(records[0].spec.nu):
+        past = _ahead([record.u[:, k] for record in records], whole)
+        sums, power, size = np.zeros(lags + 1), 0.0, 0.0
+        for record, rows in zip(records, whole, strict=True):
+            u, y = _filtered(record.u[:, k, None], past)[:, 0], _filtered(record.y[:, column, None], own)[:, 0]
+            u, y = (np.where(rows, one - one[rows].mean(), 0.0) if rows.any() else 0.0 * one for one in (u, y))
+            sums += correlate(y, u, method="fft")[len(u) - 1 :][: lags + 1]
+            power, size = power + float(u @ u), size + float(y @ y)
+        if power > 0 and size > 0:
+            each = float(erfc(np.abs(sums).max() / np.sqrt(2.0 * power * size / sum(map(np.sum, whole)))))
+            least = min(least, -float(np.expm1((lags + 1) * records[0].spec.nu * np.log1p(-min(each, 1 - 1e-16)))))
+    return least
 
 
 def _unbroken(taken: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
