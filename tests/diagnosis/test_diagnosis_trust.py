@@ -147,7 +147,7 @@ def test_what_a_straight_line_follows_is_no_motion_that_a_model_explains() -> No
     spec = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), DT)
     ramp = Trajectory(t, np.zeros((2000, 1)), (3.0 * t + 0.1 * np.sin(2 * np.pi * t))[:, None], spec)
     assert _motion([ramp], Horizon(1.0, ""), 1)[0] == pytest.approx(0.5 * 0.1**2, rel=0.7)
-    assert _motion([ramp], Horizon(1.0, ""))[0] < 0.01**2 * 60
+    assert _motion([ramp], Horizon(1.0, ""), 1)[0] < 0.01**2 * 60
     turning = replace(SPEC, outputs=(Channel("theta", "rad", period=2 * np.pi),))
     y = np.mod(3.0 * t + 0.5 * t**2, 2 * np.pi)[:, None]
     angle = Trajectory(t, np.zeros((2000, 1)), y, turning)
