@@ -151,7 +151,7 @@ def test_what_a_straight_line_follows_is_no_motion_that_a_model_explains() -> No
     turning = replace(SPEC, outputs=(Channel("theta", "rad", period=2 * np.pi),))
     y = np.mod(3.0 * t + 0.5 * t**2, 2 * np.pi)[:, None]
     angle = Trajectory(t, np.zeros((2000, 1)), y, turning)
-    assert _motion([angle], Horizon(None, ""))[0] == pytest.approx((2 * np.pi) ** 2 / 12)
+    assert _motion([angle], Horizon(None, ""), 1)[0] == pytest.approx((2 * np.pi) ** 2 / 12)
 
 
 # ---- a sensor at its ceiling ----------------------------------------------------------------------------------------
