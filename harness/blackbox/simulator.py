@@ -27,7 +27,7 @@ from harness.signals import FloatArray, PlantSpec
 
 STEP = 1e-3  # Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration.
 BEND = 0.02  # Part of a difference between two sides that may be a bend: the derivative errs by about its square.
-TINY = np.finfo(float).tiny
+SHORTEST = 1e-3  # Part of a step that the next one has at least: beyond that a bend is no parabola's.
 KEPT = 64  # Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps.
 
 
@@ -294,13 +294,14 @@ class FmuSimulator(BySample):
             above, below = beside(h), beside(-h)
             if not (np.isfinite(above).all() and np.isfinite(below).all()):
                 break
-            bend = float(np.linalg.norm(above - 2 * y + below) / max(np.linalg.norm(above - below), TINY))
+            curved, apart = (float(np.linalg.norm(one)) for one in (above - 2 * y + below, above - below))
+            bend = curved / apart if apart > 0.0 else (np.inf if curved > 0.0 else 0.0)
             if bend >= least:  # what is seen is the solver's own error
                 break
             slope, least, known[which] = (above - below) / (2 * h), bend, h / size
             if bend <= BEND:
                 break
-            h *= 0.5 * BEND / bend
+            h *= max(0.5 * BEND / bend, SHORTEST)
         if slope is not None:
             return np.asarray(slope)
         for step in (h, 1e-3 * h, 1e-6 * h):

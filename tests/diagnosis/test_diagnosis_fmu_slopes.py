@@ -30,3 +30,18 @@ def test_parameters_that_scale_together_do_what_a_smaller_input_does(seconds: in
     wanted = (above - below) / 2e-5
     assert np.abs(together - wanted).max() < 0.02 * np.abs(wanted).max()
     assert np.abs(found[0][..., 0] * p[0]).max() > 10 * np.abs(wanted).max(), "as each by itself does"
+
+
+def test_a_parameter_that_does_the_same_to_both_sides_has_a_derivative_of_nothing() -> None:
+    """A difference of nothing over a bend is no step, and no warning."""
+
+    class Even(FmuSimulator):
+        def run(self, p, x0, u, t0=0.0, extra=None):  # type: ignore[no-untyped-def]
+            return np.zeros((len(u), 2)), np.full((len(u), 1), p[2] ** 2)
+
+    system = fmu_system(mockup("pendulum"), SPEC, {"J": 0.06, "b": 0.0005, "mgl": 1.1})
+    simulator, p = Even(system, Runner(system, DT)), system.vector()
+    p[2] = 0.0
+    _, _, found = simulator.windows(p[None], np.zeros((1, 2)), np.zeros((1, 50, 1)), None, np.zeros(1))
+    assert found is not None
+    assert np.abs(found[0][..., 2]).max() < 0.01
