@@ -236,9 +236,10 @@ class FmuPlant(Beyond):
         else:
             before = self._entered.driven
             if not np.array_equal(u, self.input_starts if before is None else before):
+                self._instance.resets = False  # after a reset, some never return from a step if inputs were set first
                 self._instance.renew()
                 self._enter({**self._entered.values, **own_values(self._inputs, u)})
-            self._entered = Start(self._entered.values, u.copy())
+                self._entered = Start(self._entered.values, u.copy())
             broken = self._engine.look()
         if broken:
             raise stopped(self._engine)
@@ -256,14 +257,10 @@ class FmuPlant(Beyond):
 
     def _begin(self, start: Start) -> None:
         """Initialise the FMU anew and read the outputs."""
-        driven = start.driven
-        if driven is not None and self.file.version == 1:
-            self._enter({**start.values, **own_values(self._inputs, driven)})
-        else:
-            self._enter(start.values)
-            if driven is not None:
-                self._engine.u[:] = driven
-                self._engine.initial()
+        self._enter(start.values)
+        if start.driven is not None:
+            self._engine.u[:] = start.driven
+            self._engine.initial()
         self._leave()
 
     def _enter(self, values: Mapping[str, Any]) -> None:

@@ -113,3 +113,15 @@ def test_a_part_of_a_system_starts_from_what_drives_it(old_fmu: Callable[[str], 
         for _ in range(3):
             assert three.reset(rng=RNG) == pytest.approx([6.0, 12.0])
             three.step(np.zeros(0))
+
+
+def test_a_driven_part_is_not_reset_as_some_never_return_from_a_step_after_it(old_fmu: Callable[[str], Path]) -> None:
+    def made(mode: int, **options: Any) -> Plant:
+        given = {"path": str(old_fmu("cs")), "sample_time": 0.1, "outputs": ["x"], "parameters": {"mode": mode}}
+        plant: Plant = registry.create("plants", "isolated", plant="fmu", **given, **options)
+        return plant
+
+    with Coupled({"b": made(7, inputs=["u"]), "a": made(0, inputs=[])}, [("a.x", "b.u")], outputs=["b.x"]) as pair:
+        for _ in range(3):
+            assert pair.reset(rng=RNG) == pytest.approx([2.0])
+            pair.step(np.zeros(0))
