@@ -236,7 +236,8 @@ class FmuPlant(Beyond):
         else:
             before = self._entered.driven
             if not np.array_equal(u, self.input_starts if before is None else before):
-                self._instance.resets = False  # after a reset, some never return from a step if inputs were set first
+                # After a reset some never return from a step if inputs were set first, so what it leaves is not tried.
+                self._instance.resets, self.way_back = False, "process"
                 self._instance.renew()
                 self._enter({**self._entered.values, **own_values(self._inputs, u)})
                 self._entered = Start(self._entered.values, u.copy())
