@@ -298,10 +298,12 @@ class FmuSimulator(BySample):
             bend = curved / apart if apart > 0.0 else (np.inf if curved > 0.0 else 0.0)
             if bend >= least:  # what is seen is the solver's own error
                 break
-            slope, least, known[which] = (above - below) / (2 * h), bend, h / size
+            slope, least = (above - below) / (2 * h), bend
+            wanted = h * max(0.5 * BEND / bend, SHORTEST) if bend > 0.0 else np.inf
+            known[which] = min(wanted / size, STEP)  # where the motion bends less, later steps are long again
             if bend <= BEND:
                 break
-            h *= max(0.5 * BEND / bend, SHORTEST)
+            h = wanted
         if slope is not None:
             return np.asarray(slope)
         for step in (h, 1e-3 * h, 1e-6 * h):

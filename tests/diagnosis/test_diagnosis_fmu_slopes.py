@@ -45,3 +45,22 @@ def test_a_parameter_that_does_the_same_to_both_sides_has_a_derivative_of_nothin
     _, _, found = simulator.windows(p[None], np.zeros((1, 2)), np.zeros((1, 50, 1)), None, np.zeros(1))
     assert found is not None
     assert np.abs(found[0][..., 2]).max() < 0.01
+
+
+def test_steps_that_a_wild_motion_shortened_are_long_again_where_it_is_calm() -> None:
+    """Else the error of the solver is all that later differences see: a first fit may begin anywhere."""
+
+    class Wild(FmuSimulator):
+        def run(self, p, x0, u, t0=0.0, extra=None):  # type: ignore[no-untyped-def]
+            rounded = np.round(np.sin(p[2] * (1e5 if x0[0] > 1.0 else 1.0)), 6)
+            return np.zeros((len(u), 2)), np.full((len(u), 1), rounded)
+
+    system = fmu_system(mockup("pendulum"), SPEC, {"J": 0.06, "b": 0.0005, "mgl": 1.1})
+    p, u, found = system.vector(), np.zeros((50, 1)), []
+    runner = Runner(system, DT)
+    for angle in (2.0, 0.0, 0.0):
+        _, _, slopes = Wild(system, runner).windows(p[None], np.array([[angle, 0.0]]), u[None], None, np.zeros(1))
+        assert slopes is not None
+        found.append(slopes[0][0, 0, 2])
+    assert found[0] == pytest.approx(1e5 * np.cos(1e5 * p[2]), rel=0.05)
+    assert found[2] == pytest.approx(np.cos(p[2]), rel=2e-3)
