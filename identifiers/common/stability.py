@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -115,10 +115,15 @@ def nearest_stable(
 
 
 def told_of_stable(
-    solution: Solution, found: FloatArray, weights: FloatArray, fitted: FloatArray | None = None
+    notes: Mapping[str, Any],
+    solution: Solution,
+    found: FloatArray,
+    weights: FloatArray,
+    fitted: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Return what the notes say of a stable model in place of a fit that is not, with a warning where it errs by more.
+    """Return the notes of a stable model in place of a fit that is not, with a warning more where it errs by more.
 
+    - ``notes``: of the fit
     - ``found`` (p, ny): coefficients of the stable model
     - ``weights`` (ny,): one over the size of each output
     - ``fitted``: the fit, where it is not that of least squares
@@ -131,13 +136,14 @@ def told_of_stable(
     )
     least = float(np.sqrt(solution.rows) * np.linalg.norm(solution.residual_rms * weights))
     worse = np.hypot(after, least) / max(np.hypot(before, least), 1e-300)
-    notes: dict[str, Any] = {"stabilized": True, "moved by": moved}
+    said = {**notes, "stabilized": True, "moved by": moved}
     if worse > _WORSE:
-        notes["warning"] = (
+        contradicted = (
             f"the stable model errs {min(worse, 1e6):.3g} times as much one step ahead as the fit, which is not: the "
             "records contradict it; is the plant stable, and does nothing drift?"
         )
-    return notes
+        said["warning"] = "; ".join(filter(None, [notes.get("warning"), contradicted]))
+    return said
 
 
 def convex_stable(theta: FloatArray, factor: FloatArray, own: int, weights: FloatArray) -> FloatArray:

@@ -106,7 +106,7 @@ class Arx:
             weights = 1.0 / sizes([record.y for record in records])
             factor = solution.factor * solution.scale
             coefficients = nearest_stable(solution.coefficients, factor, own, stable_lags, weights)
-            notes = {**notes, **solution_notes(solution), **told_of_stable(solution, coefficients, weights)}
+            notes = told_of_stable({**notes, **solution_notes(solution)}, solution, coefficients, weights)
             coefficients = _widened(coefficients, spec, order, delay)
             return lag_model(spec, coefficients, order, self.offset, notes)
         model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})

@@ -168,7 +168,7 @@ class Dmdc:
             factor = solution.factor * solution.scale
             project = clip_eigenvalues if self.delays == 1 else stable_lags
             coefficients = nearest_stable(coefficients, factor, self.delays * spec.ny, project, weights)
-            notes |= told_of_stable(solution, coefficients, weights)
+            notes = told_of_stable(notes, solution, coefficients, weights)
             return lag_model(spec, coefficients, self.delays, self.offset, notes)
         model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})
         model = with_lag_neighbours(model, records, solution, self.delays, self.offset, estimate=estimate)
@@ -227,7 +227,7 @@ class Dmdc:
         coefficients, notes = solution.coefficients, solution_notes(solution)
         if self.stable and spectral_radius(coefficients[:rank]) >= 1.0:
             coefficients = nearest_stable(coefficients, solution.factor * scale, rank, clip_eigenvalues, np.ones(rank))
-            notes |= told_of_stable(solution, coefficients, np.ones(rank))
+            notes = told_of_stable(notes, solution, coefficients, np.ones(rank))
         theta = coefficients.T
         return LinearModel(
             spec,

@@ -127,10 +127,7 @@ class StateLeastSquares:
                 coefficients = convex_stable(coefficients, factor, spec.ny, weights)
             else:
                 coefficients = nearest_stable(coefficients, factor, spec.ny, clip_eigenvalues, weights)
-            doubt = notes.get("warning")
-            notes |= told_of_stable(solution, coefficients, weights, fitted)
-            if doubt and notes["warning"] != doubt:
-                notes["warning"] = f"{doubt}; {notes['warning']}"
+            notes = told_of_stable(notes, solution, coefficients, weights, fitted)
         elif estimate is not None:  # of the nearest stable model the spread of the fit says nothing
             notes["estimate"] = estimate.to_dict()
         model = lag_model(spec, coefficients, 1, self.offset, notes)

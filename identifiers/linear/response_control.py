@@ -13,6 +13,7 @@ from harness.judgement import feedback_of
 from harness.models.analysis import Findings, Takes, as_dataset
 from harness.models.lqr import kalman_gain, lqr_gain, stabilisable
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.judge.own_past import PAST, own_past, without_past
 from identifiers.common.records import real_signals, usable
 from identifiers.linear.bounds.responses import LagsKnown
 from identifiers.linear.ho_kalman import HoKalman
@@ -21,7 +22,6 @@ from identifiers.linear.markov import markov_parameters, normal_equations
 _TAIL = 0.05  # The response has died out where its last tenth holds less than this share of its size.
 _SURE = 3.0  # Standard errors by which a Markov parameter is told from none.
 _LUCK = 1e-3  # Probability of so large a gain of late Markov parameters, were it none, below which it is no chance.
-_PAST = 8  # Samples of its own past that foretell what no input explains, which may wander.
 _GROWS = 3.0  # Powers of e in a record by which that grows, from which on the plant is unstable: no walk does.
 _FREQUENCIES = 128  # Points of the half circle on which gains are taken.
 
@@ -161,25 +161,19 @@ def _lasting(records: Sequence[Trajectory], natural: Sequence[FloatArray], lengt
     (Cochrane & Orcutt 1949, J. Am. Stat. Assoc. 44:32): else what a plant never forgets looks like noise that wanders.
     Twice as many lags are asked for, or as many as the inputs excite.
     """
-    from scipy.signal import lfilter
     from scipy.stats import f
 
     spread = np.maximum(np.concatenate(natural).std(axis=0), 1e-300)
-    columns = [column for part in natural for column in (part / spread).T]
-    past = np.concatenate([np.stack([one[_PAST - j : -j] for j in range(1, _PAST + 1)], axis=1) for one in columns])
-    own = np.linalg.lstsq(past, np.concatenate([one[_PAST:] for one in columns]), rcond=1e-6)[0]
-    taps, spec = np.concatenate([[1.0], -own]), records[0].spec
-    if np.abs(np.roots(taps)).max(initial=0.0) > 1.0 + _GROWS / max(map(len, natural)):
+    own = own_past([column for part in natural for column in (part / spread).T])
+    if np.abs(np.roots([1.0, *-own])).max(initial=0.0) > 1.0 + _GROWS / max(map(len, natural)):
         return float("inf")
     y_mean, u_mean = (np.concatenate([getattr(one, name) for one in records]).mean(axis=0) for name in ("y", "u"))
-    white = [
-        replace(one, y=lfilter(taps, [1.0], one.y - y_mean, axis=0), u=lfilter(taps, [1.0], one.u - u_mean, axis=0))
-        for one in records
-    ]
+    white = [replace(one, y=without_past(one.y - y_mean, own), u=without_past(one.u - u_mean, own)) for one in records]
+    spec = records[0].spec
     for reach in (2 * length, length):
-        asked = [one[_PAST:] for one in white if len(one) > 2 * reach + _PAST]
+        asked = [one[PAST:] for one in white if len(one) > 2 * reach + PAST]
         sums = normal_equations(asked, reach, offset=True) if asked else None
-        free = 0 if sums is None else sums.rows - reach * spec.nu - 1 - _PAST
+        free = 0 if sums is None else sums.rows - reach * spec.nu - 1 - PAST
         known = LagsKnown.of(sums, reach, spec.nu) if sums is not None and free > reach * spec.nu else None
         if sums is None or known is None:
             continue

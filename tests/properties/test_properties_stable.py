@@ -125,3 +125,15 @@ def test_records_that_contradict_a_stable_model_say_so(name, options, radius, co
     model = create("identifiers", name, **({"stable": True} | options)).fit([record], rng=rng)
     assert growth(model) < 1.0
     assert ("stable model errs" in model.notes.get("warning", "")) is contradicts
+
+
+def test_what_was_said_of_the_fit_stays_beside_what_its_stable_model_contradicts():
+    rng, x = np.random.default_rng(4), np.zeros((70, 2))
+    u = rng.normal(size=(70, 1))
+    for k in range(69):
+        x[k + 1] = 1.1 * x[k, ::-1] * [1.0, -1.0] + np.array([0.5, 1.0]) * u[k] + 0.1 * rng.normal(size=2)
+    record = Trajectory(np.arange(70.0), u, x + 3.0, SPEC)
+    for name in ("dmdc", "least-squares"):
+        warning = create("identifiers", name, stable=True, offset=False).fit([record], rng=rng).notes["warning"]
+        assert "a constant is missing" in warning
+        assert "stable model errs" in warning

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from harness.judgement import Feedback, moves
 from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.loops import ANSWERED, COLOURED, percent
+from identifiers.common.judge.own_past import PAST, own_past, without_past
 
 Readings = npt.NDArray[np.bool_]  # Of a record, (N, ny).
 
@@ -29,7 +30,6 @@ NOTHING = 0.9
 """What a free run leaves of an output over the output, from which on it is asked whether the inputs move it at all: a
 fifth of its variance, of inputs that do, shows in any record that is worth a fit."""
 BY_CHANCE = 0.05  # Probability beyond which what inputs explain of an output tells nothing: the usual level of a test.
-PAST = 8  # Samples of its own past that foretell what is left, which may wander.
 LAGS = 16  # Samples by which an input may reach an output in the test: twice as many.
 EACH = 4  # Samples for each number of the test at least.
 RUN_AWAY = 1e6
@@ -97,12 +97,11 @@ def _doubt(
     )
     if not len(rest):
         return None
-    answered = _answered(records, [one[:, column] - rest.mean() for one in left], column, first, taken)
     share = float(rest.std() / whole.std()) if whole.std() > 0 else 0.0
-    if answered is not None and share > NOTHING and answered.idle > BY_CHANCE:
+    if share > NOTHING and (chance := _idle(records, column, taken)) > BY_CHANCE:
         return (
-            f"nothing tells that the inputs move {name}: chance explains as much of it as they do (probability "
-            f"{answered.idle:.2g}), and a free run leaves {percent(share)} of it: move them more, or record what does"
+            f"nothing tells that the inputs move {name}: by chance alone they correlate with it as much (probability "
+            f"{chance:.2g}), and a free run leaves {percent(share)} of it: move them more, or record what does"
         )
     if share > limit:
         return (
@@ -112,23 +111,17 @@ def _doubt(
             else f"a free run over the records that the model was fitted to errs by more than {name} moves "
             f"({percent(share)}): its mean foretells more; use another method, or a longer record"
         )
+    answered = _answered(records, [one[:, column] - rest.mean() for one in left], column, first, taken)
     if answered is None:
         return None
-    if answered.share <= RIGHT or answered.chance >= COLOURED / len(records[0].spec.outputs):
+    share, chance = answered
+    if share <= RIGHT or chance >= COLOURED / len(records[0].spec.outputs):
         return ""
     return (
-        f"a free run over the records that the model was fitted to leaves {percent(answered.share)} of what the inputs "
-        f"do to {name} (probability {answered.chance:.1g} if it were {percent(RIGHT)}): take a drift or a level "
+        f"a free run over the records that the model was fitted to leaves {percent(share)} of what the inputs "
+        f"do to {name} (probability {chance:.1g} if it were {percent(RIGHT)}): take a drift or a level "
         "out, a better structure, or another method"
     )
-
-
-class _Answered(NamedTuple):
-    """What inputs explain."""
-
-    share: float  # Of what is left, over what they explain of the output
-    chance: float  # Probability of so much if the error of the model is ``RIGHT``
-    idle: float  # Probability of what they explain of the output if they do nothing to it
 
 
 def _answered(
@@ -137,23 +130,26 @@ def _answered(
     column: int,
     first: int,
     taken: Sequence[npt.NDArray[np.bool_]],
-) -> _Answered | None:
-    """Return what inputs explain of what is left and of an output; None where the readings are too few to tell."""
+) -> tuple[float, float] | None:
+    """Return what inputs explain of what is left over what they explain of an output, and the chance of so much.
+
+    The chance is that of a model whose error is ``RIGHT``. None where the readings are too few to tell.
+    """
     from scipy.stats import f
 
     whole = [_unbroken(rows) for rows in taken]
     if sum(int(rows.sum()) for rows in whole) < EACH * LAGS * records[0].spec.nu:
         return None
     left = [np.where(rows, one, 0.0) for one, rows in zip(left, taken, strict=True)]
-    own = _ahead(left, whole)
+    own = own_past(left, whole)
     at_once = int(not records[0].spec.feedthrough)
     regressors, wrong, seen = [], [], []
     for record, one, rows in zip(records, left, whole, strict=True):
-        u = _filtered(record.u, own)
+        u = without_past(record.u, own)
         where = np.flatnonzero(rows)
         regressors.append(np.hstack([u[where - j] for j in range(at_once, LAGS + 1)]))
-        wrong.append(_filtered(one[:, None], own)[where])
-        seen.append(_filtered(record.y[:, column, None], own)[where])
+        wrong.append(without_past(one[:, None], own)[where])
+        seen.append(without_past(record.y[:, column, None], own)[where])
     x, e, y = (np.concatenate(part) for part in (regressors, wrong, seen))
     x, e, y = (part - part.mean(axis=0) for part in (x, e, y))
     base = orthonormal(x, 1e-8)
@@ -167,33 +163,37 @@ def _answered(
     chance = f.sf(
         answer / free / noise / (1.0 + beyond), free * (1.0 + beyond) ** 2 / (1.0 + 2.0 * beyond), count - free
     )
-    besides = max((float(np.sum(y**2)) - size) / (count - free), 1e-300)
-    idle = min(float(f.sf(size / free / besides, free, count - free)), _late(records, column, own, whole))
-    return _Answered(float(np.sqrt(answer / size)), float(chance), min(2.0 * idle, 1.0))
+    return float(np.sqrt(answer / size)), float(chance)
 
 
-def _late(records: Sequence[Trajectory], column: int, own: FloatArray, whole: Sequence[npt.NDArray[np.bool_]]) -> float:
-    """Return the probability of the largest correlation with an input up to a quarter of a record before, by chance.
+def _idle(records: Sequence[Trajectory], column: int, taken: Sequence[npt.NDArray[np.bool_]]) -> float:
+    """Return the probability of the largest correlation of an output with an input by chance; 0 if nothing is asked.
 
-    Of an input that its own past does not foretell (Box & Jenkins 1976, *Time Series Analysis*, sec. 11.1): a dead time
-    may be longer than the lags of a regression.
+    Up to a quarter of a record before, each without what its own past foretells of it (Box & Jenkins 1976, *Time Series
+    Analysis*, sec. 11.1).
     """
     from scipy.signal import correlate
     from scipy.special import erfc
 
-    lags, least = min(map(len, records)) // 4, 1.0
+    rows, lags = [_unbroken(one) for one in taken], min(map(len, records)) // 4
+    count = sum(int(one.sum()) for one in rows)
+
+    def own(signals: Sequence[FloatArray]) -> list[FloatArray]:
+        past = own_past(signals, rows)
+        whole = [without_past(one[:, None], past)[:, 0] for one in signals]
+        level = sum(float(one[k].sum()) for one, k in zip(whole, rows, strict=True)) / count
+        return [np.where(k, one - level, 0.0) for one, k in zip(whole, rows, strict=True)]
+
+    if count <= EACH * PAST:
+        return 0.0
+    largest, y = 0.0, own([record.y[:, column] for record in records])
     for k in range(records[0].spec.nu):
-        past = _ahead([record.u[:, k] for record in records], whole)
-        sums, power, size = np.zeros(lags + 1), 0.0, 0.0
-        for record, rows in zip(records, whole, strict=True):
-            u, y = _filtered(record.u[:, k, None], past)[:, 0], _filtered(record.y[:, column, None], own)[:, 0]
-            u, y = (np.where(rows, one - one[rows].mean(), 0.0) if rows.any() else 0.0 * one for one in (u, y))
-            sums += correlate(y, u, method="fft")[len(u) - 1 :][: lags + 1]
-            power, size = power + float(u @ u), size + float(y @ y)
-        if power > 0 and size > 0:
-            each = float(erfc(np.abs(sums).max() / np.sqrt(2.0 * power * size / sum(map(np.sum, whole)))))
-            least = min(least, -float(np.expm1((lags + 1) * records[0].spec.nu * np.log1p(-min(each, 1 - 1e-16)))))
-    return least
+        u = own([record.u[:, k] for record in records])
+        sums = sum(correlate(b, a, method="fft")[len(a) - 1 :][: lags + 1] for a, b in zip(u, y, strict=True))
+        power = sum(float(a @ a) for a in u) * sum(float(b @ b) for b in y)
+        largest = max(largest, float(np.abs(sums).max()) / np.sqrt(power) if power > 0 else 0.0)
+    each = float(erfc(largest * np.sqrt(0.5 * count)))
+    return -float(np.expm1((lags + 1) * records[0].spec.nu * np.log1p(-min(each, 1.0 - 1e-16))))
 
 
 def _unbroken(taken: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -202,23 +202,4 @@ def _unbroken(taken: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     for j in range(1, PAST + 1):
         found[j:] &= taken[:-j]
         found[:j] = False
-    return found
-
-
-def _ahead(left: Sequence[FloatArray], rows: Sequence[npt.NDArray[np.bool_]]) -> FloatArray:
-    """Return the coefficients (PAST,) with which what is left foretells itself in these rows."""
-    where = [np.flatnonzero(one) for one in rows]
-    x = np.concatenate(
-        [np.column_stack([one[k - j] for j in range(1, PAST + 1)]) for one, k in zip(left, where, strict=True)]
-    )
-    target = np.concatenate([one[k] for one, k in zip(left, where, strict=True)])
-    size = float(np.abs(x).max(initial=0.0)) or 1.0
-    return np.asarray(np.linalg.lstsq(x / size, target / size, rcond=1e-6)[0], dtype=np.float64)
-
-
-def _filtered(values: FloatArray, own: FloatArray) -> FloatArray:
-    """Return signals (N, n) without what coefficients foretell; the first samples are not."""
-    found = values.copy()
-    for j, weight in enumerate(own, start=1):
-        found[j:] -= weight * values[:-j]
     return found
