@@ -48,7 +48,8 @@ SHORTEST = 20
 """Rows of a record: a model of second order in one input has three parameters and two initial values, and an estimate
 needs several readings for each unknown (Ljung 1999, sec. 16.4, counts parameters against samples); four here."""
 
-_GRID = "declare [resample], and intersample, in a dataset.toml: no one clock explains the stamps"
+_GRID = "declare [resample], and intersample, in a dataset.toml"
+_NO_CLOCK = f"{_GRID}: no one clock explains the stamps"
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,9 +207,9 @@ def _remedy_of_jumps(
     clock = rough and rules.sample_time is None and _is_clock(stamps, float(f"{dt:.6g}"))
     longest = np.diff(np.flatnonzero(np.concatenate(([True], jumps, [True])))).max()
     if not clock and rough:
-        return _GRID
+        return _NO_CLOCK
     if longest < SHORTEST:
-        return f"{_GRID.partition(':')[0]}: between the gaps stand less than {SHORTEST} rows"
+        return f"{_GRID}: between the gaps stand less than {SHORTEST} rows"
     rough_clock = f"sample_time = {dt:.6g} if a clock took the rows and the stamps are rough, with " if clock else ""
     return f"declare {rough_clock}{_remedy(inputs, rules, True)}, or cut the run by rows = [start, stop]"
 
@@ -371,7 +372,7 @@ def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], 
                 f"declare sample_time = {dt:.6g} if a clock took the rows and the stamps are rough; or [resample], and "
                 "intersample, if the stamps are true"
                 if _is_clock(time, float(f"{dt:.6g}"))
-                else _GRID
+                else _NO_CLOCK
             ),
             place=where(k),
         )

@@ -180,13 +180,14 @@ def _slowest(found: Contents, ports: Ports | None) -> float:
 
 def _clock(found: Contents, ports: Ports | None) -> list[str]:
     """Return the lines about time."""
-    if found.clock is None and found.length is not None and _one_topic(_used(found, ports)):
-        return [f"# steps of {_slowest(found, ports):.4g} s; [resample] sample_time is for stamps that are no clock's"]
     if found.clock is None and found.length is not None:
+        step = _slowest(found, ports)
+        if _one_topic(_used(found, ports)):
+            return [f"# steps of {step:.4g} s; [resample] sample_time is for stamps that are no clock's"]
         return [
             "",
             "[resample]  # channels have clocks of their own: inputs are held from their stamps, outputs interpolated",
-            f"sample_time = {_slowest(found, ports):.4g}  # [s] the slowest channel's: another?",
+            f"sample_time = {step:.4g}  # [s] the slowest channel's: another?",
             'method = "linear"  # or "cubic"',
         ]
     if found.clock is None:

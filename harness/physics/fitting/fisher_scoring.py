@@ -299,9 +299,8 @@ class FisherScoring:
         if self.gain >= ENOUGH:
             return False
         short = self.damping > 8.0 * _LEAST_DAMPING and not (self.valley and self._latent)
-        if (
-            short and not replace(model, matrix=self._matrix).whole_promise() < _ROUGH
-        ):  # a narrow valley that bends: long steps, corrected for it
+        by_fisher = replace(model, matrix=self._matrix)  # what was learned may be of elsewhere
+        if short and not by_fisher.whole_promise() < _ROUGH:  # a narrow valley that bends: long steps, corrected for it
             self.valley, self.least_raised, self.damping = True, _LEAST_DAMPING, _LEAST_DAMPING
             return False
         self.converged = self.more is None or self.seen - self.at.value < _STALE
