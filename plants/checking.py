@@ -108,14 +108,38 @@ def positive(name: str, value: float, *, zero: bool = False, infinite: bool = Fa
     """
     number = float(value)
     low_enough = number >= 0 if zero else number > 0
-    if not (low_enough and (infinite or math.isfinite(number))):
-        raise InputError(
-            f"option {name}",
-            expected="a number >= 0" if zero else "a positive number",
-            got=repr(value),
-            remedy=f"correct {name}",
-        )
+    fine = low_enough and (infinite or math.isfinite(number))
+    refuse_option(name, value, fine, "a number >= 0" if zero else "a positive number", f"correct {name}")
     return number
+
+
+def positives(*, zero: bool = False, **values: float) -> dict[str, float]:
+    """Return numbers by name that must all be :func:`positive`.
+
+    Examples
+    --------
+    >>> positives(m=1, k=4.0) | positives(b=0, zero=True)
+    {'m': 1.0, 'k': 4.0, 'b': 0.0}
+    """
+    return {name: positive(name, value, zero=zero) for name, value in values.items()}
+
+
+def whole(name: str, value: float, least: int = 1) -> int:
+    """Return a number that must be whole and not below ``least``; raises InputError if it is not."""
+    refuse_option(name, value, int(value) == value and value >= least, f"an integer >= {least}")
+    return int(value)
+
+
+def probability(**values: float) -> None:
+    """Refuse the first of some options by name that is no probability."""
+    for name, value in values.items():
+        refuse_option(name, value, 0 <= value <= 1, "a probability", f"correct {name}")
+
+
+def refuse_option(name: str, value: Any, fine: bool, expected: str, remedy: str = "correct it") -> None:
+    """Refuse the value of an option that is not ``fine``."""
+    if not fine:
+        raise InputError(f"option {name}", expected=expected, got=repr(value), remedy=remedy)
 
 
 def per_item(name: str, value: float | Sequence[float], n: int, what: str) -> list[float]:
@@ -127,13 +151,8 @@ def per_item(name: str, value: float | Sequence[float], n: int, what: str) -> li
     [0.5, 0.5]
     """
     array = np.asarray(value, dtype=float)
-    if array.shape not in ((), (n,)) or not np.isfinite(array).all():
-        raise InputError(
-            f"option {name}",
-            expected=f"a finite number, or one for each of the {n} {what}",
-            got=repr(value),
-            remedy=f"correct {name}",
-        )
+    fine = array.shape in ((), (n,)) and bool(np.isfinite(array).all())
+    refuse_option(name, value, fine, f"a finite number, or one for each of the {n} {what}", f"correct {name}")
     return [float(item) for item in np.broadcast_to(array, (n,))]
 
 

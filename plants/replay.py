@@ -13,7 +13,7 @@ from harness.errors import InputError, PlantError, refuse_unknown
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from plants.base import BasePlant
-from plants.checking import checked_inputs, initial_values
+from plants.checking import checked_inputs, initial_values, refuse_option
 
 
 class ReplayPlant(BasePlant):
@@ -71,8 +71,7 @@ class ReplayPlant(BasePlant):
                 remedy="give file = the CSV, Parquet or dataset.toml file",
             )
         refuse_unknown("option mismatch", mismatch, ("refuse", "warn"), remedy="choose one of the two")
-        if not (np.isfinite(tolerance) and tolerance >= 0):
-            raise InputError("option tolerance", expected="a number >= 0", got=repr(tolerance), remedy="correct it")
+        refuse_option("tolerance", tolerance, bool(np.isfinite(tolerance) and tolerance >= 0), "a number >= 0")
         record = trajectory if file is None else _read(Path(file), inputs, run)
         assert record is not None
         self._record, self._mismatch, self._k = record, mismatch, 0

@@ -13,7 +13,7 @@ from harness.errors import InputError
 from plants.bullet.engine import explicit_urdf, moving_joints, stated
 from plants.bullet.outputs import Camera, Keypoints
 from plants.bullet.world import Control, Settings
-from plants.checking import per_item, positive
+from plants.checking import per_item, positive, positives, refuse_option, whole
 
 MOTOR_FORCE = 300.0  # Greatest force [N m] of Bullet's motors at a joint whose file states no effort.
 
@@ -116,14 +116,10 @@ class ArmOptions:
 
     def __post_init__(self) -> None:
         for name, known in (("control", get_args(Control)), ("inertia", ("file", "shape"))):
-            if getattr(self, name) not in known:
-                chosen = repr(getattr(self, name))
-                raise InputError(f"option {name}", expected=" or ".join(known), got=chosen, remedy="correct it")
-        if int(self.substeps) != self.substeps or self.substeps < 1:
-            got = repr(self.substeps)
-            raise InputError("option substeps", expected="an integer >= 1", got=got, remedy="correct it")
-        for name in ("sample_time", "velocity_clip", "table_size"):
-            positive(name, getattr(self, name))
+            chosen = getattr(self, name)
+            refuse_option(name, chosen, chosen in known, " or ".join(known))
+        whole("substeps", self.substeps)
+        positives(sample_time=self.sample_time, velocity_clip=self.velocity_clip, table_size=self.table_size)
         for name in ("linear_damping", "angular_damping", "payload"):
             positive(name, getattr(self, name), zero=True)
 
@@ -217,8 +213,6 @@ def _point(values: Sequence[float]) -> tuple[float, float, float]:
 def _driven(joints: Sequence[int] | None, n: int) -> list[int]:
     """Return which of n joints are driven; by default all."""
     driven = list(range(n)) if joints is None else [int(joint) for joint in joints]
-    if not driven or not set(driven) <= set(range(n)) or len(set(driven)) != len(driven):
-        raise InputError(
-            "option input_joints", expected=f"different numbers in 0..{n - 1}", got=str(driven), remedy="correct it"
-        )
+    fine = bool(driven) and set(driven) <= set(range(n)) and len(set(driven)) == len(driven)
+    refuse_option("input_joints", driven, fine, f"different numbers in 0..{n - 1}")
     return driven

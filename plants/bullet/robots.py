@@ -7,7 +7,7 @@ from typing import Any
 from plants.bullet.arm import ArmPlant
 from plants.bullet.engine import data_file
 from plants.bullet.outputs import Camera
-from plants.checking import checked_options, positive
+from plants.checking import checked_options, positive, positives
 
 __all__ = ["ArmPlant", "Camera", "acrobot", "double_pendulum", "iiwa", "one_joint_arm", "panda"]
 
@@ -143,9 +143,7 @@ def double_pendulum(
     ...     print(plant.spec)
     u1 [N m], u2 [N m] -> theta1 [rad], theta2 [rad] every 0.004 s
     """
-    values = {"m1": m1, "m2": m2, "l1": l1, "lc1": lc1, "lc2": lc2}
-    given = {name: positive(name, value) for name, value in values.items()}
-    given |= {name: positive(name, value, zero=True) for name, value in (("I1", I1), ("I2", I2))}
+    given = positives(m1=m1, m2=m2, l1=l1, lc1=lc1, lc2=lc2) | positives(I1=I1, I2=I2, zero=True)
     links = _BASE + _link("link1", m1, lc1, I1) + _link("link2", m2, lc2, I2)
     hinges = _hinge("shoulder", "base", "link1", 0.0) + _hinge("elbow", "link1", "link2", l1)
     text = f'<robot name="double-pendulum">{links}{hinges}</robot>'

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
-from plants.checking import checked_options, positive
+from plants.checking import checked_options, positive, whole
 from plants.equations.ode_plant import OdePlant
 
 __all__ = ["OdePlant", "cart_pole_ode", "chain_ode", "linear_ode", "named", "pendulum_ode"]
@@ -117,11 +116,9 @@ def linear_ode(
     from harness.physics import Ode
     from harness.rng import stream
 
-    for name, value in (("order", order), ("inputs", inputs), ("outputs", outputs)):
-        if int(value) != value or value < 1:
-            raise InputError(f"option {name}", expected="an integer >= 1", got=repr(value), remedy="correct it")
-    n, dt = int(order), positive("sample_time", sample_time)
-    rng = stream("linear-ode", n, int(inputs), int(outputs), int(seed))
+    n, inputs, outputs = whole("order", order), whole("inputs", inputs), whole("outputs", outputs)
+    dt = positive("sample_time", sample_time)
+    rng = stream("linear-ode", n, inputs, outputs, int(seed))
     a = np.zeros((n, n))
     row = 0
     while row < n:
@@ -135,10 +132,10 @@ def linear_ode(
             row += 1
     turn, _ = np.linalg.qr(rng.normal(size=(n, n)))
     a = turn @ a @ turn.T
-    b = rng.normal(size=(n, int(inputs))) * np.abs(np.diag(a)).mean()
-    c = rng.normal(size=(int(outputs), n))
-    names_u = ["u"] if inputs == 1 else [f"u{k + 1}" for k in range(int(inputs))]
-    names_y = ["y"] if outputs == 1 else [f"y{k + 1}" for k in range(int(outputs))]
+    b = rng.normal(size=(n, inputs)) * np.abs(np.diag(a)).mean()
+    c = rng.normal(size=(outputs, n))
+    names_u = ["u"] if inputs == 1 else [f"u{k + 1}" for k in range(inputs)]
+    names_y = ["y"] if outputs == 1 else [f"y{k + 1}" for k in range(outputs)]
     model = Ode(f"linear-{n}", x=" ".join(f"x{k + 1}" for k in range(n)), u=" ".join(names_u))
     model.rhs = list(sp.Matrix(a.tolist()) * sp.Matrix(model.x) + sp.Matrix(b.tolist()) * sp.Matrix(model.u))
     measured = sp.Matrix(c.tolist()) * sp.Matrix(model.x)

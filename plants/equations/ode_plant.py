@@ -12,7 +12,7 @@ from harness.errors import InputError, PlantError
 from harness.options import outside
 from harness.signals import FloatArray, PlantSpec
 from plants.base import BasePlant
-from plants.checking import checked_inputs, finite, initial_values, positive, refuse_input
+from plants.checking import checked_inputs, finite, initial_values, positive, refuse_input, whole
 from plants.equations.ode_engine import (
     AdaptiveEngine,
     Engine,
@@ -113,8 +113,8 @@ class OdePlant(BasePlant):
         dt = positive("sample_time", sample_time)
         self._noise = positive("process_noise", process_noise, zero=True)
         limit = positive("u_limit", u_limit, infinite=True)
-        if substeps is not None and (int(substeps) != substeps or substeps < 1):
-            raise InputError("option substeps", expected="an integer >= 1", got=repr(substeps), remedy="correct it")
+        if substeps is not None:
+            whole("substeps", substeps)
         checked_integrator(integrator, rtol, atol, substeps)
         system = system_of(model)
         if outputs is not None:

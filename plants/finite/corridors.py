@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from harness.errors import InputError
 from harness.signals import FloatArray
-from plants.checking import positive
+from plants.checking import positive, refuse_option, whole
 from plants.finite.mdp import FiniteMdp
 
 
@@ -41,10 +40,8 @@ class CorridorsMdp(FiniteMdp):
     """
 
     def __init__(self, *, length: int = 5, slip: float = 0.0, sample_time: float = 1.0) -> None:
-        if int(length) != length or length < 1:
-            raise InputError("option length", expected="an integer >= 1", got=repr(length), remedy="correct it")
-        if not 0 <= slip < 1:
-            raise InputError("option slip", expected="0 <= slip < 1", got=repr(slip), remedy="correct it")
+        length = whole("length", length)
+        refuse_option("slip", slip, 0 <= slip < 1, "0 <= slip < 1")
         goal = 2 * length
         table = np.zeros((goal + 1, 2, goal + 1))
         for corridor, failing in ((0, 0.0), (1, slip)):

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec
-from plants.checking import initial_values, positive
+from plants.checking import initial_values, positive, probability, whole
 from plants.finite.mdp import FinitePlant, category_number
 
 
@@ -53,12 +52,8 @@ class MachinesMdp(FinitePlant):
         recovers: float = 0.05,
         sample_time: float = 1.0,
     ) -> None:
-        if int(machines) != machines or machines < 2:
-            raise InputError("option machines", expected="an integer >= 2", got=repr(machines), remedy="correct it")
-        for name, value in (("stays", stays), ("stays_alone", stays_alone), ("recovers", recovers)):
-            if not 0 <= value <= 1:
-                raise InputError(f"option {name}", expected="a probability", got=repr(value), remedy=f"correct {name}")
-        self.machines = int(machines)
+        self.machines = whole("machines", machines, 2)
+        probability(stays=stays, stays_alone=stays_alone, recovers=recovers)
         # up[own, before]: probability that a machine is up next.
         self._up = np.array([[recovers, recovers], [stays_alone, stays]])
         states = tuple(Channel(f"m{i}", "1", 0, 1, kind="category") for i in range(self.machines))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
-from plants.checking import checked_inputs, initial_values, positive
+from plants.checking import checked_inputs, initial_values, positive, probability
 
 TOLERANCE = 1e-9  # How far a distribution's sum may be from 1.
 
@@ -183,9 +183,7 @@ def grid_mdp(
     >>> grid_mdp().true_transition.shape
     (11, 4, 11)
     """
-    for name, value in (("slip", slip), ("restart", restart)):
-        if not 0 <= value <= 1:
-            raise InputError(f"option {name}", expected="a probability", got=repr(value), remedy=f"correct {name}")
+    probability(slip=slip, restart=restart)
     blocked = {(int(row), int(column)) for row, column in walls}
     cells = [(row, column) for row in range(rows) for column in range(columns) if (row, column) not in blocked]
     if not cells:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
-from plants.checking import checked_inputs
+from plants.checking import checked_inputs, probability
 from plants.finite.mdp import FiniteMdp, checked_distribution, cumulated, grid_mdp
 
 
@@ -132,8 +132,7 @@ def grid_pomdp(*, error: float = 0.2, **options: Any) -> FinitePomdp:
     >>> print(grid_pomdp().spec)
     action [category 0..3] -> observation [category 0..10] every 1 s
     """
-    if not 0 <= error <= 1:
-        raise InputError("option error", expected="a probability", got=repr(error), remedy="correct it")
+    probability(error=error)
     grid = grid_mdp(**options)
     n = grid.transition.shape[0]
     table = (1 - error) * np.eye(n) + error / n

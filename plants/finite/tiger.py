@@ -6,9 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec
-from plants.checking import checked_inputs
+from plants.checking import checked_inputs, refuse_option
 from plants.finite.pomdp import FinitePomdp
 
 
@@ -40,8 +39,7 @@ class TigerPomdp(FinitePomdp):
     """
 
     def __init__(self, *, hearing: float = 0.85, danger: float = 100.0, sample_time: float = 1.0) -> None:
-        if not 0.5 <= hearing <= 1:
-            raise InputError("option hearing", expected="0.5 to 1", got=repr(hearing), remedy="correct it")
+        refuse_option("hearing", hearing, 0.5 <= hearing <= 1, "0.5 to 1")
         transition = np.full((2, 3, 2), 0.5)
         transition[:, 0] = np.eye(2)
         told = np.array([[hearing, 1 - hearing], [1 - hearing, hearing]])

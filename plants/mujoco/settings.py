@@ -14,7 +14,7 @@ from harness.errors import InputError, refuse_unknown
 from harness.physics.arms.formats.mjcf import simple_joints
 from harness.physics.arms.formats.mjcf_spec import compiled, mujoco, parsed, read_spec, wrapped
 from harness.physics.arms.formats.urdf import rotors_of
-from plants.checking import per_item, positive
+from plants.checking import per_item, positive, whole
 
 Integrator = Literal["euler", "rk4", "implicit", "implicitfast"]
 Solver = Literal["pgs", "cg", "newton"]
@@ -97,8 +97,8 @@ def times(
     time; one step a sample if only the step is known. Raises InputError if they contradict each other, or the sample
     time is no whole number of steps.
     """
-    if substeps is not None and (int(substeps) != substeps or substeps < 1):
-        raise InputError("option substeps", expected="an integer >= 1", got=repr(substeps), remedy="correct it")
+    if substeps is not None:
+        whole("substeps", substeps)
     for name, value in (("sample_time", sample_time), ("timestep", timestep)):
         if value is not None:
             positive(name, value)

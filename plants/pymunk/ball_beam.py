@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray
-from plants.checking import positive
+from plants.checking import positive, positives
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, pin_forces, put
 
 
@@ -66,13 +66,8 @@ class PymunkBallBeam(PymunkPlant):
         u_limit: float = 0.5,
         outputs: Sequence[str] | None = None,
     ) -> None:
-        self.true_parameters = {
-            "m": positive("m", m),
-            "radius": positive("radius", radius),
-            "inertia": positive("inertia", inertia),
-            "b": positive("b", b, zero=True),
-            "friction": positive("friction", friction, zero=True),
-        }
+        self.true_parameters = positives(m=m, radius=radius, inertia=inertia)
+        self.true_parameters |= positives(b=b, friction=friction, zero=True)
         self._spring, self._dry = positive("spring", spring, zero=True), positive("dry", dry, zero=True)
         self._length, self._gravity = positive("length", length), positive("gravity", gravity, zero=True)
         if length <= 4 * radius:

@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray
-from plants.checking import positive
+from plants.checking import positive, positives, refuse_option
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
 FAR = 1000.0
@@ -67,8 +67,7 @@ class PymunkBouncingMass(PymunkPlant):
         u_limit: float = 10.0,
         outputs: Sequence[str] | None = ("z", "z_rate"),
     ) -> None:
-        if not 0 <= restitution <= 1:
-            raise InputError("option restitution", expected="0 to 1", got=repr(restitution), remedy="correct it")
+        refuse_option("restitution", restitution, 0 <= restitution <= 1, "0 to 1")
         if ceiling is not None and not (ceiling > 0.3 and 0 <= ceiling_restitution <= restitution):
             raise InputError(
                 "options ceiling and ceiling_restitution",
@@ -77,12 +76,7 @@ class PymunkBouncingMass(PymunkPlant):
                 remedy="correct them",
             )
         self._ceiling = None if ceiling is None else (float(ceiling), float(ceiling_restitution))
-        self.true_parameters = {
-            "m": positive("m", m),
-            "b": positive("b", b, zero=True),
-            "k": positive("k", k, zero=True),
-            "restitution": float(restitution),
-        }
+        self.true_parameters = positives(m=m) | positives(b=b, k=k, zero=True) | {"restitution": float(restitution)}
         self._rest, self._gravity = float(rest), positive("gravity", gravity, zero=True)
         spec = mechanism_spec([Channel("z", "m")], "N", u_limit, sample_time)
         super().__init__(spec, substeps, [0.3, 0.0], outputs)

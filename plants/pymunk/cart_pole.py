@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from harness.signals import Channel, FloatArray, PlantSpec
-from plants.checking import positive
-from plants.pymunk.plant import PymunkPlant, State, point_mass_pole, put
+from harness.signals import Channel, FloatArray
+from plants.checking import positive, positives
+from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, point_mass_pole, put
 
 FAR = 1e3
 """Half length of the rail without end stops [m]."""
@@ -73,38 +74,20 @@ class PymunkCartPole(PymunkPlant):
         u_limit: float = 10.0,
         outputs: Sequence[str] | None = None,
     ) -> None:
-        self.true_parameters = {
-            "mc": positive("mc", mc),
-            "mp": positive("mp", mp),
-            "l": positive("l", l),
-            "bx": positive("bx", bx, zero=True),
-            "btheta": positive("btheta", btheta, zero=True),
-        }
-        self._hidden = {
-            "spring_x": positive("spring_x", spring_x, zero=True),
-            "spring_theta": positive("spring_theta", spring_theta, zero=True),
-            "friction_x": positive("friction_x", friction_x, zero=True),
-            "friction_theta": positive("friction_theta", friction_theta, zero=True),
-            "slack": positive("slack", slack, zero=True),
-        }
+        self.true_parameters = positives(mc=mc, mp=mp, l=l) | positives(bx=bx, btheta=btheta, zero=True)
+        self._hidden = positives(spring_x=spring_x, spring_theta=spring_theta, slack=slack, zero=True)
+        self._hidden |= positives(friction_x=friction_x, friction_theta=friction_theta, zero=True)
         self._stop_x = FAR if stop_x is None else positive("stop_x", stop_x)
         self._stop_theta = None if stop_theta is None else positive("stop_theta", stop_theta)
-        limit = positive("u_limit", u_limit, infinite=True)
         self._gravity = positive("gravity", gravity, zero=True)
-        states: tuple[Channel, ...] = (
-            Channel("x", "m"),
-            Channel("theta", "rad"),
-            Channel("x_rate", "m/s"),
-            Channel("theta_rate", "rad/s"),
-        )
+        spec = mechanism_spec((Channel("x", "m"), Channel("theta", "rad")), "N", u_limit, sample_time)
         if slack:
-            states += (Channel("slip", "m", -slack / 2, slack / 2), Channel("slip_rate", "m/s"))
-        force = Channel("u", "N", -limit, limit)
+            slip = (Channel("slip", "m", -slack / 2, slack / 2), Channel("slip_rate", "m/s"))
+            spec = replace(spec, states=(*spec.states, *slip))
         # Any share works (measured: 0.1 to 0.5 of the cart change the error by a few percent of itself).
         self._moved = min(mp, mc / 2)
         self._body_mass, self._centre, self._inertia = point_mass_pole(mp, l, self._moved)
-        spec = PlantSpec((force,), states[:2], positive("sample_time", sample_time), states)
-        super().__init__(spec, substeps, [0.0] * len(states), outputs)
+        super().__init__(spec, substeps, [0.0] * len(spec.states), outputs)
 
     def truth(self) -> FloatArray:
         """Return x, theta, x_rate, theta_rate and, with slack, slip and slip_rate of the pin."""

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from harness.errors import PlantError
-from harness.signals import Channel, FloatArray, PlantSpec
-from plants.checking import positive
-from plants.pymunk.plant import PymunkPlant, State, point_mass_pole, put
+from harness.signals import Channel, FloatArray
+from plants.checking import positive, positives
+from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, point_mass_pole, put
 
 FOOT = 1e-4
 """Radius of a foot [m]: a point for the walker, which rolls by this times an angle."""
@@ -63,16 +63,12 @@ class PymunkCompassGait(PymunkPlant):
         u_limit: float = 0.5,
         outputs: Sequence[str] | None = ("stance", "swing", "stance_rate", "swing_rate"),
     ) -> None:
-        self.true_parameters = {
-            name: positive(name, value) for name, value in (("m", m), ("m_hip", m_hip), ("a", a), ("b", b))
-        }
+        self.true_parameters = positives(m=m, m_hip=m_hip, a=a, b=b)
         self.slope, self._gravity = positive("slope", slope, zero=True), positive("gravity", gravity)
         self._length = a + b
         self._mass, self._centre, self._inertia = point_mass_pole(m, b, m_hip / 2)
         angles = (Channel("stance", "rad"), Channel("swing", "rad"))
-        states = (*angles, Channel("stance_rate", "rad/s"), Channel("swing_rate", "rad/s"))
-        limit = positive("u_limit", u_limit, infinite=True)
-        spec = PlantSpec((Channel("u", "N m", -limit, limit),), angles, positive("sample_time", sample_time), states)
+        spec = mechanism_spec(angles, "N m", u_limit, sample_time)
         # just after a strike of its limit cycle at 3 degrees
         super().__init__(spec, substeps, [0.2187, -0.3234, -1.0918, -0.3772], outputs)
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from harness.signals import Channel, FloatArray
-from plants.checking import positive
+from plants.checking import positive, positives
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, pin_forces, point_mass_pole, put
 
 FAR = 1e3
@@ -56,11 +56,9 @@ class PymunkDoubleCartPole(PymunkPlant):
         u_limit: float = 10.0,
         outputs: Sequence[str] | None = None,
     ) -> None:
-        masses = {"mc": mc, "mp1": mp1, "mp2": mp2, "l1": l1, "l2": l2}
-        damping = {"bx": bx, "b1": b1, "b2": b2}
-        self.true_parameters = {name: positive(name, value) for name, value in masses.items()}
-        self.true_parameters |= {name: positive(name, value, zero=True) for name, value in damping.items()}
-        self._dry = (positive("friction_1", friction_1, zero=True), positive("friction_2", friction_2, zero=True))
+        self.true_parameters = positives(mc=mc, mp1=mp1, mp2=mp2, l1=l1, l2=l2)
+        self.true_parameters |= positives(bx=bx, b1=b1, b2=b2, zero=True)
+        self._dry = tuple(positives(friction_1=friction_1, friction_2=friction_2, zero=True).values())
         self._gravity = positive("gravity", gravity, zero=True)
         # Each pole borrows mass at its pin from the body that carries it; see point_mass_pole.
         from_first, from_cart = min(mp2, mp1 / 2), min(mp1, mc / 2)

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
-from plants.checking import checked_inputs, initial_values, positive, refuse_input
+from plants.checking import checked_inputs, initial_values, positive, refuse_input, refuse_option, whole
 
 State = tuple[float, ...]
 """Of each moving body: position x, y, velocity x, y, angle, angular velocity."""
@@ -52,13 +51,12 @@ class PymunkPlant(BasePlant, ABC):
     def __init__(
         self, spec: PlantSpec, substeps: int, start: Sequence[float], outputs: Sequence[str] | None = None
     ) -> None:
-        if int(substeps) != substeps or substeps < 1:
-            raise InputError("option substeps", expected="an integer >= 1", got=repr(substeps), remedy="correct it")
+        substeps = whole("substeps", substeps)
         chosen = _chosen(spec, outputs)
         self._columns = None if chosen is None else np.array(chosen)
         if chosen is not None:
             spec = replace(spec, outputs=tuple(spec.states[column] for column in chosen))
-        self._spec, self._substeps, self._default = spec, int(substeps), list(start)
+        self._spec, self._substeps, self._default = spec, substeps, list(start)
         self._dt = spec.sample_time / self._substeps
         self._space: Any
         self._bodies: tuple[Any, ...]
@@ -188,10 +186,8 @@ def _chosen(spec: PlantSpec, outputs: Sequence[str] | None) -> list[int] | None:
     if outputs is None:
         return None
     names, wanted = [channel.name for channel in spec.states], [outputs] if isinstance(outputs, str) else list(outputs)
-    if not wanted or len(set(wanted)) != len(wanted) or not set(wanted) <= set(names):
-        raise InputError(
-            "option outputs", expected=f"names among {', '.join(names)}", got=repr(outputs), remedy="correct it"
-        )
+    fine = bool(wanted) and len(set(wanted)) == len(wanted) and set(wanted) <= set(names)
+    refuse_option("outputs", outputs, fine, f"names among {', '.join(names)}")
     return None if wanted == [channel.name for channel in spec.outputs] else [names.index(name) for name in wanted]
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from harness.protocols import Ability
-from harness.signals import Channel, FloatArray, PlantSpec
-from plants.checking import positive
-from plants.pymunk.plant import PymunkPlant, State, put
+from harness.signals import Channel, FloatArray
+from plants.checking import positive, positives
+from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
 HALF = 0.05
 """Half the side of the block and of the pusher [m]: their centres are this far from the faces that touch."""
@@ -59,22 +60,10 @@ class PymunkPushedBlock(PymunkPlant):
         substeps: int = 20,
         u_limit: float = 30.0,
     ) -> None:
-        self.true_parameters = {
-            "m": positive("m", m),
-            "mu": positive("mu", mu, zero=True),
-            "pusher": positive("pusher", pusher),
-            "damping": positive("damping", damping, zero=True),
-        }
+        self.true_parameters = positives(m=m, pusher=pusher) | positives(mu=mu, damping=damping, zero=True)
         start = positive("gap", gap, zero=True)
-        limit = positive("u_limit", u_limit, infinite=True)
-        states = (
-            Channel("x", "m"),
-            Channel("x_pusher", "m"),
-            Channel("x_rate", "m/s"),
-            Channel("x_pusher_rate", "m/s"),
-        )
-        outputs = (*states[:2], Channel("f", "N"))
-        spec = PlantSpec((Channel("u", "N", -limit, limit),), outputs, positive("sample_time", sample_time), states)
+        spec = mechanism_spec((Channel("x", "m"), Channel("x_pusher", "m")), "N", u_limit, sample_time)
+        spec = replace(spec, outputs=(*spec.outputs, Channel("f", "N")))
         self._force = 0.0
         super().__init__(spec, substeps, [start, 0.0, 0.0, 0.0], None)
 

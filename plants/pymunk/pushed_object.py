@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from harness.errors import InputError
 from harness.protocols import Ability
-from harness.signals import Channel, FloatArray, PlantSpec
-from plants.checking import checked_inputs, positive, refuse_input
-from plants.pymunk.plant import PymunkPlant, State, put
+from harness.signals import Channel, FloatArray
+from plants.checking import checked_inputs, positive, positives, refuse_input, refuse_option
+from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
 HALF = 0.05
 """Half the side of the square object [m]."""
@@ -95,33 +95,15 @@ class PymunkPushedObject(PymunkPlant):
     ) -> None:
         mass = positive("m", m)
         for name, value in (("com_x", com_x), ("com_y", com_y)):
-            if not abs(value) < FOOT:
-                raise InputError(
-                    f"option {name}", expected=f"less than {FOOT:g} m: between the feet", got=repr(value),
-                    remedy="correct it",
-                )  # fmt: skip
-        self.true_parameters = {
-            "m": mass,
-            "J": positive("J", 2.0 * mass * HALF**2 / 3.0 if J is None else J),
-            "com_x": float(com_x),
-            "com_y": float(com_y),
-            "mu": positive("mu", mu, zero=True),
-            "mu_tip": positive("mu_tip", mu_tip, zero=True),
-            "pusher": positive("pusher", pusher),
-            "damping": positive("damping", damping, zero=True),
-        }
-        limit, aside = positive("u_limit", u_limit, infinite=True), positive("aim_limit", aim_limit)
-        places = (
-            Channel("x", "m"),
-            Channel("y", "m"),
-            Channel("theta", "rad"),
-            Channel("x_pusher", "m"),
-            Channel("y_pusher", "m"),
-        )
-        rates = tuple(Channel(f"{place.name}_rate", f"{place.unit}/s") for place in places)
-        inputs = (Channel("u", "N", -limit, limit), Channel("aim", "m", -aside, aside))
-        outputs = (*places, Channel("fx", "N"), Channel("fy", "N"))
-        spec = PlantSpec(inputs, outputs, positive("sample_time", sample_time), (*places, *rates))
+            refuse_option(name, value, abs(value) < FOOT, f"less than {FOOT:g} m: between the feet")
+        self.true_parameters = positives(m=m, J=2.0 * mass * HALF**2 / 3.0 if J is None else J, pusher=pusher)
+        self.true_parameters |= {"com_x": float(com_x), "com_y": float(com_y)}
+        self.true_parameters |= positives(mu=mu, mu_tip=mu_tip, damping=damping, zero=True)
+        aside = positive("aim_limit", aim_limit)
+        units = {"x": "m", "y": "m", "theta": "rad", "x_pusher": "m", "y_pusher": "m"}
+        spec = mechanism_spec([Channel(name, unit) for name, unit in units.items()], "N", u_limit, sample_time)
+        inputs = (*spec.inputs, Channel("aim", "m", -aside, aside))
+        spec = replace(spec, inputs=inputs, outputs=(*spec.outputs, Channel("fx", "N"), Channel("fy", "N")))
         start = [positive("gap", gap, zero=True) + HALF + TIP, 0.0, 0.0, *([0.0] * 7)]
         self._force = np.zeros(2)
         self._middle = (-float(com_x), -float(com_y))

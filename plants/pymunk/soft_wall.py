@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.signals import Channel, FloatArray
-from plants.checking import positive
+from plants.checking import positives
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
 FAR = 1000.0
@@ -59,12 +59,7 @@ class PymunkCartWall(PymunkPlant):
         u_limit: float = 5.0,
         outputs: Sequence[str] | None = None,
     ) -> None:
-        self.true_parameters = {
-            "m": positive("m", m),
-            "b": positive("b", b, zero=True),
-            "k": positive("k", k, zero=True),
-            "wall_stiffness": positive("wall_stiffness", wall_stiffness, zero=True),
-        }
+        self.true_parameters = positives(m=m) | positives(b=b, k=k, wall_stiffness=wall_stiffness, zero=True)
         self.wall = float(wall)
         spec = mechanism_spec([Channel("x", "m")], "N", u_limit, sample_time)
         super().__init__(spec, substeps, [0.0, 0.0], outputs)
