@@ -94,10 +94,6 @@ class BagFile:
             "the stamps of the headers" if headed else "the times at which messages were recorded"
         )
 
-    def select(self, text: str) -> FloatArray | None:
-        """Return None: a field goes by its whole name."""
-        return None
-
     def unit(self, title: str) -> str | None:
         """Return the unit that the definition of the message states."""
         return self._units.get(title)

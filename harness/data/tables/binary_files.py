@@ -117,10 +117,6 @@ class ParquetFile:
             raise _no_numbers("string", title)
         return numbers_of(texts, where, self.notes)
 
-    def select(self, text: str) -> FloatArray | None:
-        """Return None: Parquet has plain columns only."""
-        return None
-
     def unit(self, title: str) -> str | None:
         """Return s for time stamps and spans; else what the column's own metadata state, or None."""
         if title in self.times:
@@ -503,10 +499,6 @@ class ModelicaFile:
     def values(self, title: str) -> FloatArray:
         """Return the trajectory (N,) of a variable."""
         return self._columns[title].copy()
-
-    def select(self, text: str) -> FloatArray | None:
-        """Return None: variables go by their names."""
-        return None
 
     def unit(self, title: str) -> str | None:
         """Return the unit at the end of a variable's description."""

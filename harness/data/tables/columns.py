@@ -61,10 +61,6 @@ class MemoryTable:
             )
         return self._slowly(title, list(array))
 
-    def select(self, text: str) -> FloatArray | None:
-        """Return None: there are plain columns only."""
-        return None
-
     def unit(self, title: str) -> str | None:
         """Return s for dates and times, and the unit that all cells carry; other units stand in the titles."""
         return self._stated.get(title)

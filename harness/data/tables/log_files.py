@@ -181,10 +181,6 @@ class Waveforms:
         """Return the stamps [s] of some channels."""
         return [self._clocks[title].copy() for title in titles], "the log's own"
 
-    def select(self, text: str) -> FloatArray | None:
-        """Return None: there are plain channels only."""
-        return None
-
     def unit(self, title: str) -> str | None:
         """Return the unit that the log states."""
         return "s" if title == "time" else self._units[title] or None

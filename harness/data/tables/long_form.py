@@ -80,10 +80,6 @@ class LongTable:
         """Return one column (N,)."""
         return self._columns[title].copy()
 
-    def select(self, text: str) -> FloatArray | None:
-        """Return None: there are plain columns only."""
-        return None
-
     def unit(self, title: str) -> str | None:
         """Return the unit that the rows of a signal state, and s for dates."""
         if title != self._clock:

@@ -47,10 +47,6 @@ class Source(Protocol):
         """Return one column (N,) as float64; NaN where the file holds none, dates and times as seconds."""
         ...
 
-    def select(self, text: str) -> FloatArray | None:
-        """Return the values that a selector picks, or None if the format has no selectors."""
-        ...
-
     def unit(self, title: str) -> str | None:
         """Return the unit that the file itself states, after :meth:`values`: s for what was a date or time."""
         ...
@@ -367,7 +363,8 @@ class Columns:
                 if unit is None and like is not None and (parts := self.stated(title, like)) is not None:
                     unit = parts[1]
                 return values, unit
-            selected = self._source.select(column) if isinstance(column, str) else None
+            select = getattr(self._source, "select", None)  # of formats whose variables hold more than a column
+            selected: FloatArray | None = select(column) if select is not None and isinstance(column, str) else None
         except InputError as error:
             raise error.located(file=self.path) from error
         if selected is not None:

@@ -182,10 +182,6 @@ class TextFile:
                 return found
         return self._slowly(column, self.titles[column])
 
-    def select(self, text: str) -> FloatArray | None:
-        """Return None: text tables have plain columns only."""
-        return None
-
     def unit(self, title: str) -> str | None:
         """Return s for dates and times, and the unit that all cells carry; other units stand in the titles."""
         return self._stated.get(title)
