@@ -40,6 +40,14 @@ class RankDecision:
     undetermined: tuple[str, ...] = ()  # Names of the parameters that have a part in one
     rule: str = ""  # What decided: ``"1.5 times the noise in the regressor"``
 
+    @classmethod
+    def of(
+        cls, names: Sequence[str], null: FloatArray, lengths: FloatArray, loose: Sequence[Any] | FloatArray, rule: str
+    ) -> RankDecision:
+        """Return the decision that a null space (k, d) and a flag for each of k names make, as :func:`null_words`."""
+        undetermined = tuple(name for name, one in zip(names, loose, strict=True) if one)
+        return cls(len(names) - null.shape[1], len(names), null_words(names, null, lengths), undetermined, rule)
+
     @property
     def full(self) -> bool:
         """True if every parameter is determined."""

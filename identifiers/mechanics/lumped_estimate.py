@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from harness.models.estimate import Estimate, RankDecision, null_words
+from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -67,8 +67,6 @@ def physical_estimate(
     left, singular, right = np.linalg.svd(jacobian, full_matrices=True)
     rank = int(np.sum(singular > 1e-6 * singular.max(initial=0.0)))
     null = right[rank:].T
-    # parameters move by size * z for a direction z of the scaled Jacobian
-    words = null_words(names, null, 1.0 / size)
     loose = np.sum(null**2, axis=1) > 1e-6
     covariance = intervals = None
     if record.covariance is not None and record.intervals is not None:
@@ -81,13 +79,8 @@ def physical_estimate(
         factor = float(np.median(widths / np.where(deviations > 0, deviations, 1.0)))
         half = np.where(loose, np.nan, factor * np.sqrt(np.where(loose, 0.0, np.diag(covariance))))
         intervals = np.column_stack([point - half, point + half])
-    decision = RankDecision(
-        rank,
-        len(names),
-        words,
-        tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
-        f"what {len(record.names)} lumped parameters determine",
-    )
+    # parameters move by size * z for a direction z of the scaled Jacobian
+    decision = RankDecision.of(names, null, 1.0 / size, loose, f"what {len(record.names)} lumped parameters determine")
     return Estimate(
         names,
         tuple(system.parameter(name).unit for name in names),

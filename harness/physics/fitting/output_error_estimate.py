@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from harness.models.estimate import Estimate, RankDecision, null_words
+from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -44,13 +44,7 @@ def output_error_estimate(
     weak = sizes < nothing * max(sizes.max(initial=0.0), 1e-300)
     null = vectors[:, weak]
     loose = (np.sum(null**2, axis=1) > 1e-4) | (lengths == 0) | np.isin(names, fit.unidentified)
-    decision = RankDecision(
-        int(np.sum(~weak)),
-        len(names),
-        null_words(names, null, lengths),
-        tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
-        rule,
-    )
+    decision = RankDecision.of(names, null, lengths, loose, rule)
     condition = float(np.sqrt(sizes[-1] / sizes[0])) if sizes.size and sizes[0] > 0 else float("inf")
     on_bound = tuple(name for name in names if at_bound(system, name, fit.parameters[name]))
     covariance, how = _covariance(fit, jacobian / size, sizes, vectors, weak)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.errors import InputError
-from harness.models.estimate import SHARE, RankDecision, null_words
+from harness.models.estimate import SHARE, RankDecision
 from harness.signals import FloatArray
 
 NOISE_RATIO = 1.5
@@ -146,15 +146,7 @@ def determined(
     condition = float(singular[0] / singular[-1]) if full else float("inf")
     null = np.linalg.qr(vectors[:, weak])[0] if weak.any() else np.zeros((len(names), 0))
     kept = np.linalg.svd(null, full_matrices=True)[0][:, null.shape[1] :] if weak.any() else np.eye(len(names))
-    touched = np.sum(null**2, axis=1) > SHARE**2
-    decision = RankDecision(
-        int(np.sum(~weak)),
-        len(names),
-        null_words(names, null, lengths),
-        tuple(name for name, is_touched in zip(names, touched, strict=True) if is_touched),
-        rule,
-    )
-    return decision, kept, condition
+    return RankDecision.of(names, null, lengths, np.sum(null**2, axis=1) > SHARE**2, rule), kept, condition
 
 
 def _term(factor: float, name: str) -> str:

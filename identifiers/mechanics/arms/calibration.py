@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from harness.errors import FitError, InputError
-from harness.models.estimate import Estimate, RankDecision, null_words
+from harness.models.estimate import Estimate, RankDecision
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.described import Described
@@ -286,13 +286,7 @@ class JointCalibration(Calibrated):
             np.column_stack([values - half, values + half]),
             LEVEL,
             "curvature of the likelihood at its maximum",
-            RankDecision(
-                rank,
-                k,
-                null_words(names, null, 1.0 / scale),
-                tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
-                "known to better than a radian, or than the length",
-            ),
+            RankDecision.of(names, null, 1.0 / scale, loose, "known to better than a radian, or than the length"),
             float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf"),
             converged,
         )
