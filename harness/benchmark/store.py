@@ -25,7 +25,7 @@ from harness.benchmark.row import Row, read_row
 from harness.data.whole_files import write_json
 from harness.errors import InputError
 from harness.jobs.manifest import read_manifest
-from harness.jobs.stored import read_columns, reading
+from harness.jobs.stored import Within, read_columns, reading
 
 BATCH = 2000  # Rows in one Parquet file of the shards: few files, and little lost in memory while one is written.
 
@@ -50,55 +50,16 @@ class Store:
     pending: list[str] = field(default_factory=list, compare=False, repr=False)
     """Jobs whose JSON files wait to be batched."""
 
-    @property
-    def shards(self) -> Path:
-        """Folder of the rows that are not yet in ``results.parquet``."""
-        return self.folder / "shards"
-
-    @property
-    def results(self) -> Path:
-        """The table of results."""
-        return self.folder / "results.parquet"
-
-    @property
-    def timings(self) -> Path:
-        """Seconds of each row."""
-        return self.folder / "timings.parquet"
-
-    @property
-    def curves(self) -> Path:
-        """Cumulative regret of the online identifiers."""
-        return self.folder / "regret.parquet"
-
-    @property
-    def traces(self) -> Path:
-        """What the overlays are drawn from."""
-        return self.folder / "traces.parquet"
-
-    @property
-    def overlays(self) -> Path:
-        """Folder of the overlays, one picture a cell."""
-        return self.folder / "overlays"
-
-    @property
-    def manifest(self) -> Path:
-        """What was asked for, and with which versions."""
-        return self.folder / "bench.json"
-
-    @property
-    def report(self) -> Path:
-        """The page for a reader."""
-        return self.folder / "report.html"
-
-    @property
-    def log(self) -> Path:
-        """One line for each row as it came."""
-        return self.folder / "bench.log"
-
-    @property
-    def probes(self) -> Path:
-        """What was found about each FMU before it was scored."""
-        return self.folder / "probes.json"
+    shards = Within("shards")  # Folder of the rows that are not yet in ``results.parquet``.
+    results = Within("results.parquet")  # The table of results.
+    timings = Within("timings.parquet")  # Seconds of each row.
+    curves = Within("regret.parquet")  # Cumulative regret of the online identifiers.
+    traces = Within("traces.parquet")  # What the overlays are drawn from.
+    overlays = Within("overlays")  # Folder of the overlays, one picture a cell.
+    manifest = Within("bench.json")  # What was asked for, and with which versions.
+    report = Within("report.html")  # The page for a reader.
+    log = Within("bench.log")  # One line for each row as it came.
+    probes = Within("probes.json")  # What was found about each FMU before it was scored.
 
     def open(
         self, suite: Suite, pairs: Sequence[tuple[Task, Cell]], *, resume: bool, order: Sequence[str] = ()

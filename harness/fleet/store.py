@@ -18,7 +18,7 @@ from harness.errors import InputError
 from harness.fleet.row import Row, encoded, read
 from harness.jobs.manifest import read_manifest
 from harness.jobs.query import Answer, ask
-from harness.jobs.stored import reading
+from harness.jobs.stored import Within, reading
 
 FORMAT = "sysid-harness/fleet/1"
 MANIFEST, ROWS = "fleet.json", "rows.jsonl"
@@ -46,25 +46,10 @@ class FleetStore:
 
     folder: Path
 
-    @property
-    def shards(self) -> Path:
-        """Folder of the rows of a run that is not finished."""
-        return self.folder / "shards"
-
-    @property
-    def reports(self) -> Path:
-        """Folder of the reports, one folder a record."""
-        return self.folder / "reports"
-
-    @property
-    def page(self) -> Path:
-        """The page for a reader."""
-        return self.folder / "fleet.html"
-
-    @property
-    def log(self) -> Path:
-        """One line for each row as it came."""
-        return self.folder / "fleet.log"
+    shards = Within("shards")  # Folder of the rows of a run that is not finished.
+    reports = Within("reports")  # Folder of the reports, one folder a record.
+    page = Within("fleet.html")  # The page for a reader.
+    log = Within("fleet.log")  # One line for each row as it came.
 
     def open(self, jobs: Sequence[str], settings: dict[str, Any], *, resume: bool) -> dict[str, Row]:
         """Make the folder ready; return the rows that it already has of these jobs.

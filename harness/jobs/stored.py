@@ -12,6 +12,16 @@ from harness.errors import HarnessError, InputError
 WHOLE = "take a copy that is whole, or run it anew into a new folder"
 
 
+class Within:
+    """A file or folder of a store, by its name in the store's ``folder``."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, store: Any, owner: object = None) -> Path:
+        return Path(store.folder, self.name)
+
+
 def damaged(path: Path, got: object, remedy: str = WHOLE) -> InputError:
     """Return the refusal of a file of results that is not what was written."""
     return InputError(

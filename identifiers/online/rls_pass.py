@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from harness.signals import FloatArray
-from identifiers.common.native import library, pointers
+from identifiers.common.native import declared, pointers
 
 # Numbers of the head: seen, rows, order, p, ny, nu, burn-in, forgetting, prior.
 _HEAD = 9
@@ -86,7 +86,7 @@ def learn(layout: Layout, memory: FloatArray) -> None:
         u, y = (memory[part].reshape(1, -1) for part in layout.sample)
         _plain(layout, memory, u, y, np.empty(y.shape))
         return
-    call[0](ctypes.c_double.from_buffer(memory.data))
+    call.sysid_rls_step(ctypes.c_double.from_buffer(memory.data))
 
 
 def run(
@@ -104,7 +104,7 @@ def run(
     if call is None:
         _plain(layout, memory, u, y, guesses)
         return
-    call[1](*pointers(memory), len(y), *pointers(u, y, guesses))
+    call.sysid_rls_run(*pointers(memory), len(y), *pointers(u, y, guesses))
 
 
 def rotated(
@@ -128,7 +128,7 @@ def rotated(
     p = len(triangle)
     found = np.ascontiguousarray(triangle, dtype=np.float64).copy()
     wanted = np.ascontiguousarray(rows, dtype=np.float64)
-    call = _rotator() if native else None
+    call = _compiled() if native else None
     root = float(np.sqrt(forgetting))
     if call is None:
         for first in range(0, len(wanted), group):
@@ -136,33 +136,19 @@ def rotated(
             found = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64)[:p]
         return found
     work = np.empty(p + 1)
-    call(*pointers(found, work), p, len(wanted), group, root, *pointers(wanted))
+    call.sysid_rotate_rows(*pointers(found, work), p, len(wanted), group, root, *pointers(wanted))
     return found
 
 
 @functools.cache
-def _rotator() -> Any:
-    """Return the compiled rotation of rows, or None."""
-    compiled = library("rls_loop")
-    if compiled is None:
-        return None
-    call = compiled.sysid_rotate_rows
-    call.restype = None
-    call.argtypes = [*[ctypes.c_void_p] * 2, *[ctypes.c_long] * 3, ctypes.c_double, ctypes.c_void_p]
-    return call
-
-
-@functools.cache
 def _compiled() -> Any:
-    """Return the compiled recursion over the sample in the memory, and over many; or None."""
-    compiled = library("rls_loop")
-    if compiled is None:
-        return None
-    step, many = compiled.sysid_rls_step, compiled.sysid_rls_run
-    step.restype = many.restype = None
-    step.argtypes = [ctypes.POINTER(ctypes.c_double)]  # from_buffer() is three times faster than .ctypes.data
-    many.argtypes = [ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 3]
-    return step, many
+    """Return the compiled recursion over the sample in the memory and over many, and the rotation of rows; or None."""
+    return declared(
+        "rls_loop",
+        sysid_rls_step=(None, [ctypes.POINTER(ctypes.c_double)]),  # three times faster than the address of an array
+        sysid_rls_run=(None, [ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 3]),
+        sysid_rotate_rows=(None, [*[ctypes.c_void_p] * 2, *[ctypes.c_long] * 3, ctypes.c_double, ctypes.c_void_p]),
+    )
 
 
 def _plain(layout: Layout, memory: FloatArray, u: FloatArray, y: FloatArray, guesses: FloatArray) -> None:
