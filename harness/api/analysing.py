@@ -31,7 +31,7 @@ def analyse(
     force: bool = False,
     **signals: Unpack[Signals],
 ) -> Findings:
-    """Return what an analysis finds in a process, a plant, a model's equations or records.
+    """Analyse a process, a plant, a model's equations or records.
 
     Parameters
     ----------

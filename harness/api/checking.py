@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def check(name: str | Path, *, limit: float | None = None) -> list[CheckResult]:
-    """Hold a plug-in to its contract, in a process of its own; see :func:`harness.conformance.check`.
+    """Check a plug-in against its contract, in a process of its own; see :func:`harness.conformance.check`.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def vet(
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Vetting:
-    """Say what there is to know about an FMU before it is handed on (``sysid check X.fmu``).
+    """Vet an FMU before you hand it on (``sysid check X.fmu``).
 
     Parameters
     ----------

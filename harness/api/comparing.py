@@ -29,7 +29,7 @@ def compare(
     force: bool = False,
     **records: Unpack[Noted],
 ) -> Comparison:
-    """Put models side by side on one data set: fit, residuals, frequency responses.
+    """Compare models on one data set: fit, residuals, frequency responses.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def order(
     force: bool = False,
     **records: Unpack[Noted],
 ) -> OrderSelection:
-    """Fit models of every order, judge them on data that they did not see, and show where more is no gain.
+    """Fit models of every order, score them on held-out data, and show from which order on more is no gain.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def arx_orders(
     force: bool = False,
     **records: Unpack[Noted],
 ) -> ArxGrid:
-    """Judge the ARX models of a whole grid of orders, from one QR factorisation of the data.
+    """Score the ARX models of a whole grid of orders, from one QR factorisation of the data.
 
     Parameters
     ----------

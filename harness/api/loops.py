@@ -35,7 +35,7 @@ def close_loop(
     progress: Callable[[float, str], None] | None = None,
     **records: Unpack[Records],
 ) -> Report:
-    """Find the effect that a model lacks, add it, report the error before and after.
+    """Find the effect that a model lacks, add it, and report the error before and after.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def isolability(
     scenario_options: Mapping[str, Any] | None = None,
     parameters: Mapping[str, float] | None = None,
 ) -> Planned:
-    """Say before measuring which effects a planned experiment could tell apart.
+    """Show, before you measure, which effects a planned experiment can tell apart.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def learn_residual(
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> LearnedResidual:
-    """Learn what a finished closed loop left over as a force without a name; ``export`` takes the folder.
+    """Fit what a closed loop left unexplained by a force without a name; ``export`` takes the folder.
 
     Parameters
     ----------

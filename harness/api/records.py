@@ -73,7 +73,7 @@ def check_data(
     force: bool = False,
     **records: Unpack[Records],
 ) -> DataCheck:
-    """Say what is odd about the records of a data set; see :mod:`harness.data.oddities`.
+    """Find faults in the records of a data set; see :mod:`harness.data.oddities`.
 
     Every command that reads records does the same, and keeps out of its fits what is no reading.
 

@@ -42,7 +42,7 @@ def simulate(
     note: Callable[[str], None] | None = None,
     broke: Callable[[PlantError], None] | None = None,
 ) -> Trajectory:
-    """Run a scenario on a plant and record it; without a scenario, run an FMU or a system of them as it is.
+    """Run a scenario on a plant and record it; without a scenario, an FMU or a system runs its own experiment.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def simulate(
         Id of a registered scenario. What is a file runs without one too: with its default experiment, its start
         values, and all its outputs.
     seed : int
-        Together with the two ids and the role it keys every random number.
+        Together with the two ids and the role it seed of every random number.
     out : path, optional
         ``.csv`` or ``.parquet`` file to write. A run with a controller also gets what came from outside the loop, in
         columns that start with ``reference:``.
@@ -147,7 +147,7 @@ def halve(
     note: Callable[[str], None] | None = None,
     **asked: Any,
 ) -> Convergence:
-    """Run an FMU, a coupling or a system as it is at a step, its half, and so on: what changes, and at which order.
+    """Run an FMU, a coupling or a system at a step, its half, and so on: what changes, and at which order.
 
     Parameters
     ----------

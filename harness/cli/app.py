@@ -65,7 +65,7 @@ def list_command(
     sheet: Sheet = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what is registered, or what is inside a file: data, a robot, an FMU or a system, a model, a report."""
+    """List what is registered, or show what is in a file: data, a robot, an FMU or system, a model, a report."""
     if what is not None and names_fmu(what):
         description = api.describe_fmu(what)
         if as_json:
@@ -109,7 +109,7 @@ def list_command(
 
 @app.command(name="study", hidden=True, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def study(context: typer.Context) -> None:
-    """Say where this command went."""
+    """Say which command replaces this one."""
     words = " ".join(context.args)
     raise InputError(
         "sysid study",
@@ -126,9 +126,11 @@ def new(
     ],
     name: Annotated[
         list[str],
-        typer.Argument(metavar="NAME", help="its id, such as soft-friction; for dataset the files, one a run"),
+        typer.Argument(
+            metavar="NAME", help="id of the plug-in, such as soft-friction; for dataset the files, one for each run"
+        ),
     ],
-    folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made, or dataset.toml is written")] = Path("."),
+    folder: Annotated[Path, typer.Option(help="folder in which sysid-NAME/ or dataset.toml is written")] = Path("."),
     model: ModelName = None,
     inputs: Inputs = None,
     outputs: Outputs = None,
@@ -136,7 +138,7 @@ def new(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Begin a plug-in that works and passes its checks; or draft a dataset.toml from files of data."""
+    """Write a plug-in to start from, which passes its checks; or draft a dataset.toml from data files."""
     from harness.scaffold import entry_name
 
     if kind == "dataset":

@@ -21,27 +21,33 @@ Free = Annotated[
     typer.Option(
         "--free",
         metavar="NAME,...",
-        help="of --model FILE.fmu or FILE.ssp: parameters to fit (of a system COMPONENT.NAME), repeatable",
+        help="parameters to fit of --model FILE.fmu or FILE.ssp (in a system COMPONENT.NAME), repeatable",
     ),
 ]
 Bounds = Annotated[
-    list[str] | None, typer.Option("--bound", metavar="NAME=LOW:HIGH", help="of a free parameter, in SI, repeatable")
+    list[str] | None,
+    typer.Option("--bound", metavar="NAME=LOW:HIGH", help="with --free: bounds of a parameter in SI, repeatable"),
 ]
 Start = Annotated[
     list[str] | None, typer.Option("--start", metavar="NAME=VALUE", help="with --free: start value in SI, repeatable")
 ]
-Starts = Annotated[int, typer.Option(min=1, help="with --free: starts of the search; the first is as declared")]
+Starts = Annotated[
+    int, typer.Option(min=1, help="with --free: number of starts of the search; the first from the declared values")
+]
 Initial = Annotated[
-    str, typer.Option(help="with --free: start values of states in each record: estimated, or those of the file")
+    str, typer.Option(help="with --free: initial states of each record: estimated, or file for those of the file")
 ]
 Slopes = Annotated[
-    str, typer.Option(help="with --free: derivatives from differences of runs, or an FMU's own where they agree")
+    str, typer.Option(help="with --free: gradients from differences of runs, or own for the FMU's where both agree")
 ]
 Ssv = Annotated[Path | None, typer.Option(metavar="FILE", help="with --free: write the values as an SSV")]
 Copies = Annotated[
     Path | None,
     typer.Option(
-        "--fmu-out", "--ssp-out", metavar="FILE", help="with --free: write a copy of the model that starts from them"
+        "--fmu-out",
+        "--ssp-out",
+        metavar="FILE",
+        help="with --free: write a copy of the model with the fitted start values",
     ),
 ]
 

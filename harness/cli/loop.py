@@ -45,10 +45,10 @@ def close_loop(
         str,
         typer.Argument(
             metavar="DATASET|RECORDING|FLEET",
-            help="see sysid list recordings; many: a folder, a pattern in quotes, a CSV table with the column file",
+            help="log, dataset.toml or recording (sysid list recordings); fleet: a folder, a quoted pattern, a table",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="folder for report.html and report.json; of a fleet, for fleet.html")],
+    out: Annotated[Path, typer.Option(help="folder for report.html and report.json; fleet: for fleet.html")],
     model: ModelName = None,
     *,
     records: Records,
@@ -56,7 +56,7 @@ def close_loop(
         str,
         typer.Option(
             metavar="TEXT",
-            help="effects that are given, tried? or !left out, such as 'coulomb_friction(theta); *delay*?; !cogging'",
+            help="effects: given, to try (?), or left out (!), such as 'coulomb_friction(theta); *delay*?; !cogging'",
         ),
     ] = "",
     effect: Annotated[
@@ -65,15 +65,15 @@ def close_loop(
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Resume = False,
     force: Force = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="of a fleet: processes; default all cores")] = None,
-    engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",
-    time_limit: Annotated[float | None, typer.Option(help="of a fleet: seconds for one record")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="fleet: number of processes; default all cores")] = None,
+    engine: Annotated[str, typer.Option(help="fleet: local, or dask://HOST:PORT")] = "local",
+    time_limit: Annotated[float | None, typer.Option(help="fleet: longest time for one record [s]")] = None,
     fail_on: FailOn = None,
     max_error: MaxError = None,
     max_share: MaxShare = None,
     junit: Junit = None,
 ) -> None:
-    """Find the effect that a model lacks, add it, report the error before and after; of one record or of a fleet."""
+    """Find the effect that a model lacks, add it, and report the error before and after; for one record or a fleet."""
     from harness.fleet import is_fleet
 
     demands = demands_of(fail_on, max_error, max_share)
@@ -174,7 +174,9 @@ def _close_fleet(
 
 
 def learn_residual(
-    loop: Annotated[Path, typer.Argument(metavar="DIR", help="folder of close-loop that ended with something left")],
+    loop: Annotated[
+        Path, typer.Argument(metavar="DIR", help="folder of a closed loop that left something unexplained")
+    ],
     dataset: Annotated[str, typer.Argument(metavar="DATASET|RECORDING", help="the data of that loop")],
     out: Annotated[Path, typer.Option(help="folder for learned.html, learned.json and model.json")],
     validation: Validation = None,
@@ -182,15 +184,15 @@ def learn_residual(
     coordinate: Annotated[str | None, typer.Option(help="where the force acts; default: where it helps most")] = None,
     argument: Annotated[
         list[str] | None,
-        typer.Option(help="state or input that it depends on, repeatable; default: speed, place or both"),
+        typer.Option(help="state or input that the force depends on, repeatable; default: speed, position or both"),
     ] = None,
-    refit: Annotated[bool, typer.Option("--refit", help="let the named parameters move beside the force")] = False,
+    refit: Annotated[bool, typer.Option("--refit", help="refit the named parameters together with the force")] = False,
     seed: Seed = 0,
     as_json: AsJson = False,
     force: Force = False,
     trust: Trust = None,
 ) -> None:
-    """Learn what a closed loop left over as a force without a name: not physical, with the hull of its data."""
+    """Fit what a closed loop left unexplained by a force without a name (not physical, valid within its data)."""
     with share_bar("learning a residual force", str(loop)) as show:
         found = api.learn_residual(
             loop,
@@ -228,11 +230,11 @@ def isolability(
     parameter: Annotated[
         list[str] | None, typer.Option("--parameter", metavar="k=v", help="value of a model parameter, repeatable")
     ] = None,
-    sample_time: Annotated[float, typer.Option(help="of the planned record [s]")] = 0.01,
+    sample_time: Annotated[float, typer.Option(help="sample time of the planned record [s]")] = 0.01,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Say before measuring which effects an experiment could tell apart."""
+    """Before you measure: show which effects an experiment can tell apart."""
     found = api.isolability(
         model,
         scenario=scenario,

@@ -47,7 +47,7 @@ def check_data(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Say what is odd about records: spikes, held readings, late inputs and more; fits are kept from these."""
+    """Find faults in records: spikes, held readings, late inputs and more. Fits leave these readings out."""
     found = api.check_data(dataset, model=model, out=out, force=force, **records)
     if as_json:
         print_json(found.to_dict())
@@ -62,7 +62,7 @@ def identify(
     identifier: Annotated[
         str | None,
         typer.Option(
-            help="id of an identifier; without a model prediction-error, arx without inputs, counts of categories",
+            help="id; default without a model: prediction-error, arx if there is no input, counts for categories",
             autocompletion=completed("identifiers"),
         ),
     ] = None,
@@ -79,7 +79,7 @@ def identify(
     ssv: Ssv = None,
     copy: Copies = None,
     bounds: Annotated[
-        bool, typer.Option("--bounds", help="put bounds for finite samples beside what was measured (linear models)")
+        bool, typer.Option("--bounds", help="compare errors with finite-sample bounds (linear models)")
     ] = False,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
@@ -88,7 +88,7 @@ def identify(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Fit one model to a data set and score it; with --free the parameters of an FMU or a system of FMUs."""
+    """Fit one model to a data set and score it; with --free, fit parameters of an FMU or a system of FMUs."""
     demands = demands_of(None, max_error, None)
     if is_response(dataset):
         _identify_response(
@@ -204,7 +204,7 @@ def compare(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Put stored models side by side on one data set: fit, residuals, frequency responses; or two reports."""
+    """Compare stored models on one data set (fit, residuals, frequency responses), or compare two reports."""
     demands = demands_of(None, max_error, None)
     from harness.comparison.reports import is_report
 
@@ -249,13 +249,13 @@ def spectrum(
     *,
     signals: Signals,
     segment: Annotated[
-        int | None, typer.Option(min=16, help="use Welch's method with segments of so many samples")
+        int | None, typer.Option(min=16, help="use Welch's method, with segments of this many samples")
     ] = None,
     out: Picture = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Show the frequency response in the data, with bands and coherence."""
+    """Show the frequency response of the data, with bands and coherence."""
     found = api.spectrum(
         dataset, model=model, undriven=undriven or (), segment=segment, out=out, force=force, note=noted, **signals
     )
@@ -271,14 +271,17 @@ def spectrum(
 
 
 def export(
-    source: Annotated[str, typer.Argument(metavar="DIR_OR_MODEL", help="folder of close-loop, or a model")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp of a repaired FMU; arm.urdf, arm.xml")],
+    source: Annotated[str, typer.Argument(metavar="DIR_OR_MODEL", help="folder of a closed loop, or a model.json")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="model.fmu; for a repaired FMU model.ssp; for an arm arm.urdf or arm.xml"),
+    ],
     fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
     as_json: AsJson = False,
     force: Force = False,
     trust: Trust = None,
 ) -> None:
-    """Write a model as a co-simulation FMU, with its C source."""
+    """Write a model as a co-simulation FMU with its C source."""
     print_written(api.export(source, out=out, fmi=fmi, force=force), as_json=as_json)
 
 
@@ -306,14 +309,18 @@ def order(
     identifier: Annotated[
         list[str] | None,
         typer.Option(
-            help="one with the option order, repeatable; default arx, n4sid, ho-kalman",
+            help="identifier with the option order, repeatable; default arx, n4sid, ho-kalman",
             autocompletion=completed("identifiers"),
         ),
     ] = None,
     orders: Annotated[str, typer.Option(metavar="A..B", help="orders A to B, both included")] = "1..12",
-    na: Annotated[str | None, typer.Option(metavar="A..B", help="of all ARX models: past outputs; needs --nb")] = None,
-    nb: Annotated[str | None, typer.Option(metavar="A..B", help="of all ARX models: coefficients of inputs")] = None,
-    nk: Annotated[str, typer.Option(metavar="A..B", help="of all ARX models: delays")] = "1",
+    na: Annotated[
+        str | None, typer.Option(metavar="A..B", help="grid of ARX models: number of past outputs; needs --nb")
+    ] = None,
+    nb: Annotated[
+        str | None, typer.Option(metavar="A..B", help="grid of ARX models: coefficients of each input")
+    ] = None,
+    nk: Annotated[str, typer.Option(metavar="A..B", help="grid of ARX models: delays")] = "1",
     option: OptionPairs = None,
     model: ModelName = None,
     *,

@@ -22,9 +22,11 @@ def open_page(
     ] = None,
     browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
     port: Annotated[int, typer.Option(min=0, max=65535, help="on 127.0.0.1; default any that is free")] = 0,
-    out: Annotated[Path | None, typer.Option(help="folder where uploads and results stay; default: none do")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="folder that keeps uploads and results; default: nothing is kept")
+    ] = None,
 ) -> None:
-    """Look at logs and close the loop on a page in the browser; it is served on this machine only, and offline."""
+    """Look at logs and close the loop on a page in the browser, served to this machine only and offline."""
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(

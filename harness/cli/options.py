@@ -29,7 +29,7 @@ OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 Force = Annotated[bool, typer.Option("--force", help="overwrite")]
 Resume = Annotated[bool, typer.Option("--resume", help="continue what was interrupted")]
-Seed = Annotated[int, typer.Option(min=0, help="keys every random number")]
+Seed = Annotated[int, typer.Option(min=0, help="seed of every random number")]
 ModelName = Annotated[
     str | None,
     typer.Option(
@@ -39,9 +39,10 @@ ModelName = Annotated[
 ]
 Picture = Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")]
 Page = Annotated[Path | None, typer.Option("--out", "-o", help="page.html")]
-Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
+Validation = Annotated[Path | None, typer.Option(help="file to validate on, if DATASET is a bare CSV or Parquet file")]
 Undriven = Annotated[
-    list[str] | None, typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove")
+    list[str] | None,
+    typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove, repeatable"),
 ]
 Trust = Annotated[
     list[str] | None,
@@ -49,10 +50,10 @@ Trust = Annotated[
         "--trust",
         metavar="FILE",
         callback=_trust,
-        help="code that a file may name: FILE.py or FILE.fmu, or FILE that names it, repeatable",
+        help="allow code that a file names: the code (FILE.py, FILE.fmu), the file or a folder, repeatable",
     ),
 ]
-Workers = Annotated[int | None, typer.Option(min=1, help="processes; default all cores")]
+Workers = Annotated[int | None, typer.Option(min=1, help="number of processes; default all cores")]
 Engine = Annotated[str, typer.Option(help="local, or dask://HOST:PORT")]
 ScenarioPairs = Annotated[
     list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
@@ -60,48 +61,55 @@ ScenarioPairs = Annotated[
 DatasetName = Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")]
 Inputs = Annotated[
     list[str] | None,
-    typer.Option("--input", metavar="NAME", help="of a table: an input, repeatable; none if nothing drives it"),
+    typer.Option("--input", metavar="NAME", help="table: column of an input, repeatable; none if there is no input"),
 ]
 Outputs = Annotated[
-    list[str] | None, typer.Option("--output", metavar="NAME", help="of a table: an output, repeatable")
+    list[str] | None, typer.Option("--output", metavar="NAME", help="table: column of an output, repeatable")
 ]
 Columns = Annotated[
     list[str] | None,
-    typer.Option("--column", metavar="NAME=TITLE", help="of a table: column of a signal or of time, repeatable"),
+    typer.Option(
+        "--column", metavar="NAME=TITLE", help="table: title of the column of a signal or of time, repeatable"
+    ),
 ]
 Units = Annotated[
     list[str] | None,
-    typer.Option("--unit", metavar="NAME=UNIT", help="of a table: unit of a signal or of time, repeatable"),
+    typer.Option("--unit", metavar="NAME=UNIT", help="table: unit of a signal or of time, repeatable"),
 ]
 SampleTime = Annotated[
     float | None,
-    typer.Option("--sample-time", help="of a table without a clock, with rough stamps, or with several clocks [s]"),
+    typer.Option(
+        "--sample-time", help="table without a time column, with rough stamps or with several clocks: sample time [s]"
+    ),
 ]
 Gaps = Annotated[
-    str | None, typer.Option("--gaps", help="of a table with holes: split makes a record of every piece between them")
+    str | None, typer.Option("--gaps", help="table with gaps: split makes a record of every piece between them")
 ]
-Sheet = Annotated[str | None, typer.Option("--sheet", metavar="NAME", help="of an Excel workbook; default the first")]
+Sheet = Annotated[
+    str | None, typer.Option("--sheet", metavar="NAME", help="Excel workbook: sheet to read; default the first")
+]
 FailOn = Annotated[
     str | None,
-    typer.Option(
-        "--fail-on", metavar="VERDICT[,...]", help="verdicts that end with exit status 1, such as unexplained"
-    ),
+    typer.Option("--fail-on", metavar="VERDICT[,...]", help="verdicts that give exit status 1, such as unexplained"),
 ]
 MaxError = Annotated[
     list[str] | None,
     typer.Option(
         "--max-error",
         metavar="OUTPUT=VALUE",
-        help="largest simulation error (rms) on validation data, such as theta=2mrad, repeatable; more is status 1",
+        help="largest rms simulation error allowed on validation data, such as theta=2mrad, repeatable; else status 1",
     ),
 ]
 MaxShare = Annotated[
-    float | None, typer.Option("--max-share", help="largest unexplained share of the motion, 0 to 1; more is status 1")
+    float | None,
+    typer.Option("--max-share", help="largest unexplained share of the motion allowed, 0 to 1; else status 1"),
 ]
-Junit = Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="write what was checked as JUnit XML")]
+Junit = Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="write the checks as JUnit XML")]
 Runs = Annotated[
     list[str] | None,
-    typer.Option("--run", metavar="[USE=]FILE", help="of a table: a further record, repeatable; USE as estimation"),
+    typer.Option(
+        "--run", metavar="[USE=]FILE", help="table: a further record, repeatable; USE is estimation, validation or test"
+    ),
 ]
 
 

@@ -100,18 +100,18 @@ def print_answer(answer: Answer) -> None:
 
 
 def print_planned(found: Planned) -> None:
-    """Print the isolability matrix (hundredths), from what size each is seen, what looks alike, what is invisible."""
+    """Print the isolability matrix (percent), from what size each is visible, what looks alike, what is invisible."""
     width = max(map(len, found.effects), default=0)
     needed = width + 4 + 4 * len(found.effects)
     if sys.stdout.isatty() and wide_console().width < needed:
         say(f"(the matrix of all pairs needs {needed} columns: widen the terminal, or --json; {found.noise})")
     else:
-        say(f"share of the row's effect that the column's can mimic, in hundredths ({found.noise})")
+        say(f"how much of the row's effect the column's effect can mimic, in percent ({found.noise})")
         say(" " * (width + 4) + "".join(f"{k + 1:>4}" for k in range(len(found.effects))))
         for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
             say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
     for name, size in found.smallest.items():
-        say(f"seen from about {size['value']:.3g}{behind(size['unit'])} of {size['parameter']}: {name}")
+        say(f"visible from about {size['parameter']} = {size['value']:.3g}{behind(size['unit'])}: {name}")
     for one, other, cosine in found.alike:
         say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
     for hidden in found.hidden:

@@ -28,7 +28,7 @@ def simulate(
     scenario: Annotated[
         str | None,
         typer.Option(
-            "--scenario", help="id of a scenario; a file also runs as it is", autocompletion=completed("scenarios")
+            "--scenario", help="id of a scenario; a file also runs without one", autocompletion=completed("scenarios")
         ),
     ] = None,
     seed: Seed = 0,
@@ -39,17 +39,17 @@ def simulate(
         list[str] | None, typer.Option(metavar="EFFECT@PORT:k=v,...", help="hide an effect in the plant, repeatable")
     ] = None,
     role: Annotated[
-        str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
+        str, typer.Option(help="estimation/0, validation/0, ...: each role has its own random numbers")
     ] = "estimation/0",
-    start: Annotated[float | None, typer.Option(help="of a file without a scenario: first instant [s]")] = None,
-    stop: Annotated[float | None, typer.Option(help="of a file without a scenario: last instant [s]")] = None,
-    step: Annotated[float | None, typer.Option(help="of a file without a scenario: sample time [s]")] = None,
-    tolerance: Annotated[float | None, typer.Option(help="of a file without a scenario: of its solver")] = None,
+    start: Annotated[float | None, typer.Option(help="file without a scenario: start time [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="file without a scenario: stop time [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="file without a scenario: sample time [s]")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="file without a scenario: tolerance of its solver")] = None,
     exchange: Annotated[
-        str | None, typer.Option(help="of a coupling or system: jacobi (all step at once) | gauss-seidel (in turn)")
+        str | None, typer.Option(help="coupling or system: jacobi (all step at once) | gauss-seidel (in turn)")
     ] = None,
     halve: Annotated[
-        int | None, typer.Option(metavar="N", help="of a file without a scenario: halve the step N times")
+        int | None, typer.Option(metavar="N", help="file without a scenario: halve the step N times")
     ] = None,
     picture: Annotated[
         Path | None,
@@ -59,7 +59,7 @@ def simulate(
     force: Force = False,
     trust: Trust = None,
 ) -> None:
-    """Run a scenario on a plant and record it; an FMU or a system runs as it is where no scenario is given."""
+    """Run a scenario on a plant and record it. Without a scenario, an FMU or a system runs its own experiment."""
     notes: list[str] = []
     if picture is not None and halve is None:
         raise InputError("--picture", expected="--halve as well", got="none", remedy="--halve 4")
@@ -145,19 +145,21 @@ def bench(
     resume: Resume = False,
     shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
     traces: Annotated[
-        str, typer.Option(help="seeds with an overlay of their trajectory: first | all | none")
+        str, typer.Option(help="seeds whose trajectories are kept for the overlays: first | all | none")
     ] = "first",
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="list what would run, and how long it would take")] = False,
     sets: Annotated[
-        str | None, typer.Option(metavar="ID[,...]", help="of public: sets of the table; default all")
+        str | None, typer.Option(metavar="ID[,...]", help="suite public: sets of the table; default all")
     ] = None,
-    only: Annotated[str | None, typer.Option(help="of public: black | grey | peers, one column")] = None,
-    choices: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="of public: what is entered")] = None,
-    download: Annotated[bool, typer.Option("--download", help="of public: get missing sets (extra download)")] = False,
+    only: Annotated[str | None, typer.Option(help="suite public: one column, black | grey | peers")] = None,
+    choices: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="suite public: the entries")] = None,
+    download: Annotated[
+        bool, typer.Option("--download", help="suite public: download missing sets (extra download)")
+    ] = False,
     as_json: AsJson = False,
     trust: Trust = None,
 ) -> None:
-    """Run a suite of plants x scenarios x identifiers x seeds and print its table; public is the public table."""
+    """Run a suite of plants x scenarios x identifiers x seeds and print its table; public: the public table."""
     folder = out if out is not None else Path("results") / Path(suite).stem
     if suite == PUBLIC:
         apart = {"--workers": workers, "--seeds": seeds, "--shard": shard, "--dry-run": dry_run or None}
@@ -212,7 +214,7 @@ def table(
     form: Annotated[str | None, typer.Option("--format", help="markdown | latex | csv")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print a stored benchmark again, and render its report anew; puts the shares of a job array together."""
+    """Print the table of a stored benchmark and write its report anew; merges the shares of a job array."""
     if (public := api.stored_public(directory)) is not None:
         print_public(public, as_json=as_json)
         return
@@ -229,16 +231,17 @@ def query(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
     sql: Annotated[
         str | None,
-        typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects"),
+        typer.Argument(metavar="SQL", help="query on results, timings, regret, traces; fleet: records, effects"),
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option("--filter", metavar="COLUMN=VALUE", help="only such rows, repeatable")
+        list[str] | None,
+        typer.Option("--filter", metavar="COLUMN=VALUE", help="keep only rows with this value, repeatable"),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB), or show those with given values."""
+    """Query the stored rows of a benchmark or a fleet in SQL (DuckDB), or show those with given values."""
     answer = api.query(directory, sql, filters=text_pairs(only, "--filter"))
     if out is not None:
         answer.write(out, force=force)

@@ -34,22 +34,23 @@ def modes(
     identifier: Annotated[
         str | None,
         typer.Option(
-            help="n4sid, ho-kalman, dmdc or another with an order; default ssi, a subspace fit with its covariance",
+            help="n4sid, ho-kalman, dmdc or another with an order; default ssi, a subspace fit with covariance",
             autocompletion=completed("identifiers"),
         ),
     ] = None,
     order: Annotated[
         str | None,
-        typer.Option(metavar="A..B", help="numbers of states, two a mode; default 2..40, as far as the data reach"),
+        typer.Option(metavar="A..B", help="orders, two states for each mode; default 2..40, as far as the data allow"),
     ] = None,
     frequency: Annotated[
-        float | None, typer.Option(help="stable: change of frequency from order to order, as a share; default 0.01")
+        float | None,
+        typer.Option(help="a mode is stable if its frequency changes by less than this share; default 0.01"),
     ] = None,
     damping: Annotated[
-        float | None, typer.Option(help="stable: change of damping, as a share; default 0.1, or its deviation")
+        float | None, typer.Option(help="the same for damping; default 0.1, or its standard deviation")
     ] = None,
-    mac: Annotated[float | None, typer.Option(help="stable: least agreement of shapes (MAC); default 0.95")] = None,
-    window: Annotated[int | None, typer.Option(help="samples of past and future in the subspace fit")] = None,
+    mac: Annotated[float | None, typer.Option(help="the same for shapes: smallest MAC; default 0.95")] = None,
+    window: Annotated[int | None, typer.Option(help="samples of past and of future in the subspace fit")] = None,
     option: OptionPairs = None,
     model: ModelName = None,
     undriven: Undriven = None,
@@ -101,7 +102,7 @@ def analyse(
     ],
     subject: Annotated[
         str,
-        typer.Argument(metavar="SUBJECT", help="what it looks at: a plant, model.json, a model or URDF, or a data set"),
+        typer.Argument(metavar="SUBJECT", help="subject: a plant, model.json, a model or URDF, or a data set"),
     ],
     option: OptionPairs = None,
     subject_option: Annotated[
@@ -115,7 +116,7 @@ def analyse(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Look into a finite process, a mechanism, a plant or records with a registered analysis."""
+    """Analyse a finite process, a mechanism, a plant or records with a registered analysis."""
     found = api.analyse(
         name,
         subject,
@@ -145,7 +146,9 @@ class Form(StrEnum):
 
 
 def equations(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="name, URDF, MJCF, model.json, folder of close-loop")],
+    model: Annotated[
+        str, typer.Argument(metavar="MODEL", help="name, URDF, MJCF, model.json, or folder of a closed loop")
+    ],
     form: Annotated[Form, typer.Option("--as", help="text, latex, python or c")] = Form.text,
     option: OptionPairs = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write")] = None,

@@ -20,11 +20,11 @@ CALL = 10.0
 
 def check(
     name: Annotated[
-        str, typer.Argument(metavar="NAME_OR_FILE", help="id of a plug-in, FILE.py:NAME, FILE.fmu; a run as FILE.csv")
+        str, typer.Argument(metavar="NAME_OR_FILE", help="id of a plug-in, FILE.py:NAME, FILE.fmu, or a run FILE.csv")
     ],
     reference: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="of an FMU or a run: a table that it must agree with, time first"),
+        typer.Option(metavar="FILE", help="FMU or run: table that it must agree with, time in the first column"),
     ] = None,
     tube: Annotated[
         list[str] | None,
@@ -43,12 +43,12 @@ def check(
         float | None,
         typer.Option(help="longest time for one call of an FMU (10) or one check of a plug-in (300) [s]", min=0.0),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="of an FMU or a run: page.html")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="FMU or run: page.html")] = None,
     junit: Junit = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Hold a plug-in to its contract, vet an FMU, or hold a run against a reference; status 1 if something fails."""
+    """Check a plug-in against its contract, vet an FMU, or compare a run with a reference; status 1 on failure."""
     if reference is not None:
         with share_bar("checking", name):
             agreed = api.agreement(

@@ -87,7 +87,7 @@ class Spectrum:
         dark: npt.NDArray[np.bool_] = np.any(np.isnan(self.response[1:]), axis=1, keepdims=True)[:, 0]
         return "; ".join(
             f"{source.name} has no power at {dark[:, j].sum()} of {len(dark)} frequencies "
-            f"({f[0]:.3g} to {f[-1]:.3g} Hz): no response is told there"
+            f"({f[0]:.3g} to {f[-1]:.3g} Hz): no response is shown there"
             for j, source in enumerate(self.spec.inputs)
             if len(f := self.frequency[1:][dark[:, j]])
         )
