@@ -72,12 +72,9 @@ class Summary:
     noise_floor: Quartiles | None
     best_possible: Quartiles | None
     """The least simulation error to be expected: the Cramer-Rao bound, or else the noise floor."""
-    over_best: Quartiles | None
-    """Simulation error over the best possible of its own seed: 1 is as good as can be."""
-    least_equation_error: Quartiles | None
-    """The least equation error to be expected, where the plant is linear."""
-    bound: str
-    """What the best possible is: ``"Cramer-Rao"``, ``"noise"``, or nothing where there is none."""
+    over_best: Quartiles | None  # Simulation error over the best possible of its own seed: 1 is as good as can be.
+    least_equation_error: Quartiles | None  # The least equation error to be expected, where the plant is linear.
+    bound: str  # What the best possible is: ``"Cramer-Rao"``, ``"noise"``, or nothing where there is none.
     fit_seconds: Quartiles | None
     memory_mib: Quartiles | None
     standing: Standing | None

@@ -87,14 +87,10 @@ class Coupled:
     push [N m] -> left.theta [rad], right.theta [rad] every 0.01 s
     """
 
-    snapshot_tolerance: float
-    """Sum of the parts' tolerances; not there where every part repeats bit for bit."""
-    beyond: tuple[str, ...]
-    """Parameters of parts that were given values outside their bounds."""
-    warnings: tuple[str, ...] = ()
-    """What is odd about the system that the plant was built from."""
-    input_starts: tuple[float, ...] = ()
-    """Start values of the inputs in SI, where the system says any."""
+    snapshot_tolerance: float  # Sum of the parts' tolerances; not there where every part repeats bit for bit.
+    beyond: tuple[str, ...]  # Parameters of parts that were given values outside their bounds.
+    warnings: tuple[str, ...] = ()  # What is odd about the system that the plant was built from.
+    input_starts: tuple[float, ...] = ()  # Start values of the inputs in SI, where the system says any.
 
     def __init__(
         self,

@@ -26,8 +26,7 @@ from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, stated_c
 from harness.specs import channel_from_dict, channel_to_dict, spec_from_dict, spec_to_dict
 
 _KEY = "sysid-harness/trajectory/1"
-BESIDE = "-metadata.json"
-"""What the name of a CSV file gets in the name of the file that says what its columns are."""
+BESIDE = "-metadata.json"  # What the name of a CSV file gets in the name of the file that says what its columns are.
 
 
 def write_trajectory(

@@ -67,8 +67,7 @@ class PrandtlIshlinskiiModel(Described):
     std: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
     kind = "prandtl-ishlinskii"
-    burn_in: ClassVar[int] = 0
-    """None: the initial state is estimated from the record."""
+    burn_in: ClassVar[int] = 0  # None: the initial state is estimated from the record.
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the likeliest state (nx + nz m,) by those of the estimation data and the first samples of the record.

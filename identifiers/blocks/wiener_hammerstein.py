@@ -58,8 +58,7 @@ class WienerHammersteinModel:
     state_size: FloatArray
     std: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
-    burn_in: ClassVar[int] = 0
-    """None: the initial state is estimated from the record."""
+    burn_in: ClassVar[int] = 0  # None: the initial state is estimated from the record.
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the likeliest state (nx,), by the states of the estimation data and the first samples of the record.

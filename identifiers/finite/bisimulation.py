@@ -18,8 +18,7 @@ from identifiers.finite.decision import Labels, groups_of_rows, optimal_values
 
 _PROBES = 2  # Random weights that tell distributions over classes apart in each round; a result is verified afterwards.
 
-LEVEL = 0.01
-"""Chance that the counts of a process split states that are the same."""
+LEVEL = 0.01  # Chance that the counts of a process split states that are the same.
 
 _TRIES = 5
 """Draws of other weights if the verification finds a class that is none (two probes agree by chance to 1e-9)."""

@@ -28,8 +28,7 @@ _SHORT = 20
 
 _KEPT = 2  # Starts that go on.
 SHOWN, LIKELY = 8, 0.1  # Hidden states that are described, and the least probability of an observation that is named.
-POORLY = 0.075
-"""Standard error from which a probability counts as not known: a 95 % interval wider than 0.3."""
+POORLY = 0.075  # Standard error from which a probability counts as not known: a 95 % interval wider than 0.3.
 
 
 @dataclass(frozen=True, eq=False)

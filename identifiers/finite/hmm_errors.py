@@ -9,14 +9,12 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.finite.hmm_pass import Record, expected_counts
 
-UNKNOWN = 0.5
-"""Standard error of a probability of which nothing is known: that of a coin whose side is not seen."""
+UNKNOWN = 0.5  # Standard error of a probability of which nothing is known: that of a coin whose side is not seen.
 
 _STEP = 1e-4
 """Change of a log probability over which the gradient is differenced; it is exact, and smooth at this scale."""
 
-_LEAST = 1e-4
-"""Probabilities below are at their bound: they stay there, and what is free is the rest of their row."""
+_LEAST = 1e-4  # Probabilities below are at their bound: they stay there, and what is free is the rest of their row.
 
 _NEVER = 1.5
 """Half of the 95 % bound on a probability that was met in none of n cases, times n (rule of three, Hanley 1983)."""

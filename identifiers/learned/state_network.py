@@ -23,8 +23,7 @@ class StateNetwork(Described, ABC):
 
     spec: PlantSpec
     filter_gain: FloatArray
-    burn_in: ClassVar[int] = 0
-    """No samples: the initial state is estimated."""
+    burn_in: ClassVar[int] = 0  # No samples: the initial state is estimated.
 
     @abstractmethod
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
@@ -53,8 +52,7 @@ class BandedNetwork(StateNetwork):
     """One whose bands widen with the steps since an output was seen, which the last entry of its state counts."""
 
     bands: Bands | None
-    called: ClassVar[str]
-    """The identifier that fits it."""
+    called: ClassVar[str]  # The identifier that fits it.
 
     def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
         """Return the normal distribution of the output (..., ny), as wide as held-out data asked for.

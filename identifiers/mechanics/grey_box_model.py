@@ -123,8 +123,7 @@ class GreyBoxModel:
         after = samples([self._values[column] for kind, _, column in blocks.output_blocks if kind != "quantise"])
         return before, after
 
-    burn_in: ClassVar[int] = 0
-    """No samples: the initial state is estimated."""
+    burn_in: ClassVar[int] = 0  # No samples: the initial state is estimated.
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (nx,) whose free run fits the record best, over short stretches first."""

@@ -26,8 +26,7 @@ _ROUNDED = 1e-12  # Deviation over level of a signal that rests: what rounding l
 class OnePass(Excited, ABC):
     """Online identifier of linear models, which fits records by one pass over them."""
 
-    called: ClassVar[str]
-    """Name of the identifier, for messages."""
+    called: ClassVar[str]  # Name of the identifier, for messages.
 
     @abstractmethod
     def waits(self, spec: PlantSpec) -> int:

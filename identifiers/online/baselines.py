@@ -117,8 +117,7 @@ class PlantModel:
         """Channels and sample time of the plant."""
         return self.plant.spec
 
-    burn_in: ClassVar[int] = 0
-    """No samples: the initial state is estimated."""
+    burn_in: ClassVar[int] = 0  # No samples: the initial state is estimated.
 
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (nx,) that explains the start of the record best (Gauss-Newton, differences in x0)."""

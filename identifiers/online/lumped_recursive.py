@@ -40,8 +40,7 @@ class Context:
     regression: LumpedModel
     first: GreyBoxModel
     positions: tuple[int, ...]
-    rates: tuple[int | None, ...]
-    """Columns of the outputs."""
+    rates: tuple[int | None, ...]  # Columns of the outputs.
     periods: tuple[float | None, ...]
 
 

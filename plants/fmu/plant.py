@@ -108,8 +108,7 @@ class FmuPlant(Beyond):
     [0.0999]
     """
 
-    probe_tool: ClassVar[str] = "fmu-probe"
-    """Registered tool that tells whether a plant of this class can be trusted."""
+    probe_tool: ClassVar[str] = "fmu-probe"  # Registered tool that tells whether a plant of this class can be trusted.
     describe = staticmethod(describe)
     mockup = staticmethod(mockup)
 
@@ -221,8 +220,7 @@ class FmuPlant(Beyond):
         self._entered = Start(values)
         self._enter(values)
 
-    drives = True
-    """Whether :meth:`drive` is to be had."""
+    drives = True  # Whether :meth:`drive` is to be had.
 
     def drive(self, u: FloatArray) -> FloatArray:
         """Set inputs (nu,) while the FMU initialises (FMI 2.0.5 sec. 4.2.4); returns the outputs (ny,) that follow.

@@ -82,8 +82,7 @@ class IsolatedPlant:
     snapshot_tolerance: float
     input_starts: tuple[float, ...]
     beyond: tuple[str, ...]
-    drives: bool
-    """Whether :meth:`enter`, :meth:`drive` and :meth:`leave` are to be had."""
+    drives: bool  # Whether :meth:`enter`, :meth:`drive` and :meth:`leave` are to be had.
 
     def __init__(
         self,

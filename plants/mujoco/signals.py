@@ -27,8 +27,7 @@ class States:
     positions: tuple[Channel, ...]
     rates: tuple[Channel, ...]
     activations: tuple[Channel, ...]
-    scalar: tuple[int, ...]
-    """Numbers of the joints that turn or slide."""
+    scalar: tuple[int, ...]  # Numbers of the joints that turn or slide.
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -12,8 +12,7 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive, positives, refuse_option
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
-FAR = 1000.0
-"""Where the spring is anchored [m], as in :mod:`plants.pymunk.soft_wall`."""
+FAR = 1000.0  # Where the spring is anchored [m], as in :mod:`plants.pymunk.soft_wall`.
 
 RADIUS = 0.05
 

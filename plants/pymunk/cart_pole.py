@@ -12,8 +12,7 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive, positives
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, point_mass_pole, put
 
-FAR = 1e3
-"""Half length of the rail without end stops [m]."""
+FAR = 1e3  # Half length of the rail without end stops [m].
 
 
 class PymunkCartPole(PymunkPlant):

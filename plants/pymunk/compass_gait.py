@@ -13,14 +13,11 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive, positives
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, point_mass_pole, put
 
-FOOT = 1e-4
-"""Radius of a foot [m]: a point for the walker, which rolls by this times an angle."""
+FOOT = 1e-4  # Radius of a foot [m]: a point for the walker, which rolls by this times an angle.
 
-FLOOR = 1.0
-"""Half of the thickness of the slope [m]: a foot is never through it."""
+FLOOR = 1.0  # Half of the thickness of the slope [m]: a foot is never through it.
 
-REACH = 1000.0
-"""Half of the length of the slope [m]."""
+REACH = 1000.0  # Half of the length of the slope [m].
 
 
 class PymunkCompassGait(PymunkPlant):

@@ -11,8 +11,7 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive, positives
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, pin_forces, point_mass_pole, put
 
-FAR = 1e3
-"""Half length of the rail [m]."""
+FAR = 1e3  # Half length of the rail [m].
 
 
 class PymunkDoubleCartPole(PymunkPlant):

@@ -15,8 +15,7 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, positive, refuse_input, refuse_option, whole
 
-State = tuple[float, ...]
-"""Of each moving body: position x, y, velocity x, y, angle, angular velocity."""
+State = tuple[float, ...]  # Of each moving body: position x, y, velocity x, y, angle, angular velocity.
 
 
 class PymunkPlant(BasePlant, ABC):

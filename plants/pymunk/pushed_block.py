@@ -13,8 +13,7 @@ from harness.signals import Channel, FloatArray
 from plants.checking import positive, positives
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
-HALF = 0.05
-"""Half the side of the block and of the pusher [m]: their centres are this far from the faces that touch."""
+HALF = 0.05  # Half the side of the block and of the pusher [m]: their centres are this far from the faces that touch.
 
 
 class PymunkPushedBlock(PymunkPlant):

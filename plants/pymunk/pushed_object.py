@@ -14,20 +14,16 @@ from harness.signals import Channel, FloatArray
 from plants.checking import checked_inputs, positive, positives, refuse_input, refuse_option
 from plants.pymunk.plant import PymunkPlant, State, mechanism_spec, put
 
-HALF = 0.05
-"""Half the side of the square object [m]."""
+HALF = 0.05  # Half the side of the square object [m].
 
-TIP = 0.01
-"""Radius of the fingertip [m]."""
+TIP = 0.01  # Radius of the fingertip [m].
 
-FOOT = 0.035
-"""The object stands on four feet, each so far from its middle along both sides [m]."""
+FOOT = 0.035  # The object stands on four feet, each so far from its middle along both sides [m].
 
 _STIFFNESS, _DAMPING = 400.0, 40.0
 """With which the finger follows the place it aims at across its push [N/m, N s/m]: critically damped for 1 kg."""
 
-_CREEP = 2.5e-3
-"""Speed [m/s] below which the friction of a foot falls to nothing, so that steps of 0.25 ms are stable."""
+_CREEP = 2.5e-3  # Speed [m/s] below which the friction of a foot falls to nothing, so that steps of 0.25 ms are stable.
 
 _FEET = tuple((i, j) for i in (-1, 1) for j in (-1, 1))
 

@@ -52,8 +52,7 @@ class Readable(ABC):
 class Package(Readable):
     """Files by their names relative to the top of a system; ``close`` removes what was unpacked."""
 
-    read_files: frozenset[Path] = frozenset()
-    """Files of the file system that were read."""
+    read_files: frozenset[Path] = frozenset()  # Files of the file system that were read.
 
     @abstractmethod
     def has(self, name: str) -> bool:

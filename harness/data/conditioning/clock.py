@@ -13,8 +13,7 @@ from harness.data.sections import Gaps, ResampleSection
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-JITTER_UNNOTICED = 1e-3
-"""Deviation from the grid, in sample times, that recorded time stamps have anyway (rounding)."""
+JITTER_UNNOTICED = 1e-3  # Deviation from the grid, in sample times, that recorded time stamps have anyway (rounding).
 
 JITTER_ACCEPTED = 2e-2
 """Up to this deviation a record counts as uniform, with a warning; beyond it is refused or resampled."""
@@ -40,8 +39,7 @@ IN_TURN = 0.9
 DENOMINATORS = 6
 """Digits of the denominator of a sample time that is told from rounded stamps: more than a rate in Hz ever has."""
 
-STAMPED = 4e-16
-"""Part of a stamp within which a number of 64 bits holds it, twice over."""
+STAMPED = 4e-16  # Part of a stamp within which a number of 64 bits holds it, twice over.
 
 FOLLOWED = 0.05
 """Part of each stamp's deviation by which the phase of a clock follows: clocks drift by 1e-4 at most, and jitter is

@@ -9,10 +9,8 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-OVERLAP = 0.5
-"""Share of the shorter record that the two must have in common: few rows agree by chance."""
-ALIKE = 0.9
-"""Least correlation of two records of one quantity: below it a fifth of the motion is in one of them alone."""
+OVERLAP = 0.5  # Share of the shorter record that the two must have in common: few rows agree by chance.
+ALIKE = 0.9  # Least correlation of two records of one quantity: below it a fifth of the motion is in one of them alone.
 RIVAL = 4.0
 """Times the unexplained part of the best offset within which another offset is as good: noise that meets the two
 records by chance changes it by less where they have half of the shorter one in common."""
@@ -20,12 +18,9 @@ WIDE = 0.1
 """Part of the shorter record over which offsets may be as good as the best: beyond it they are not determined."""
 REACH = 5.0
 """Rows of the coarser record to either side over which a slope is taken: noise adds to it one over ten of them."""
-BLOCKS = 20
-"""Stretches between which errors are taken to be independent: the deviation follows from how they scatter."""
-FLOOR = 1e-4
-"""Unexplained part below which two offsets are alike, whatever noise there is: what interpolation leaves."""
-FINEST = 1 << 22
-"""Most rows of the common grid."""
+BLOCKS = 20  # Stretches between which errors are taken to be independent: the deviation follows from how they scatter.
+FLOOR = 1e-4  # Unexplained part below which two offsets are alike, whatever noise there is: what interpolation leaves.
+FINEST = 1 << 22  # Most rows of the common grid.
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from harness.data.conditioning.clock import TimeRules
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-TWICE = 0.25
-"""Part of a step by which the stamps of a row that was logged twice may differ."""
+TWICE = 0.25  # Part of a step by which the stamps of a row that was logged twice may differ.
 
 REPEATED = 0.1
 """Share of rows that may repeat a time stamp with other readings: beyond it the stamps are coarser than the steps, and

@@ -18,8 +18,7 @@ SERIALS = ((36526.0, 69807.0), (730486.0, 748749.0), (2451544.5, 2469807.5))
 """Days of the years 2000 to 2049 as Excel counts them (and to 2090, with those of the modified Julian date, which
 begin there too), as MATLAB does, and as the Julian date."""
 
-DAY = 86400.0
-"""Seconds."""
+DAY = 86400.0  # Seconds.
 
 USUAL = (1.0, 1.2, 1.5, 1.8, 2.0, 2.5, 3.0, 3.6, 4.0, 5.0, 6.0, 7.2, 9.0)
 """Leading digits of the sample times [s] that people choose, up to hours."""

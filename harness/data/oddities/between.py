@@ -11,8 +11,7 @@ from harness.data.oddities.foretold import foretold
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray, Oddity, Run
 
-_WHITE = 0.2
-"""Correlation of neighbouring errors up to which a linear prediction is as good as the noise lets it be."""
+_WHITE = 0.2  # Correlation of neighbouring errors up to which a linear prediction is as good as the noise lets it be.
 
 
 def mismatched(runs: Sequence[Run]) -> list[Oddity]:

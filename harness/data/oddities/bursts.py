@@ -9,12 +9,10 @@ from harness.data.oddities.foretold import foretold
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-_WINDOW = 32
-"""Rows that are asked together: an edge is known to half of them."""
+_WINDOW = 32  # Rows that are asked together: an edge is known to half of them.
 _TIMES = 2.0
 """Times the usual error that the middle one of a window is at least: a few large ones are spikes, or a kick."""
-_GAUSS = 0.6745
-"""Median of the sizes of Gaussian errors over their standard deviation."""
+_GAUSS = 0.6745  # Median of the sizes of Gaussian errors over their standard deviation.
 _USUAL, _ALIKE = 1e-3, 0.9
 """Chance that errors as usual are taken for others, and share of the other windows in which they are as usual: without,
 they are no noise of a sensor."""

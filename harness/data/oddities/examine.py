@@ -25,12 +25,10 @@ from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, Oddity, Trajectory
 from harness.units import behind, own_unit, own_values, told
 
-_SHOWN = 4
-"""Rows that a sentence names."""
+_SHOWN = 4  # Rows that a sentence names.
 _OWN = ", or the state itself jumps (impacts, switches: identify has hybrid-automaton for it)"
 """What leaps of a position in several places may be too."""
-_ONE_TURN = 1.05
-"""Range of an angle over its period up to which its sensor may count one turn."""
+_ONE_TURN = 1.05  # Range of an angle over its period up to which its sensor may count one turn.
 
 
 def examined(dataset: Dataset) -> Dataset:

@@ -12,24 +12,18 @@ from harness.signals import FloatArray
 
 _ORDER = 4
 """Differences that are taken before a spectrum: what leaks of the motion into its upper part is as far below."""
-_SEGMENT, _SHORTEST = 256, 64
-"""Rows of a segment at most, and at least."""
-_SEGMENTS = 5
-"""Segments of a record at least: their median hides what happens once."""
-_POOLED = 3
-"""Bins of the spectrum that are one: a null is wider, and chance makes no hundredth of them."""
-_SIDES = 16
-"""Bins to each side among which something must stand above the null."""
-_ALSO = 0.7
-"""Share of that depth which another null of the same comb has, or one of an input that the reading answers."""
+_SEGMENT, _SHORTEST = 256, 64  # Rows of a segment at most, and at least.
+_SEGMENTS = 5  # Segments of a record at least: their median hides what happens once.
+_POOLED = 3  # Bins of the spectrum that are one: a null is wider, and chance makes no hundredth of them.
+_SIDES = 16  # Bins to each side among which something must stand above the null.
+_ALSO = 0.7  # Share of that depth which another null of the same comb has, or one of an input that the reading answers.
 _MOVES = 0.5
 """Share of the rows in which a reading changes at least: one that moves in a few coarse steps has nulls of its own."""
 _EDGE = 0.49
 """Frequency in cycles a row from which a null is that of a digital low-pass at half the sampling frequency."""
 _TOP, _ZEROS = (0.35, 0.485), 1.5
 """Frequencies along which zeros at half the sampling frequency are counted, and how many a low-pass has at least."""
-_LONGEST = 6
-"""Rows over which the noise behind a low-pass is followed: further the motion is more than it."""
+_LONGEST = 6  # Rows over which the noise behind a low-pass is followed: further the motion is more than it.
 
 
 @dataclass(frozen=True)

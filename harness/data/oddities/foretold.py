@@ -12,16 +12,11 @@ from scipy.signal import lfilter
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-_GAUSS = 1.4826
-"""Standard deviation over the median of the sizes, of Gaussian errors."""
-_PASSES = 3
-"""Fits, each without the rows that the one before took for odd."""
-_ROWS = 6000
-"""Rows that a prediction is fitted to, spread evenly: it has some 20 numbers."""
-_BEYOND = 4.0
-"""Errors over their scale that bend no fit."""
-_ROUNDING = 1e-9
-"""Scale of the errors over the spread of the signal, at least: below it everything is rounding."""
+_GAUSS = 1.4826  # Standard deviation over the median of the sizes, of Gaussian errors.
+_PASSES = 3  # Fits, each without the rows that the one before took for odd.
+_ROWS = 6000  # Rows that a prediction is fitted to, spread evenly: it has some 20 numbers.
+_BEYOND = 4.0  # Errors over their scale that bend no fit.
+_ROUNDING = 1e-9  # Scale of the errors over the spread of the signal, at least: below it everything is rounding.
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,24 +11,15 @@ from harness.data.oddities.numbers import ODD
 from harness.resolution import resolution
 from harness.signals import FloatArray
 
-_SHORTEST_STEP = 1e-9
-"""Step of readings over their range below which it is rounding of the numbers."""
-_ON_LATTICE = 0.01
-"""How far off a multiple of a step a difference may be, in steps."""
-_ALL = 0.99
-"""Share of the differences that must be such multiples."""
-_NEAR = 3.5
-"""Steps within which changes are counted: as many of every size up to there, and none among them."""
-_NEARLY_ALL = 99
-"""Percent of the other stretches that are meant: one that is a little short of a fault hides no other."""
-_BEFORE = 5
-"""Moves before a stretch of which one at least was as usual, if the signal was on its way."""
-_FAINT = 0.05
-"""Part of the typical change of a signal that a reading must have been behind to count."""
-_ROUNDED = 4.0
-"""Last places by which four rounded readings on a line may bend it."""
-_PLACES = 1e-9
-"""Last place of a reading over the largest one, at least."""
+_SHORTEST_STEP = 1e-9  # Step of readings over their range below which it is rounding of the numbers.
+_ON_LATTICE = 0.01  # How far off a multiple of a step a difference may be, in steps.
+_ALL = 0.99  # Share of the differences that must be such multiples.
+_NEAR = 3.5  # Steps within which changes are counted: as many of every size up to there, and none among them.
+_NEARLY_ALL = 99  # Percent of the other stretches that are meant: one that is a little short of a fault hides no other.
+_BEFORE = 5  # Moves before a stretch of which one at least was as usual, if the signal was on its way.
+_FAINT = 0.05  # Part of the typical change of a signal that a reading must have been behind to count.
+_ROUNDED = 4.0  # Last places by which four rounded readings on a line may bend it.
+_PLACES = 1e-9  # Last place of a reading over the largest one, at least.
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,22 +15,15 @@ from harness.data.oddities.numbers import ODD
 from harness.data.oddities.pace import band_of
 from harness.signals import FloatArray
 
-_BESIDE = 25
-"""Bins of the spectrum about a line whose median is its level."""
-_NEAR = 2.0
-"""Bins within which two lines are one."""
-_TRIED = 3
-"""Lines that are asked, those that stand out most."""
-_WITHIN = np.linspace(-1.0, 1.0, 21)
-"""Places between bins at which a line is looked for."""
-_STEADY = 0.5
-"""Change of a line from one half of a record to the other, over its size, up to which it is one line."""
-_STRONG = 0.01
-"""Share of an input's power that a line of it must hold for a plant to answer with multiples."""
+_BESIDE = 25  # Bins of the spectrum about a line whose median is its level.
+_NEAR = 2.0  # Bins within which two lines are one.
+_TRIED = 3  # Lines that are asked, those that stand out most.
+_WITHIN = np.linspace(-1.0, 1.0, 21)  # Places between bins at which a line is looked for.
+_STEADY = 0.5  # Change of a line from one half of a record to the other, over its size, up to which it is one line.
+_STRONG = 0.01  # Share of an input's power that a line of it must hold for a plant to answer with multiples.
 _FEW, _MULTIPLES = 2, 40
 """Sources whose multiples are known one by one, and multiples that a nonlinear plant may answer with."""
-_MANY = 3.0
-"""Times the highest of more sources up to which sums and differences of them lie everywhere."""
+_MANY = 3.0  # Times the highest of more sources up to which sums and differences of them lie everywhere.
 
 
 @dataclass(frozen=True, eq=False)

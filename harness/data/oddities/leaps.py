@@ -11,14 +11,11 @@ from scipy.stats import norm
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-POSITIONS = ("rad", "m")
-"""Units of what has a rate, and so does not leap."""
-SIDE = 8
-"""Rows on each side from which a parabola tells where the motion is between two rows."""
+POSITIONS = ("rad", "m")  # Units of what has a rate, and so does not leap.
+SIDE = 8  # Rows on each side from which a parabola tells where the motion is between two rows.
 STRIDES = 4.0
 """Times the largest step of the motion about it that a leap must be: less may be a row or two, and a quick motion."""
-BADLY = 3.0
-"""Times its usual scatter about a parabola up to which a side counts as followed."""
+BADLY = 3.0  # Times its usual scatter about a parabola up to which a side counts as followed.
 
 
 def leaps_of(y: FloatArray, step: float = 0.0) -> tuple[npt.NDArray[np.intp], FloatArray]:

@@ -13,8 +13,7 @@ from harness.display import STYLE, drawing, page, table
 from harness.signals import Dataset, Oddity
 from harness.units import own_record
 
-_MOST = 1000
-"""Rows that are listed by number."""
+_MOST = 1000  # Rows that are listed by number.
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ from harness.data.oddities.leaps import STRIDES
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-_USUAL = 1e-3
-"""Chance that errors as usual are taken for ones that another number of rows does not explain."""
+_USUAL = 1e-3  # Chance that errors as usual are taken for ones that another number of rows does not explain.
 
 
 @dataclass(frozen=True)

@@ -14,18 +14,13 @@ from harness.data.oddities.foretold import Foretold, foretold
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
 
-_PASSES = 20
-"""Rounds of the search, each on what the last one left."""
+_PASSES = 20  # Rounds of the search, each on what the last one left.
 _LEVER = 3.0
 """Distance from the middle, over the range of nine tenths of the readings, from which one bends no prediction."""
-_FAR = 1e6
-"""Squared error over its variance beyond which it is no matter how far."""
-_USUAL = 1e-3
-"""Chance that errors as usual are taken for an answer to a glitch: it then stays as it was logged."""
-_BESIDE = 1e-3
-"""Spike over a larger one beside it below which it is what the estimate of that one leaves."""
-_MOSTLY = 0.9
-"""Rows of one word after which the outputs go on as usual, from which on none was felt."""
+_FAR = 1e6  # Squared error over its variance beyond which it is no matter how far.
+_USUAL = 1e-3  # Chance that errors as usual are taken for an answer to a glitch: it then stays as it was logged.
+_BESIDE = 1e-3  # Spike over a larger one beside it below which it is what the estimate of that one leaves.
+_MOSTLY = 0.9  # Rows of one word after which the outputs go on as usual, from which on none was felt.
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,8 +64,7 @@ def describe_bare(
 
 RECORDS = frozenset("run runs trial experiment episode session segment repetition versuch messung essai prova".split())
 """Titles of columns that number records, in small letters."""
-LONGEST = 20
-"""Rows that a record has at least on average: what changes more often numbers something else."""
+LONGEST = 20  # Rows that a record has at least on average: what changes more often numbers something else.
 
 
 def _joined_records(table: Table, found: Found, chosen: Chosen) -> list[str]:

@@ -14,10 +14,8 @@ from harness.data.tables.table import Table
 from harness.errors import InputError, did_you_mean, refuse_unknown
 from harness.signals import Use
 
-TIME = "time"
-"""What names the clock among the columns and units."""
-NOTHING = "none"
-"""What ``--input`` says where nothing drives the outputs."""
+TIME = "time"  # What names the clock among the columns and units.
+NOTHING = "none"  # What ``--input`` says where nothing drives the outputs.
 
 
 Found = dict[str | int, tuple[str, SignalSection]]
@@ -29,19 +27,15 @@ class Signals(TypedDict, total=False):
 
     input: str | Sequence[str] | None
     """Names of the inputs; an empty sequence, or ``"none"``, where nothing drives the outputs."""
-    output: str | Sequence[str] | None
-    """Names of the outputs."""
+    output: str | Sequence[str] | None  # Names of the outputs.
     column: Mapping[str, str | int] | None
     """Column by name of a signal, where it is called otherwise: ``{"theta": "Winkel", "time": "Zeit"}``; its number
     (from 0) where two have one title."""
-    unit: Mapping[str, str] | None
-    """Unit by name of a signal, where its title states none: ``{"theta": "deg"}``."""
+    unit: Mapping[str, str] | None  # Unit by name of a signal, where its title states none: ``{"theta": "deg"}``.
     sample_time: float | None
     """Sample time [s] of a table without a time column, or whose clock is one of this rate with rough stamps."""
-    gaps: Gaps | None
-    """``"split"``: pieces between holes of a table are records of their own."""
-    sheet: str | None
-    """Sheet of an Excel workbook; by default the first, or the only one with rows of numbers."""
+    gaps: Gaps | None  # ``"split"``: pieces between holes of a table are records of their own.
+    sheet: str | None  # Sheet of an Excel workbook; by default the first, or the only one with rows of numbers.
     run: Any
     """Further records with the same columns: a file (or a table), ``(use, file)``, or a list of such; those without
     a use are for estimation."""
@@ -50,17 +44,14 @@ class Signals(TypedDict, total=False):
 class Records(Signals, total=False):
     """What a caller may say of records beside the columns of their table."""
 
-    validation: Any
-    """Validation data beside a bare file or table; without them the last third validates."""
-    undriven: Sequence[str]
-    """Inputs of the model that nothing drove (0 in all records); any other must be recorded."""
+    validation: Any  # Validation data beside a bare file or table; without them the last third validates.
+    undriven: Sequence[str]  # Inputs of the model that nothing drove (0 in all records); any other must be recorded.
 
 
 class Noted(Records, total=False):
     """The same, of a call that tells what is odd about the records."""
 
-    note: Callable[[str], None] | None
-    """Called with each oddity (:func:`harness.api.check_data`)."""
+    note: Callable[[str], None] | None  # Called with each oddity (:func:`harness.api.check_data`).
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from harness.signals import Channel
 from harness.trust import names_fmu
 from harness.units import fits
 
-ANY_PORTS = "linear"
-"""The built-in model that takes its ports from the data."""
+ANY_PORTS = "linear"  # The built-in model that takes its ports from the data.
 
 _SUFFIX = {0: "", 1: "_rate", 2: "_acceleration"}
 

@@ -30,8 +30,7 @@ from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, stated_categories
 from harness.units import convert, fits
 
-DATA_FOLDER = "SYSID_HARNESS_DATA"
-"""Environment variable that names the folder of recordings."""
+DATA_FOLDER = "SYSID_HARNESS_DATA"  # Environment variable that names the folder of recordings.
 
 
 class Reader:

@@ -16,8 +16,7 @@ ROWS = 2000
 APART = 0.02
 """Part by which the spans of two clocks may differ: cheap quartz and a program's own sleep stay within a few per
 mille."""
-COARSE = 2.0
-"""Steps of the coarser clock by which its span may be off: one at either end."""
+COARSE = 2.0  # Steps of the coarser clock by which its span may be off: one at either end.
 
 
 def refuse_other_pace(

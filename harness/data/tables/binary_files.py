@@ -151,8 +151,7 @@ def _indexed(schema: Any) -> list[str]:
     return names
 
 
-_TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Seconds of the units of Arrow's times of day."""
+_TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # Seconds of the units of Arrow's times of day.
 
 
 def _whole(kind: Any) -> Any:
@@ -233,8 +232,7 @@ def _texts_in(value: Any) -> list[str] | None:
     return [str(cell) for cell in cells] if all(isinstance(cell, str) for cell in cells) else None
 
 
-MOST_INSIDE = 100
-"""Columns that are shown of one variable."""
+MOST_INSIDE = 100  # Columns that are shown of one variable.
 
 
 def _inside(so_far: str, array: Any, resolve: Any, depth: int = 0) -> list[str] | None:

@@ -29,12 +29,10 @@ _FORTRAN = re.compile(r"([+-]?\d+\.?\d*|[+-]?\.\d+)[dD]([+-]?\d+)")
 _WHOLE = re.compile(r"[+-]?\d{1,3}")
 _GROUPS = "[ \u00a0\u2009\u202f'\u2019]"
 """Signs between thousands that are no decimal signs: spaces of any width, and apostrophes."""
-_APART = re.compile(r"([+-])\s+(?=[\d.,])")
-"""A blank behind a sign, as columns of one width have it."""
+_APART = re.compile(r"([+-])\s+(?=[\d.,])")  # A blank behind a sign, as columns of one width have it.
 _DASH = re.compile(r"(?<![\d.,)])[\u2212\u2013\uff0d](?=[\d.,])")
 """Minus signs of a typesetter, also the dash that word processors make of a minus."""
-POINTED = 3
-"""Cells with a point before which nobody asks whether it separates thousands."""
+POINTED = 3  # Cells with a point before which nobody asks whether it separates thousands.
 
 
 def is_number(text: str) -> bool:

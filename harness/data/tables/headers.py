@@ -13,8 +13,7 @@ from harness.units import fits, is_unit
 REFERENCE = "reference:"
 """Prefix of columns that hold what came from outside a control loop: the instruments of the test for its bias."""
 
-TRUTH = "truth:"
-"""Prefix of columns that hold true states: for scoring only, never read as measurements."""
+TRUTH = "truth:"  # Prefix of columns that hold true states: for scoring only, never read as measurements.
 
 _HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 _INDEX = re.compile(r"(?!\s*1?\s*$)\s*(?:\d+|:)\s*(?:,\s*(?:\d+|:)\s*)*")
@@ -416,8 +415,7 @@ def says_time(title: str) -> bool:
     return any(_spoken(word) or word in _DATES for word in words_of(_GROUP.sub(" ", _plain(title))))
 
 
-_DATES = ("date", "datum", "fecha", "data")
-"""Words for dates, in small letters."""
+_DATES = ("date", "datum", "fecha", "data")  # Words for dates, in small letters.
 _REMARK = re.compile(
     r"(?P<word>[^\W\d_]+)\s*(?:units?|einheit)?\s*(?:\bin\b|\ben\b|[:=\[(])\s*(?P<unit>[^\W\d_]+)", re.IGNORECASE
 )

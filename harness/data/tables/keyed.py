@@ -9,8 +9,7 @@ from harness.data.tables.headers import split_header
 from harness.data.tables.stacked import MOST_ABOVE
 from harness.errors import InputError
 
-Line = tuple[int, str]
-"""Number of a line in its file, and its text."""
+Line = tuple[int, str]  # Number of a line in its file, and its text.
 
 NAMES = ("tracename", "path", "name", "symbolname", "channel name")
 """Keys of the row of names, in small letters, the fullest first where a head has several."""
@@ -20,11 +19,9 @@ STEPS = {"hresolution": "hunit", "delta_x": "", "sampletime[ms]": ""}
 PAIRED_STEPS = {"sampletime[ms]": "ms", "interval": "s"}
 """The same where each channel has a key and a clock of its own, with the unit in which the clock then counts."""
 STARTS = ("hoffset", "x0")
-UNEVEN = 0.01
-"""Part of the stated step by which the first step of a clock may differ: else it counts something else."""
+UNEVEN = 0.01  # Part of the stated step by which the first step of a clock may differ: else it counts something else.
 _END = "***End_of_Header***"
-SETTINGS = 30
-"""Rows beside which a scope writes its settings."""
+SETTINGS = 30  # Rows beside which a scope writes its settings.
 
 
 def keyed(lines: Sequence[Line]) -> tuple[list[Line], str] | None:

@@ -18,14 +18,11 @@ from harness.data.tables.texts import text_of
 from harness.data.times.stamps import is_time
 from harness.errors import InputError
 
-Named = list[tuple[str, str]]
-"""Names and values of one line."""
+Named = list[tuple[str, str]]  # Names and values of one line.
 
-Columns = dict[str, list[Any]]
-"""Values by title."""
+Columns = dict[str, list[Any]]  # Values by title.
 
-FEWEST = 3
-"""Lines of readings that make a table."""
+FEWEST = 3  # Lines of readings that make a table.
 _WRITTEN = r"(?P<at>[\dT:., /-]*\d:\d\d:\d\d[\d.,]*Z?)"
 _STAMPS = {
     re.compile(rf"(?:[EWIDV] \(|\[)?{_WRITTEN}[\])]?"): "time",
@@ -40,8 +37,7 @@ _BEHIND = re.compile(
 )
 """What a program says between a stamp and its readings: ``INFO controller:``."""
 _NODE = re.compile(r"[^\W\d]\w*:\s+")
-_SAID = re.compile(r"->|[:\[<]")
-"""Signs of what a program says; a word alone may be a column."""
+_SAID = re.compile(r"->|[:\[<]")  # Signs of what a program says; a word alone may be a column.
 _ITEM = re.compile(
     r"(?P<name>[^\W\d][\w.\[\]/²³°%-]*)\s*[:=]\s*"
     r'(?P<value>"[^"]*"|\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d[^\s,;|]*|[^\s,;|]+)'

@@ -22,10 +22,8 @@ NAMES = frozenset(
 """Titles of the column that names the signal, in small letters."""
 VALUES = frozenset("value val _value varvalue reading wert messwert valeur valor state".split())
 """Titles of the column of readings, in small letters."""
-UNITS = frozenset("unit units einheit unité unidad".split())
-"""Titles of the column of units, in small letters."""
-MOST = 200
-"""Signals of a table in long form: more names are texts of another kind."""
+UNITS = frozenset("unit units einheit unité unidad".split())  # Titles of the column of units, in small letters.
+MOST = 200  # Signals of a table in long form: more names are texts of another kind.
 FEWEST = 20
 """Readings of a signal below which it makes no record (:data:`harness.data.conditioning.timebase.SHORTEST`)."""
 

@@ -31,8 +31,7 @@ from harness.errors import InputError
 from harness.signals import FloatArray
 from harness.units import convert
 
-EPOCH = (6e17, 4.2e18)
-"""Nanoseconds from 1970 to 1989 and 2103: so large a stamp counts nothing else."""
+EPOCH = (6e17, 4.2e18)  # Nanoseconds from 1970 to 1989 and 2103: so large a stamp counts nothing else.
 
 
 class Source(Protocol):

@@ -12,10 +12,8 @@ from pathlib import Path, PurePosixPath
 from harness.errors import InputError
 from harness.trust import UNZIPPING
 
-LARGEST = 2 << 30
-"""Bytes that any packed table may unpack to: a table of 1e8 numbers."""
-NUMBER = 8
-"""Bytes of a number in memory."""
+LARGEST = 2 << 30  # Bytes that any packed table may unpack to: a table of 1e8 numbers.
+NUMBER = 8  # Bytes of a number in memory.
 RATIO, FREE = 200, 16 << 20
 """Times its packed size that a table may unpack to, beside what is small in any case [bytes]: logs pack 3 to 20 times,
 deflate at most 1030 times."""

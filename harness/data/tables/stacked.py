@@ -15,21 +15,14 @@ from harness.data.tables.headers import TIME_UNITS, clock_of
 from harness.data.times.stamps import is_date, is_time
 from harness.errors import InputError
 
-MOST_ROWS = 6
-"""Rows that a header may have."""
-MOST_ABOVE = 100
-"""Lines that a logger or a program may write above its titles."""
-SAMPLE = 5
-"""Rows before the last one that are asked how the rows of a table look: the last may be cut."""
-CERTAIN = 3
-"""Rows of readings on end with which a table begins; as many above others are a table of their own."""
-SIGNS = (",", ";", "\t", "|", None)
-"""What may part cells; None for blanks."""
+MOST_ROWS = 6  # Rows that a header may have.
+MOST_ABOVE = 100  # Lines that a logger or a program may write above its titles.
+SAMPLE = 5  # Rows before the last one that are asked how the rows of a table look: the last may be cut.
+CERTAIN = 3  # Rows of readings on end with which a table begins; as many above others are a table of their own.
+SIGNS = (",", ";", "\t", "|", None)  # What may part cells; None for blanks.
 
-Row = Sequence[str]
-"""Cells of a row, without blanks about them."""
-UNEVEN = 0.2
-"""Part of a step by which two steps differ where numbers are no clock."""
+Row = Sequence[str]  # Cells of a row, without blanks about them.
+UNEVEN = 0.2  # Part of a step by which two steps differ where numbers are no clock.
 
 _LETTER = re.compile(r"[^\W\d_]|[\[(<{°%]")
 _TITLE = re.compile(r"[^\s\[(/]+(?:\s*[\[(][^\])]*[\])]|\s/\s\S+)?")

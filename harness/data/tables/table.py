@@ -125,8 +125,7 @@ UNPACKED = {
 """What takes a table out of what it is packed in."""
 
 
-WORKBOOKS = (".xlsx", ".xlsm")
-"""Suffixes of files that may have several sheets."""
+WORKBOOKS = (".xlsx", ".xlsm")  # Suffixes of files that may have several sheets.
 
 MODELS = (".urdf", ".xml", ".mjcf", ".fmu", ".ssp", ".eqs", ".py")
 """Suffixes of what may be a model, which holds no data."""

@@ -50,8 +50,7 @@ from harness.signals import FloatArray
 
 _HINT = re.compile(r"sep=(.)?", re.IGNORECASE)
 _COMMENTS = ("#", "%")
-NUMBERED = 200
-"""Rows that are asked whether the first one numbers the columns."""
+NUMBERED = 200  # Rows that are asked whether the first one numbers the columns.
 _RULE = re.compile(r"[\s|+:=;,\-]*(?:-{3,}|={3,})[\s|+:=;,\-]*")
 _FRAME = re.compile(r"\+[-=+]{3,}\+")
 _OTHER_COMMENTS = (";", "//", "!", "*")

@@ -27,8 +27,7 @@ CODINGS = {
     "iso8859-2": "Central Europe",
 }
 """Codings of one and two bytes that are tried, and whose they are."""
-_SPELT = ("cp1252", "cp1250", "iso8859-2")
-"""Those of Latin letters, the most frequent first."""
+_SPELT = ("cp1252", "cp1250", "iso8859-2")  # Those of Latin letters, the most frequent first.
 _NO_LETTER = re.compile(
     r"(?<=[^\W\d_])[^\w\s\x00-\x7f\u00b7\u2018\u2019](?=[^\W\d_])|(?<=[^\W\d_])[\u00b2\u00b3\u00b9](?=[^\W\d_])"
 )
@@ -47,16 +46,13 @@ _MAGIC = {
     b"\x1f\x8b": ".csv.gz",
 }
 """How files of other formats begin, and their suffixes."""
-_HEAD = 4096
-"""Bytes in which a header stands."""
-_OPENED = re.compile(r'(?:^|[,;\t])\s*"[^"]*$')
-"""A quoted cell that goes on behind the end of its line."""
+_HEAD = 4096  # Bytes in which a header stands.
+_OPENED = re.compile(r'(?:^|[,;\t])\s*"[^"]*$')  # A quoted cell that goes on behind the end of its line.
 _APOSTROPHES = re.compile(r"""(?:(?<=[,;\t|])|^) *'(?P<cell>[^"\n]*?)'(?= *(?:[,;\t|\r]|$))""", re.MULTILINE)
 """A cell between apostrophes."""
 _CLOSED = re.compile(r'[^"]*"\s*(?:[,;\t]|$)')
 """The line in which it ends: a sign for a quotation that stands elsewhere closes none, and no row is lost to it."""
-MOST_BROKEN = 30
-"""Lines over which the cells of one row may go on: ten cells of three lines."""
+MOST_BROKEN = 30  # Lines over which the cells of one row may go on: ten cells of three lines.
 
 
 def _refuse_other_text(text: str) -> None:

@@ -9,16 +9,12 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-BITS = (16, 24, 32)
-"""Widths of the counters of microcontrollers and field buses."""
+BITS = (16, 24, 32)  # Widths of the counters of microcontrollers and field buses.
 NARROW = (8, 10, 12, 14, 20, 31)
 """Further widths: 0 after 255 passes for a second record of 256 rows, so these must go on elsewhere than at 0."""
-HALF_DAY = 43200.0
-"""Seconds after which a clock of twelve hours begins anew where nothing says AM or PM."""
-FINER = (1e-3, 1e-6)
-"""What a program divides the count of 32 bits by to have it in milliseconds or seconds."""
-WITHIN = 0.5
-"""Part of a step within which the step over the end of a counter is as long as the others."""
+HALF_DAY = 43200.0  # Seconds after which a clock of twelve hours begins anew where nothing says AM or PM.
+FINER = (1e-3, 1e-6)  # What a program divides the count of 32 bits by to have it in milliseconds or seconds.
+WITHIN = 0.5  # Part of a step within which the step over the end of a counter is as long as the others.
 
 DIGITS = (1.9e7, 2.1e20)
 """Between these lie numbers such as 20241231, 202412312359 and 20241231235959, with digits of a fraction behind them.

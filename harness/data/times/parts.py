@@ -8,8 +8,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-PARTS = ("year", "month", "day", "h", "min", "s", "ms", "us", "ns")
-"""From the coarsest to the finest."""
+PARTS = ("year", "month", "day", "h", "min", "s", "ms", "us", "ns")  # From the coarsest to the finest.
 _SIZE = {"day": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _RANGE = {
     "year": (1970, 2100), "month": (1, 12), "day": (1, 31), "h": (0, 24), "min": (0, 60), "s": (0, 60),

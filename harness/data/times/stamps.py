@@ -24,10 +24,8 @@ _ZONE = r"(?P<zone>Z|UTC|GMT|(?:UTC|GMT)?[+-]\d\d(?::?\d\d)?|[A-Z]{3,5}|\[?[A-Z]
 _STAMP = re.compile(rf"(?:{_DAY}(?P<joint>[T ]| +|[,;] *))?{_TIME}\s*{_ZONE}?", re.ASCII)
 _DATE = re.compile(rf"{_DAY}(?:[T ]00:00:00(?:\.0+)?)?", re.ASCII)
 _TWO_PARTS = re.compile(r"\d{1,2}:[0-5]\d", re.ASCII)
-SECONDS = 86400
-"""Of a day."""
-HOUR = 3600
-"""Seconds of an hour: of a day and of an hour a clock may show the rest alone, and begin anew."""
+SECONDS = 86400  # Of a day.
+HOUR = 3600  # Seconds of an hour: of a day and of an hour a clock may show the rest alone, and begin anew.
 
 
 def _row(row: int) -> str:

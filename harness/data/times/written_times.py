@@ -46,8 +46,7 @@ _YEAR_LAST = re.compile(
 )
 _UNPADDED = re.compile(r"(?P<year>\d{4})(?P<sign>[-/.])(?P<month>\d{1,2})(?P=sign)(?P<day>\d{1,2})(?!\d)")
 _FOURTH = re.compile(rf"(?P<whole>{_TIME}:[0-5]\d)[:;](?P<part>\d{{3}}|\d{{6}}|\d{{9}})(?!\d)")
-_TWICE = re.compile(r"(?<=:\d\d\.\d{3}),(?=\d{3}\b)")
-"""What Zephyr writes between milli- and microseconds."""
+_TWICE = re.compile(r"(?<=:\d\d\.\d{3}),(?=\d{3}\b)")  # What Zephyr writes between milli- and microseconds.
 _HOUR_MINUTE = re.compile(
     rf"(?P<date>.*\d(?:[T ]|, ?))(?P<time>{_TIME})(?P<rest>\s*(?:[AaPp]\.?[Mm]\.?)?\s*(?:Z|[+-]\d\d(?::?\d\d)?)?)"
 )
@@ -187,8 +186,7 @@ _FAMILIES = (
 """Abbreviations of zones, standard and summer time: whatever zone a word means, its summer time is an hour ahead."""
 _WORDS = {word: (family, 3600 * k) for family in _FAMILIES for k, word in enumerate(family.split())}
 _AHEAD = re.compile(r"(?:UTC|GMT)?(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)?")
-QUARTER = 900
-"""Seconds: clocks are set forward and back at a quarter of an hour, wherever they are."""
+QUARTER = 900  # Seconds: clocks are set forward and back at a quarter of an hour, wherever they are.
 
 
 def ahead_of_utc(

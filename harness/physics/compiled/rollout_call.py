@@ -42,12 +42,9 @@ class Asked(NamedTuple):
     """Which of (p, x0) are asked for; the sums of the others are 0. All of them without."""
     limits: FloatArray | None
     """A window (M,) whose cost exceeds its limit is pruned, its cost infinite (negative: not simulated)."""
-    budget: float
-    """All of them are once they together exceed it."""
-    keep: bool
-    """Give states and residuals too."""
-    sensitivities: bool
-    """Give the sensitivities by all columns too."""
+    budget: float  # All of them are once they together exceed it.
+    keep: bool  # Give states and residuals too.
+    sensitivities: bool  # Give the sensitivities by all columns too.
 
 
 @dataclass(eq=False)
@@ -58,8 +55,7 @@ class Sums:
     squares: FloatArray
     gram: FloatArray
     gradient: FloatArray
-    budget: float
-    """What the costs have left of it; negative once it is used up or a window diverged, if it was finite."""
+    budget: float  # What the costs have left of it; negative once it is used up or a window diverged, if it was finite.
     states: FloatArray | None
     residuals: FloatArray | None
     sensitivities: FloatArray | None

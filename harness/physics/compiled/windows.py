@@ -24,8 +24,7 @@ class Group:
     record: list[int]
     first: list[int]
     length: int
-    order: list[int]
-    """Place of each window in the list of all windows."""
+    order: list[int]  # Place of each window in the list of all windows.
 
 
 @dataclass(eq=False)
@@ -41,11 +40,9 @@ class Evaluation:
     costs: FloatArray
     gram: FloatArray
     gradient: FloatArray
-    squares: FloatArray
-    """Sum of squared unweighted residuals by output (ny,)."""
+    squares: FloatArray  # Sum of squared unweighted residuals by output (ny,).
     residuals: list[FloatArray] = field(default_factory=list)
-    states: list[FloatArray] = field(default_factory=list)
-    """By window: (L, ny) and (L, nx)."""
+    states: list[FloatArray] = field(default_factory=list)  # By window: (L, ny) and (L, nx).
     jacobian: FloatArray | None = None
     """As :meth:`Windows.jacobian` returns it; None if it was not asked for, or a window diverged."""
     starts: list[FloatArray] = field(default_factory=list)

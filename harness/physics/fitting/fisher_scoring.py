@@ -19,28 +19,20 @@ if TYPE_CHECKING:
     from harness.physics.compiled.system import System
     from harness.physics.fitting.maximum import NoiseModel, Point
 
-ENOUGH = 0.02
-"""A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth."""
+ENOUGH = 0.02  # A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth.
 _BROKEN = 1.0
 """A promise that no step keeps ends a fit at its maximum up to here: rivals tie within three times as much."""
 _ROUGH = 0.3
 """Below this promise the derivatives of gains and variances count, and difference quotients are taken of all."""
-_STALE = 0.05
-"""Log-likelihood gained since, from which on these are taken anew: it is a third of a standard error."""
-_SETTLED = 5
-"""Iterations after which a step is taken as typical of those to come."""
-_TOLD = 1e-12
-"""Curvature along a direction, over the largest, below which it is rounding: nothing is told along it."""
-_PARTLY = 1e-3
-"""Share of such a direction from which on an entry is undetermined."""
-_CORNERS = 3
-"""Parameters along which a likelihood may have a corner at once: limits of two outputs, and one to spare."""
+_STALE = 0.05  # Log-likelihood gained since, from which on these are taken anew: it is a third of a standard error.
+_SETTLED = 5  # Iterations after which a step is taken as typical of those to come.
+_TOLD = 1e-12  # Curvature along a direction, over the largest, below which it is rounding: nothing is told along it.
+_PARTLY = 1e-3  # Share of such a direction from which on an entry is undetermined.
+_CORNERS = 3  # Parameters along which a likelihood may have a corner at once: limits of two outputs, and one to spare.
 _SIDES = tuple(side * part for part in (1.0, 0.1, 0.01, 1e-3) for side in (1.0, -1.0))
 """Of a Newton step along one parameter, to both sides, that must all be worse on a corner."""
-_KEPT = 0.5
-"""Share of its promise below which a step along a narrow valley is corrected for the bend of the valley."""
-_BENT = 0.75
-"""Length of a correction over that of the one before it, at most: beyond it they lead nowhere."""
+_KEPT = 0.5  # Share of its promise below which a step along a narrow valley is corrected for the bend of the valley.
+_BENT = 0.75  # Length of a correction over that of the one before it, at most: beyond it they lead nowhere.
 _LEAST_DAMPING = 1e-7
 _MOST_DAMPING = 1e9
 

@@ -21,17 +21,12 @@ if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Intersample
     from harness.physics.compiled.system import System
 
-_STEP = 1e-6
-"""Of the difference quotients, in units of a parameter's scale: half of the digits of a double are left."""
-_PART = 1e-3
-"""Of the difference quotients, in standard deviations, once these are known."""
-_NOISE_STEP = 1e-5
-"""Of the difference quotients by logarithms of the noise."""
+_STEP = 1e-6  # Of the difference quotients, in units of a parameter's scale: half of the digits of a double are left.
+_PART = 1e-3  # Of the difference quotients, in standard deviations, once these are known.
+_NOISE_STEP = 1e-5  # Of the difference quotients by logarithms of the noise.
 _POSITIVE = 1e-12
-_LEAST = 1e6
-"""Typical force over the least latent one that is fitted."""
-_VALLEY = 120
-"""Iterations of a search without forces: two ends 8 deviations away along a narrow valley took 80."""
+_LEAST = 1e6  # Typical force over the least latent one that is fitted.
+_VALLEY = 120  # Iterations of a search without forces: two ends 8 deviations away along a narrow valley took 80.
 
 
 class Likelihood:

@@ -21,14 +21,10 @@ if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Intersample
     from harness.physics.compiled.system import System
 
-SHARES = (0.02, 0.3)
-"""Latent forces that a first fit starts from, as shares of the typical force."""
-FADES_AFTER = 20.0
-"""Samples after which the latent force of a first fit has faded."""
-FIRST = 400
-"""Samples that are smoothed for a first guess of the initial state."""
-LONGEST = 5.0
-"""A latent force fades within the record divided by this: slower ones are parameters."""
+SHARES = (0.02, 0.3)  # Latent forces that a first fit starts from, as shares of the typical force.
+FADES_AFTER = 20.0  # Samples after which the latent force of a first fit has faded.
+FIRST = 400  # Samples that are smoothed for a first guess of the initial state.
+LONGEST = 5.0  # A latent force fades within the record divided by this: slower ones are parameters.
 
 
 def fit_likelihood(

@@ -15,10 +15,8 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-FIRST_DAMPING = 1e-3
-"""Of the first step of a search, over the diagonal."""
-LONGEST = 1.5
-"""Longest step of a logarithm."""
+FIRST_DAMPING = 1e-3  # Of the first step of a search, over the diagonal.
+LONGEST = 1.5  # Longest step of a logarithm.
 
 
 @dataclass(frozen=True)

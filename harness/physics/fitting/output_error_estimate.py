@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 LEVEL = 0.95
 LEAST_BLOCKS = 20
 """A covariance from the scatter of blocks needs so many of them: a variance of 20 numbers is 30 % uncertain."""
-NOTHING = 1e-11
-"""Relative eigenvalue of the scaled information below which a direction carries none (rounding)."""
+NOTHING = 1e-11  # Relative eigenvalue of the scaled information below which a direction carries none (rounding).
 
 
 def output_error_estimate(

@@ -17,11 +17,9 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     from harness.physics.compiled.system import System
 
-LABEL = "learned from data, not physical"
-"""What every report and file says of such a force."""
+LABEL = "learned from data, not physical"  # What every report and file says of such a force.
 
-_MOST_FACES = 4
-"""Dimensions up to which the hull is convex; beyond, its faces are too many, and a box serves."""
+_MOST_FACES = 4  # Dimensions up to which the hull is convex; beyond, its faces are too many, and a box serves.
 
 _HULL_POINTS = 20_000
 """Samples from which a hull is made: evenly thinned, it keeps all that records a few times longer would show."""

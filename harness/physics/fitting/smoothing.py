@@ -10,8 +10,7 @@ import numpy as np
 from harness.signals import FloatArray
 
 _WIDTHS = (5, 7, 9, 13, 19, 27, 41, 61, 91)
-_KEPT = 32
-"""Signals whose answer is kept: a diagnosis asks for those of its records again with every model."""
+_KEPT = 32  # Signals whose answer is kept: a diagnosis asks for those of its records again with every model.
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,8 +46,7 @@ class ArmDynamics(Described):
     motor_inertia: FloatArray
     notes: dict[str, Any] = field(default_factory=dict)
     kind = "arm"
-    burn_in: ClassVar[int] = 0
-    """No samples: the initial state is read off the record."""
+    burn_in: ClassVar[int] = 0  # No samples: the initial state is read off the record.
 
     @cached_property
     def arm(self) -> ArmModel:

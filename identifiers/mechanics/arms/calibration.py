@@ -50,8 +50,7 @@ class MarkerModel(Described):
     parameters: dict[str, float]
     notes: dict[str, Any] = field(default_factory=dict)
     kind = "marker"
-    burn_in: ClassVar[int] = 0
-    """No samples: there is no state."""
+    burn_in: ClassVar[int] = 0  # No samples: there is no state.
 
     @cached_property
     def arm(self) -> MarkedArm:
