@@ -32,6 +32,7 @@ from planted_faults import AIM, ROOT, copied, known_results, run_tests
 
 COMMON = "tests/core/test_core_more_small_faults.py"
 UNITS = ("tests/core/test_core_unit_texts.py", "tests/core/test_core_unit_faults.py")
+LOOP = ("tests/diagnosis", *(f"--ignore-glob=*_{rest}*" for rest in ("arm", "fmu", "report", "mixed", "suspension")))
 ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "units": ("harness/units", (), (*UNITS, "tests/core/test_core_registry.py", COMMON)),
     "scoring": ("harness/scoring", (), ("tests/scoring", "tests/cli/test_cli_acceptance.py", COMMON)),
@@ -43,6 +44,11 @@ ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
         ("plots.py", "overlays.py", "report.py", "public"),
         ("tests/benchmark", COMMON, "--ignore-glob=*public*"),
     ),
+    "search": ("harness/diagnosis/search", (), (*LOOP, "tests/core/test_core_small_faults.py")),
+    "forms": ("harness/diagnosis/forms", (), LOOP),
+    "runs": ("harness/diagnosis/runs", (), LOOP),
+    "effects": ("harness/effects", (), ("tests/effects",)),
+    "vetting": ("harness/vetting", (), ("tests/vetting",)),
 }
 """By room its folder, what only has a look (or is being built) in it, and the tests that are to notice beside its own
 examples, in pytest's words."""

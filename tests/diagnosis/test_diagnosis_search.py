@@ -25,7 +25,7 @@ from linear_form import (
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.fit import Column, Fit
-from harness.diagnosis.search.leftover import Axis, Leftover, left_over
+from harness.diagnosis.search.leftover import Axis, Leftover, _expected, left_over
 from harness.diagnosis.search.moves import climbed, specialise
 from harness.diagnosis.search.scores import score_test
 from harness.diagnosis.search.search import search
@@ -140,6 +140,16 @@ def test_the_evidence_of_a_free_force_is_that_of_normal_coefficients() -> None:
     assert best.evidence == pytest.approx(max(gains), rel=1e-6)
     assert best.values[0] == pytest.approx(0.3, abs=0.1), "sign and size of the force"
     assert best.validation > 10
+
+
+def test_parameters_move_where_their_spread_and_the_validation_records_want_them() -> None:
+    rng = np.random.default_rng(0)
+    left, along, moved = rng.standard_normal(40), rng.standard_normal((40, 2)), np.array([2.0, -1.0])
+    stacked = np.vstack([along, np.eye(2)]), np.concatenate([left, moved])
+    best = stacked[1] - stacked[0] @ np.linalg.lstsq(*stacked, rcond=None)[0]
+    found = _expected(left, along, moved)
+    assert found.sum() == pytest.approx(0.5 * float(best @ best), rel=1e-9), "the move is paid as well"
+    assert found == pytest.approx(0.5 * best[:40] ** 2 + 0.5 * float(best[40:] @ best[40:]) / 40, rel=1e-9)
 
 
 def test_nothing_can_be_predicted_of_white_noise() -> None:
