@@ -65,19 +65,20 @@ def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) ->
         able, why = (
             not other.misfit,
             (
-                "what is likeliest beside an unmeasured force runs further from the validation records than "
+                "the likeliest answer beside an unmeasured force is further from the validation records than "
                 f"{first.rival} alone"
             ),
         )
     elif first.outcome.withdrawn:
         names = " and ".join(str(one.placed) for one in first.outcome.withdrawn)
-        why = f"what is likeliest beside an unmeasured force, {names}, runs no nearer to the validation records"
+        why = f"the likeliest answer beside an unmeasured force, {names}, runs no nearer to the validation records"
         other = again()
         able = other.verdict == "effects_found" or bool(first.misfit and not other.misfit)
     elif first.astray:
         why = (
-            f"free runs of a model that lacks nothing err {first.runs.further:.2g} times as far on the validation "
-            "records as on the others: every record is halved, the first parts to fit and the others to validate"
+            "the likelihood finds nothing missing, but the error of free runs is "
+            f"{first.runs.further:.2g} times as large on the validation records as on the others: every record is "
+            "halved, the first parts to fit and the others to validate"
         )
         other = again(halves=True)
         able = other.verdict == "effects_found" and first.runs.cured_by(other.final, policy)
@@ -89,7 +90,7 @@ def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) ->
 def _carried(weak: Mapping[str, float]) -> str:
     """Return why a likelihood says nothing where unmeasured forces do these shares of what moves ports."""
     forces = " and ".join(f"{100 * share:.0f} % of what moves {port}" for port, share in weak.items())
-    return f"an unmeasured force of {forces} would explain these readings whatever the model is"
+    return f"with an unmeasured force of {forces}, any model would explain these readings"
 
 
 def _told(again: Diagnosis, why: str) -> Diagnosis:

@@ -169,8 +169,8 @@ def test_friction_inside_the_fmu_is_found_from_the_angle_alone(dry):
     assert errors[0] > 8 * errors[1]
     assert errors[1] < 2e-3
     page = (folder / "report.html").read_text()
-    assert "What the free run leaves" in page
-    assert "The force that nobody measured" not in page, "an FMU has no latent force"
+    assert "Residual of the free run" in page
+    assert "The unmeasured force" not in page, "an FMU has no latent force"
     assert json.loads((folder / "report.json").read_text())["verdict"] == "effects_found"
 
 

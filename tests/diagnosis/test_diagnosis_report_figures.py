@@ -140,8 +140,8 @@ def forces(share: float) -> dict[str, Any]:
         (
             "effects_found",
             {"stand_in": {"flagged": True, "reasons": ["two laws"]}},
-            "stands in for what pendulum lacks, which the dictionary does not have (two laws), and leaves a force of "
-            "0.001 % of what moves theta; validation",
+            "stands in for something that pendulum lacks and the dictionary does not have (two laws), and leaves a "
+            "force of 0.001 % of what moves theta; validation",
         ),
         (
             "effects_found",
@@ -150,20 +150,20 @@ def forces(share: float) -> dict[str, Any]:
                 "tie_sets": [[SPRING], [PART]],
                 "stand_in": {"flagged": True, "reasons": ["a force is left"]},
             },
-            "cubic spring at theta stands in for what pendulum lacks, which the dictionary does not have (a force is "
-            "left; quadratic drag at theta may be a part of what is left), and leaves a force of 0.001 %",
+            "cubic spring at theta stands in for something that pendulum lacks and the dictionary does not have (a "
+            "force is left; quadratic drag at theta may be a part of what is left), and leaves a force of 0.001 %",
         ),
         (
             "effects_found",
             {"effects": [ROUNDING], "noise": forces(0.054)},
-            "nothing is missing in pendulum beside a force at theta that nobody measured (0.05 N m, 5.4 % of what "
-            "moves it) but that theta is read in steps of 0.00153 rad; validation simulation error theta 0.1 -> 0.002",
+            "nothing is missing in pendulum apart from an unmeasured force at theta (0.05 N m, 5.4 % of what "
+            "moves it), except that theta is read in steps of 0.00153 rad; validation simulation error theta 0.1 -> 0",
         ),
         ("nothing_missing", {}, "nothing is missing in pendulum: validation simulation error theta 0.1 rad"),
         (
             "nothing_missing",
             {"noise": forces(0.054)},
-            "beside a force at theta that nobody measured (0.05 N m, 5.4 % of what moves it): validation",
+            "apart from an unmeasured force at theta (0.05 N m, 5.4 % of what moves it): validation",
         ),
         ("unexplained", {}, "no effect of the dictionary explains it: gremlins would (theta 0.1 rad; "),
         (
@@ -185,24 +185,30 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"best": "theta over theta_rate", "rival": (60.0, 1.0)}, "a force at theta over theta_rate would"),
-        ({"withdrawn": True, "rival": (60.0, 1.0)}, "quadratic drag at theta would by the likelihood, and brings free"),
+        (
+            {"best": "theta over theta_rate", "rival": (60.0, 1.0)},
+            "a free force at theta over theta_rate predicts what is left",
+        ),
+        (
+            {"withdrawn": True, "rival": (60.0, 1.0)},
+            "the likeliest answer, quadratic drag at theta, does not bring free",
+        ),
         (
             {"rival": (60.0, 1.0)},
-            "quadratic drag at theta would in the estimation records, by 60 in log-likelihood, and the validation "
+            "quadratic drag at theta would bring 60 in log-likelihood on the estimation records, but the validation "
             "records show nothing of it; excite it in both",
         ),
-        ({"rival": (60.0, 40.0)}, "by 60 in log-likelihood, but its fit did not converge"),
-        ({"beaten": "elastic_load@q"}, "elastic load at q alone would in free runs, and is not accepted"),
+        ({"rival": (60.0, 40.0)}, "60 in log-likelihood on the estimation records, but its fit did not converge"),
+        ({"beaten": "elastic_load@q"}, "elastic load at q alone helps free runs more, but is not accepted"),
         ({"disagree": True}, "the validation records want other parameters"),
         (
             {"jumps": (("estimation", 8.0), ("validation", 12.0))},
-            "jumps, at 8 s of the estimation records and at 12 s of the validation records: something happens there",
+            "jumps at 8 s of the estimation records and at 12 s of the validation records: something happens there",
         ),
-        ({"further": 6.84}, "free runs err 6.8 times as far on the validation records as on the others"),
-        ({}, "the force that nobody measured is too large for a disturbance"),
+        ({"further": 6.84}, "the error of free runs is 6.8 times as large on the validation records as on"),
+        ({}, "the unmeasured force is too large for a disturbance"),
         ({"runs_leave": 0.64}, "free runs leave 80 % of what a straight line leaves"),
-        ({"lasting": 0.4}, "an error of free runs that lasts (of theta, 40 % of its motion) is left"),
+        ({"lasting": 0.4}, "a lasting error of free runs (of theta, 40 % of its motion) is left"),
     ],
 )
 def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict[str, Any], words: str) -> None:

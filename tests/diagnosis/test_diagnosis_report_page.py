@@ -78,7 +78,7 @@ def test_the_size_of_the_unknown_force_counts_its_white_part_as_its_share_does()
 
     found = report("effects_found", noise={"before": noise(0.4), "after": noise(0.04)})
     words = text_of(render_evidence(found, {"residual": "<svg></svg>"})).replace("&nbsp;", " ")
-    assert "theta 0.4011 → 0.05 N m (0.03 of it drawn here and fading in 0.2 s, the rest white; 5 % of what" in words
+    assert "theta 0.4011 → 0.05 N m (0.03 of it drawn here, fading in 0.2 s, the rest white; 5 % of what" in words
 
 
 @pytest.mark.slow
@@ -321,7 +321,7 @@ def test_cards_of_an_arm_are_the_joints_that_got_an_effect_unless_the_whole_arm_
     [
         (0.3, False, "arm iiwa lacks input compression at u; torque residual of a joint up to 10 times smaller"),
         (6.0, False, "the torque residual grows (of a joint 2 times larger, validation), although"),
-        (0.3, True, "input compression at u stands in for what arm iiwa lacks"),
+        (0.3, True, "input compression at u stands in for something that arm iiwa lacks"),
     ],
 )
 def test_the_summary_of_an_arm_says_what_its_residual_did(after: float, flagged: bool, words: str) -> None:
@@ -330,4 +330,4 @@ def test_the_summary_of_an_arm_says_what_its_residual_did(after: float, flagged:
     data["stand_in"] = {"flagged": flagged, "reasons": ["two laws of friction"] if flagged else []}
     assert words in _summary(data, [])
     nothing = _summary(arm_report("nothing_missing"), [])
-    assert nothing.endswith("and the rest cannot be predicted")
+    assert nothing.endswith("and the rest is not predictable")

@@ -161,7 +161,7 @@ def test_what_free_runs_take_back_is_looked_for_by_free_runs() -> None:
 
 def test_where_the_validation_records_go_further_each_record_is_halved() -> None:
     found, asked = opinion(Answer(astray=True), Answer(verdict="effects_found", error=0.2))
-    assert "7 times as far" in found.warnings[0]
+    assert "7 times as large" in found.warnings[0]
     assert asked == ["halves"]
     assert opinion(Answer(astray=True), Answer(error=0.2))[0] is None  # it explains nothing either
     two_machines = Answer(astray=True, further=30.0)

@@ -50,8 +50,8 @@ from harness.diagnosis.stand_in import stand_in_reasons
 from harness.effects.effect import Placed
 
 NO_PATH = (
-    "an arm is always held by its controller, and the planned path, from outside that loop, is not used; what shakes "
-    "the arm and is answered by the controller may bias friction and gains"
+    "an arm is always under its controller, and the planned path, which comes from outside that loop, is not used; "
+    "disturbances to which the controller responds may bias friction and gains"
 )
 """Why the bias of feedback is not tested on an arm."""
 
@@ -142,8 +142,8 @@ def _left_over(found: ArmDiagnosis) -> list[dict[str, Any]]:
 def _intervals(found: ArmDiagnosis) -> dict[str, Any]:
     """Return whether intervals can be relied on, and what they count."""
     if found.grade in ("explained", "mostly_explained"):
-        return {"hold": True, "meaning": "95 %, from the curvature of the likelihood; a coloured error is counted"}
-    lacking = "they count a coloured error, and not that the model lacks something: true values may lie far outside"
+        return {"hold": True, "meaning": "95 %, from the curvature of the likelihood, including a coloured error"}
+    lacking = "they include a coloured error, but not that the model lacks something: true values may lie far outside"
     return {"hold": False, "meaning": lacking}
 
 
@@ -342,7 +342,7 @@ def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
         gained = f"torque residual of a joint {'up to ' if most >= POLICY.changed else ''}{change_text(most)} ({use})"
         return f"{lacks}; {gained}; {_explained(data)}"
     if data["verdict"] == "nothing_missing":
-        return f"nothing is missing in arm {data['model']}: {_explained(data)}, and the rest cannot be predicted"
+        return f"nothing is missing in arm {data['model']}: {_explained(data)}, and the rest is not predictable"
     return (
         f"something is missing in arm {data['model']} at {', '.join(incomplete)}, and no effect of the dictionary "
         f"explains it; {_explained(data)}"
@@ -353,4 +353,4 @@ def _explained(data: dict[str, Any]) -> str:
     """Say how much of the torques is explained, rounded down; at a joint of noise the noise is what is left."""
     left = max(joint["left"]["share"] ** 2 for joint in data["joints"] if joint["judged"])
     share = np.floor(1000.0 * max(1.0 - left, 0.0)) / 10.0
-    return f"{share:g} % of the variance of every joint's torque is explained, its noise set aside"
+    return f"{share:g} % of the variance of every joint's torque is explained, not counting its noise"

@@ -90,17 +90,17 @@ from harness.units import behind
 if TYPE_CHECKING:
     from harness.diagnosis.diagnosis import Diagnosis
 
-SELECTED = "validation used for selection: there is no test run, so the figures after are not independent of the choice"
+SELECTED = "validation used for selection: without a test run, the errors after the repair depend on that choice"
 AROUND = (
     "an FMU shows no equations: only effects on its inputs and outputs and forces at its force inputs were tried, none "
     "that needs an acceleration (a payload) or the base (a tilt)"
 )
-FREE = "a free swing tells ratios of inertia, damping and stiffness only: one of them must be known for the others"
+FREE = "a free swing determines only ratios of inertia, damping and stiffness: to get the others, one must be known"
 HELD = (
-    "no parameter of the nominal model was fitted: each is held at what is declared of it (in a dataset.toml b = 0.1 "
-    "holds b, b = {{ start = 0.1 }} leaves it free): {0}"
+    "no parameter of the nominal model was fitted: each is fixed at its declared value (in a dataset.toml b = 0.1 "
+    "fixes b, b = {{ start = 0.1 }} leaves it free): {0}"
 )
-UNTRIED = "the search ended at what it may cost: not tried to the end, alone or beside what was found, were {0}"
+UNTRIED = "the search reached its cost limit; not tried to the end, alone or together with what was found: {0}"
 
 
 def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]] = ()) -> dict[str, Any]:
@@ -193,7 +193,7 @@ def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
     if found.wanted.items:
         said.append(f"the dictionary of this run: {found.wanted}")
     if given := [str(one.placed) for one in found.outcome.accepted if one.given]:
-        said.append(f"{', '.join(given)}: given, and not asked for evidence")
+        said.append(f"{', '.join(given)}: given for this run, so no evidence was asked for")
     if together:
         said.append(FREE)
     if (found.stand_in or found.misfit) and (advice := undeclared_motion(found.system)):
@@ -226,11 +226,11 @@ def _named(member: Sequence[Placed]) -> dict[str, Any]:
 
 def _meaning_of_intervals(found: Diagnosis) -> str:
     """Return what the intervals count."""
-    counted = "noise and the force that nobody measured" if found.form.latent else "a coloured error of the free run"
+    counted = "noise and the unmeasured force" if found.form.latent else "a coloured error of the free run"
     if found.structure_fits:
-        return f"95 %, from the curvature of the likelihood; {counted} counted"
+        return f"95 %, from the curvature of the likelihood, including {counted}"
     return (
-        f"they count {counted}, and not that the model lacks something that could still be predicted: "
+        f"they include {counted}, but not that the model still lacks something predictable: "
         "true values may lie far outside"
     )
 
@@ -370,7 +370,7 @@ def _closed_loop(found: Diagnosis, fit: Fit) -> dict[str, Any]:
 
 
 def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[str] = ()) -> str:
-    """Return the verdict in one line; forces that nobody measured are told above the share ``least``.
+    """Return the verdict in one line; unmeasured forces are told above the share ``least``.
 
     ``cause`` is what speaks for something that has no name, ``lasting`` what free runs leave that is no noise.
     """
@@ -393,20 +393,20 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
     words = (
         "no free run"
         if share is None
-        else "a straight line comes nearer to the validation motion"
+        else "a straight line comes closer to the validation motion than the model"
         if share < 0.0
         else f"{math.floor(1e4 * share) / 100:g} % of the validation motion is explained"
         if share < 1.0
-        else "the validation motion is explained but for noise"
+        else "the validation motion is explained up to noise"
     )
     forces = [
-        f"a force at {port} that nobody measured ({brief(math.hypot(force['s'], force['w']))} {force['unit']}, "
+        f"an unmeasured force at {port} ({brief(math.hypot(force['s'], force['w']))} {force['unit']}, "
         f"{brief(100 * force['share'])} % of what moves it)"
         for port, plain in data["noise"]["after"]["forces"].items()
         for force in [as_recorded(plain, port, data)]
         if force["share"] is not None and force["share"] > least
     ]
-    beside = f" beside {' and '.join([*forces, *lasting])}" if forces or lasting else ""
+    beside = f" apart from {' and '.join([*forces, *lasting])}" if forces or lasting else ""
     if data["verdict"] == "effects_found":
         if data["stand_in"]["flagged"]:
             text = f"{standing_in(data, data['model'])}{_still_left(data['noise']['after']['forces'])}"
@@ -416,7 +416,7 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
                 for one in data["effects"]
             )
             return (
-                f"nothing is missing in {data['model']}{beside} but that {steps}; "
+                f"nothing is missing in {data['model']}{beside}, except that {steps}; "
                 f"validation simulation error {change}; {words}"
             )
         else:
@@ -433,7 +433,7 @@ def _summary(data: dict[str, Any], least: float, cause: str, lasting: Sequence[s
 def _unnamed(model: str, cause: str) -> str:
     """Return that something without a name is missing, or that nobody can tell whether something is."""
     if not cause:
-        return f"whether something is missing in {model} is not told"
+        return f"it is not known whether something is missing in {model}"
     return f"something is missing in {model}, and no effect of the dictionary explains it: {cause}"
 
 
@@ -442,7 +442,7 @@ def _lasting(found: Diagnosis) -> list[str]:
     if found.runs.worst is None or found.lasting <= found.policy.disturbed:
         return []
     output = found.dataset.spec.outputs[found.runs.worst].name
-    return [f"an error of free runs that lasts (of {output}, {brief(100 * found.lasting)} % of its motion)"]
+    return [f"a lasting error of free runs (of {output}, {brief(100 * found.lasting)} % of its motion)"]
 
 
 def _step(step: Mapping[str, Any]) -> str:
@@ -454,30 +454,31 @@ def _cause(found: Diagnosis) -> str:
     """Return why something is said to be missing that has no name, in words; what speaks for it most clearly."""
     best = found.left
     if best is not None:
-        return f"a force at {best.name} would"
+        return f"a free force at {best.name} predicts what is left"
     if found.outcome.withdrawn:
         names = " and ".join(_words(accepted.placed) for accepted in found.outcome.withdrawn)
-        return f"{names} would by the likelihood, and brings free runs no nearer to the validation records"
+        return f"the likeliest answer, {names}, does not bring free runs closer to the validation records"
     refused = found.promised
     if refused is not None and refused.comparison is not None:
         names = " and ".join(map(_words, refused.added))
-        gain = f"{names} would in the estimation records, by {refused.comparison.evidence:.0f} in log-likelihood"
+        gain = f"{names} would bring {refused.comparison.evidence:.0f} in log-likelihood on the estimation records"
         if refused.comparison.validation < refused.comparison.error:
-            return f"{gain}, and the validation records show nothing of it; excite it in both"
+            return f"{gain}, but the validation records show nothing of it; excite it in both"
         return f"{gain}, but {refusals_text(refused.refusals)}"
     if found.rival:
-        return f"{found.rival.replace('_', ' ').replace('@', ' at ')} alone would in free runs, and is not accepted"
+        return f"{found.rival.replace('_', ' ').replace('@', ' at ')} alone helps free runs more, but is not accepted"
     if found.disagree:
         return "the validation records want other parameters than the estimation records"
     if found.shaken:
         return _happened(found)
     if found.astray:
-        return f"free runs err {found.runs.further:.2g} times as far on the validation records as on the others"
+        further = f"{found.runs.further:.2g} times as large on the validation records as on the others"
+        return f"the error of free runs is {further}"
     if not found.form.latent:
         return f"{' and '.join(_lasting(found))} is left"
     if found.runs.left > found.policy.misfit_nrmse**2:
         return f"free runs leave {brief(100 * np.sqrt(found.runs.left))} % of what a straight line leaves"
-    return "the force that nobody measured is too large for a disturbance"
+    return "the unmeasured force is too large for a disturbance"
 
 
 def _untried(found: Diagnosis) -> str:
@@ -487,19 +488,19 @@ def _untried(found: Diagnosis) -> str:
 
 
 def _happened(found: Diagnosis) -> str:
-    """Return when the force that nobody measured jumps."""
+    """Return when the unmeasured force jumps."""
     parts = []
     for use in ("estimation", "validation"):
         times = sorted({round(one.time, 2) for one in found.jumps if one.use == use})
         parts.append(f"{', '.join(f'{time:g}' for time in times)} s of the {use} records")
-    return f"the force that nobody measured jumps, at {' and at '.join(parts)}: something happens there"
+    return f"the unmeasured force jumps at {' and at '.join(parts)}: something happens there"
 
 
 def _taken_back(found: Diagnosis) -> list[str]:
     """Return a warning about what was accepted and taken back."""
     names = ", ".join(str(accepted.placed) for accepted in found.outcome.withdrawn)
     worse = refusal_text(Refusal(Kind.WITHDRAWN))
-    return [f"{names}: likely by the likelihood and taken back: {worse}"] if names else []
+    return [f"{names}: accepted by the likelihood, then taken back: {worse}"] if names else []
 
 
 def _words(placed: Placed) -> str:
@@ -508,7 +509,7 @@ def _words(placed: Placed) -> str:
 
 
 def _still_left(forces: Mapping[str, Any]) -> str:
-    """Return how large the force is that nobody measured, where it is largest: a stand-in may leave little or much."""
+    """Return how large the unmeasured force is, where it is largest: a stand-in may leave little or much."""
     shares = {port: force["share"] for port, force in forces.items() if force["share"] is not None}
     if not shares:
         return ""

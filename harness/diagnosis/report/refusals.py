@@ -7,42 +7,40 @@ from collections.abc import Callable, Iterable
 from harness.diagnosis.search.refusal import Kind, Refusal
 
 _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
-    Kind.NOT_SIMULATED: lambda r: "with it the model cannot be simulated along these records",
-    Kind.COST: lambda r: "it was not tried to the end: the search had cost what it may",
+    Kind.NOT_SIMULATED: lambda r: "with it the model cannot be simulated on these records",
+    Kind.COST: lambda r: "it was not tried to the end: the search had reached its cost limit",
     Kind.STOPPED: lambda r: (
-        "its fit was stopped early: its steps would not bring it within reach of the best rival, or of what its "
-        "parameters cost"
+        "its fit was stopped early: its steps would not bring it within reach of the best rival, or of the cost of "
+        "its parameters"
     ),
     Kind.UNCONVERGED: lambda r: "its fit did not converge",
     Kind.EVIDENCE: lambda r: (
-        f"too little evidence: {r.numbers[0]:.1f} in log-likelihood on the estimation records (its parameters paid) "
-        f"and {r.numbers[1]:.1f} on the validation records, {r.numbers[2]:.1f} asked of both together"
+        f"too little evidence: {r.numbers[0]:.1f} in log-likelihood on the estimation records (cost of parameters off) "
+        f"and {r.numbers[1]:.1f} on the validation records; {r.numbers[2]:.1f} needed in total"
     ),
     Kind.ESTIMATION: lambda r: (
-        f"the estimation records alone speak against it: {r.numbers[0]:.1f} in log-likelihood, its parameters paid, "
-        f"{r.numbers[1]:g} asked"
+        f"the estimation records alone speak against it: {r.numbers[0]:.1f} in log-likelihood (cost of parameters "
+        f"off), {r.numbers[1]:g} needed"
     ),
     Kind.VALIDATION: lambda r: (
         f"the validation records do not confirm it: they gain {r.numbers[0]:.1f} in log-likelihood, "
-        f"{r.numbers[1]:.1f} asked of them alone"
+        f"{r.numbers[1]:.1f} needed from them alone"
     ),
     Kind.COLOURED: lambda r: (
-        f"an error that drifts explains these free runs as well: beside one it gains {r.numbers[0]:.1f} in "
-        f"log-likelihood on the estimation records (its parameters paid) and {r.numbers[1]:.1f} on the validation "
-        f"records, {r.numbers[2]:.1f} asked of both together"
+        f"a drifting error explains these free runs as well: with one in the model it gains {r.numbers[0]:.1f} in "
+        f"log-likelihood on the estimation records (cost of parameters off) and {r.numbers[1]:.1f} on the validation "
+        f"records; {r.numbers[2]:.1f} needed in total"
     ),
-    Kind.SHARE: lambda r: (
-        f"it brings {100 * r.numbers[0]:.1f} % of what all effects together bring: next to nothing changes by it"
-    ),
+    Kind.SHARE: lambda r: f"it brings only {100 * r.numbers[0]:.1f} % of what all effects bring together",
     Kind.SIZE: lambda r: (
-        f"it changes {100 * r.numbers[0]:.2g} % of rates or readings, {100 * r.numbers[1]:g} % asked: nobody would "
+        f"it changes rates or readings by {100 * r.numbers[0]:.2g} %, {100 * r.numbers[1]:g} % needed: nobody would "
         "miss it"
     ),
     Kind.AGAIN: lambda r: (
-        f"it does not happen once: beside it the force that nobody measured jumps {r.numbers[0]:.0f} more times there"
+        f"it does not happen only once: with it the unmeasured force still jumps {r.numbers[0]:.0f} more times there"
     ),
     Kind.LASTING: lambda r: (
-        f"it does not happen once: beside it {100 * r.numbers[0]:.0f} % of the error that lasts from sample to sample "
+        f"it does not happen only once: with it {100 * r.numbers[0]:.0f} % of the lasting error from sample to sample "
         "goes on"
     ),
     Kind.INCOHERENT: lambda r: (
@@ -51,18 +49,18 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
     Kind.SIGN: lambda r: f"{r.subject} = {r.numbers[0]:.3g} has a sign that physics forbids",
     Kind.BOUND: lambda r: f"{r.subject} ended on its bound, {r.numbers[0]:.3g}: these data do not determine it",
     Kind.UNDETERMINED: lambda r: (
-        f"{r.subject} = {r.numbers[0]:.3g} is not determined by these data: the law is what it is without it"
+        f"{r.subject} = {r.numbers[0]:.3g} is not determined by these data: the law is the same without it"
     ),
-    Kind.TRADED: lambda r: f"it only trades with {r.subject}, which these data tell without it and not beside it",
-    Kind.LAW: lambda r: f"its values break its own law, which asks that {r.subject}",
+    Kind.TRADED: lambda r: f"it only trades with {r.subject}, which these data determine without it but not with it",
+    Kind.LAW: lambda r: f"its values break its own law, which requires that {r.subject}",
     Kind.UNSEEN: lambda r: (
-        f"beside it something moves {r.numbers[0]:.2g} times as fast as these samples can show: faster ones may"
+        f"with it something moves {r.numbers[0]:.2g} times as fast as these samples can show: sample faster"
     ),
     Kind.OTHER_LAW: lambda r: (
-        f"beside it {r.subject} would be no such law any more: {'' if r.cause is None else refusal_text(r.cause)}"
+        f"with it {r.subject} would no longer be such a law: {'' if r.cause is None else refusal_text(r.cause)}"
     ),
     Kind.WITHDRAWN: lambda r: (
-        "with it the model runs no nearer to the validation records than the nominal one at its nearest, or further"
+        "with it the model comes no closer to the validation records than the nominal one at its best"
     ),
 }
 

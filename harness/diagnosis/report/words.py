@@ -123,7 +123,7 @@ def standing_in(data: Mapping[str, Any], model: str) -> str:
     if parts:
         reason += f"; {_named_pairs(parts)} may be {'a part' if len(parts) == 1 else 'parts'} of what is left"
     return (
-        f"{_named_pairs(sure)} {'stands' if len(sure) == 1 else 'stand'} in for what {model} lacks, which the "
+        f"{_named_pairs(sure)} {'stands' if len(sure) == 1 else 'stand'} in for something that {model} lacks and the "
         f"dictionary does not have ({reason})"
     )
 
