@@ -48,15 +48,6 @@ class JointLimits:
 class FourierReference:
     """Positions that are a Fourier series of one period.
 
-    Parameters
-    ----------
-    period : float
-        Seconds.
-    centre : array (n,)
-        Mean position [rad].
-    sine, cosine : array (n, L)
-        Coefficients of the harmonics 1 to L [rad].
-
     Examples
     --------
     >>> swing = FourierReference(2.0, np.zeros(1), np.ones((1, 1)), np.zeros((1, 1)))
@@ -64,8 +55,9 @@ class FourierReference:
     [[[1.0]], [[0.0]], [[-9.87]]]
     """
 
-    period: float
-    centre: FloatArray
+    period: float  # Seconds
+    centre: FloatArray  # (n,): Mean position [rad]
+    # (n, L): Coefficients of the harmonics 1 to L [rad]
     sine: FloatArray
     cosine: FloatArray
 
@@ -185,38 +177,20 @@ def design_reference(
 ) -> Design:
     """Return a reference under which the inertial parameters are well conditioned.
 
-    Parameters
-    ----------
-    regressor : callable
-        ``(q, v, a) -> W``; arrays (N, n) in, (N * n, k) out, e.g. ``Arm.regressor``.
-    limits : JointLimits
-        Kept at all times of the period.
-    period : float
-        Seconds.
-    harmonics : int
-        Of each joint.
-    samples : int
-        Instants of a period at which the regressor is taken.
-    starts, steps : int
-        Random references to choose from, and steps of the search from the best of them.
-    scaled : bool
-        Scale the columns to unit length first, so that the units of the parameters do not count.
-    violation : callable, optional
-        ``(q, v, a) -> float``, 0 where torques and places are within their limits, else by how much they are not.
-    criterion : callable, optional
-        Of the whole regressor, in place of the condition number of its identifiable columns:
-        :func:`deviation_of` a chosen parameter, or :func:`volume_of` some.
-    rng : numpy.random.Generator
-        Draws both.
+    Raises InputError if no reference that keeps the limits is found.
 
-    Returns
-    -------
-    Design
-
-    Raises
-    ------
-    InputError
-        If no reference that keeps the limits is found.
+    - ``regressor``: ``(q, v, a) -> W``; arrays (N, n) in, (N * n, k) out, e.g. ``Arm.regressor``.
+    - ``limits``: kept at all times of the period
+    - ``period``: seconds
+    - ``harmonics``: of each joint
+    - ``samples``: instants of a period at which the regressor is taken
+    - ``starts, steps``: random references to choose from, and steps of the search from the best of them
+    - ``scaled``: scale the columns to unit length first, so that the units of the parameters do not count
+    - ``violation``: ``(q, v, a) -> float``, 0 where torques and places are within their limits, else by how much they
+      are not
+    - ``criterion``: of the whole regressor, in place of the condition number of its identifiable columns:
+      :func:`deviation_of` a chosen parameter, or :func:`volume_of` some
+    - ``rng``: draws both
 
     Notes
     -----

@@ -21,25 +21,13 @@ def per_channel(
 ) -> FloatArray:
     """Return one number for each channel.
 
-    Parameters
-    ----------
-    value : float or mapping or None
-        One number for all, or numbers by name; a channel that is not named gets ``default``.
-    channels : tuple of Channel
-        In order.
-    option : str
-        Name of the option, for the message.
-    default : float
-        For channels that are not named.
+    Raises InputError if a name is unknown or a value is no finite number.
 
-    Returns
-    -------
-    array (len(channels),)
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or a value is no finite number.
+    - ``value``: one number for all, or numbers by name; a channel that is not named gets ``default``
+    - ``channels``: in order
+    - ``option``: name of the option, for the message
+    - ``default``: for channels that are not named
+    - returns (len(channels),)
 
     Examples
     --------
@@ -131,24 +119,12 @@ def sensor(
 def coloured_noise(n: int, sample_time: float, bandwidth: float | None, *, rng: np.random.Generator) -> FloatArray:
     """Return Gaussian first-order noise of standard deviation one, stationary from the first sample.
 
-    Parameters
-    ----------
-    n, sample_time : int, float
-        Samples, and seconds between them.
-    bandwidth : float or None
-        Corner frequency [Hz] of the first-order spectrum; None is white.
-    rng : numpy.random.Generator
-        Draws it.
+    Raises InputError if the bandwidth is not positive.
 
-    Returns
-    -------
-    array (n,)
-        AR(1) with pole ``a = exp(-2 pi bandwidth dt)``; its autocorrelation is ``a**lag``.
-
-    Raises
-    ------
-    InputError
-        If the bandwidth is not positive.
+    - ``n, sample_time``: samples, and seconds between them
+    - ``bandwidth``: corner frequency [Hz] of the first-order spectrum; None is white
+    - ``rng``: draws it
+    - returns (n,): AR(1) with pole ``a = exp(-2 pi bandwidth dt)``; its autocorrelation is ``a**lag``
 
     Examples
     --------
@@ -183,29 +159,16 @@ def process_disturbance(
 ) -> FloatArray | None:
     """Return noise that enters with the inputs and is never recorded, or None where there is none.
 
-    Parameters
-    ----------
-    spec : PlantSpec
-        Whose inputs are disturbed.
-    excitation : array (N, nu)
-        The known part of the input; ``ratio`` refers to its rms about its mean.
-    rms : float or mapping, optional
-        Standard deviation in the unit of each input.
-    ratio : float or mapping, optional
-        Standard deviation relative to the excitation's; adds to ``rms`` in squares.
-    bandwidth : float, optional
-        Corner frequency [Hz] of the first-order spectrum; white without it.
-    rng : numpy.random.Generator
-        Draws it.
+    Raises InputError if a value is negative, a name unknown, an input not real, or a ratio is given to an input at
+    rest.
 
-    Returns
-    -------
-    array (N, nu) or None
-
-    Raises
-    ------
-    InputError
-        If a value is negative, a name unknown, an input not real, or a ratio is given to an input at rest.
+    - ``spec``: whose inputs are disturbed
+    - ``excitation`` (N, nu): the known part of the input; ``ratio`` refers to its rms about its mean
+    - ``rms``: standard deviation in the unit of each input
+    - ``ratio``: standard deviation relative to the excitation's; adds to ``rms`` in squares
+    - ``bandwidth``: corner frequency [Hz] of the first-order spectrum; white without it
+    - ``rng``: draws it
+    - returns (N, nu) or None
     """
     absolute = not_negative(per_channel(rms, spec.inputs, "process_noise"), spec.inputs, "process_noise")
     relative = not_negative(per_channel(ratio, spec.inputs, "process_noise_ratio"), spec.inputs, "process_noise_ratio")

@@ -23,10 +23,7 @@ _BISECTIONS = 60  # Halvings of a bracket for a quantile: to the last digits of 
 class Categories:
     """Probabilities of the categories of each output.
 
-    Raises
-    ------
-    InputError
-        If a table has negative entries or does not sum to 1.
+    Raises InputError if a table has negative entries or does not sum to 1.
 
     Examples
     --------

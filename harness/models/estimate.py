@@ -237,14 +237,10 @@ def estimate_of(model: Any) -> Estimate | None:
 def null_words(names: Sequence[str], basis: FloatArray, lengths: FloatArray | None = None) -> tuple[str, ...]:
     """Return the directions of a null space in words, one for each.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the k parameters.
-    basis : array (k, d)
-        Columns span the null space, in parameters times ``lengths``.
-    lengths : array (k,), optional
-        Length of each column of the regressor; 1 by default. Those at 0 belong to parameters without any effect.
+    - ``names``: of the k parameters
+    - ``basis`` (k, d): columns span the null space, in parameters times ``lengths``
+    - ``lengths`` (k,): length of each column of the regressor; 1 by default. Those at 0 belong to parameters without
+      any effect.
 
     Examples
     --------

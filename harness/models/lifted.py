@@ -61,17 +61,10 @@ def deviations(model: Lifted) -> tuple[FloatArray, FloatArray, FloatArray, npt.N
 class LiftedController:
     """State feedback on the lifted state: ``u = u* - K (z - z*)`` within the bounds of the inputs, or MPC.
 
-    Parameters
-    ----------
-    model : Lifted
-    gain : array (nu, nz)
-        Of the deviations that :func:`deviations` keeps.
-    target : array (ny,)
-        Outputs to be held.
-    hold : array (nu,)
-        Inputs that hold them.
-    plan : _Plan, optional
-        What is solved at every sample instead of the gain.
+    - ``gain`` (nu, nz): of the deviations that :func:`deviations` keeps
+    - ``target`` (ny,): outputs to be held
+    - ``hold`` (nu,): inputs that hold them
+    - ``plan``: what is solved at every sample instead of the gain
 
     Notes
     -----

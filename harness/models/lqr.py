@@ -166,11 +166,8 @@ def lqr_gain(
 def kalman_gain(a: FloatArray, c: FloatArray, process: FloatArray, sensor: FloatArray) -> FloatArray | None:
     """Return the stationary predictor gain K (nx, ny) of ``x+ = A x + K (y - C x)``; None where there is none.
 
-    Parameters
-    ----------
-    a, c : array (nx, nx), (ny, nx)
-    process, sensor : array (nx, nx), (ny, ny)
-        Covariances of the disturbance of the state and of the sensor noise.
+    - ``a, c`` (nx, nx), (ny, nx)
+    - ``process, sensor`` (nx, nx), (ny, ny): covariances of the disturbance of the state and of the sensor noise
     """
     gain = lqr_gain(a.T, c.T, process, sensor)
     return None if gain is None else gain.T

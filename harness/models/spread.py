@@ -127,12 +127,8 @@ def covariance_of(model: Any, function: Callable[[Matrices], FloatArray]) -> Flo
 def response_covariance(model: Any, frequency: FloatArray) -> FloatArray:
     """Return the covariance of real and imaginary part of a frequency response, (F, ny, nu, 2, 2).
 
-    Parameters
-    ----------
-    model : LinearModel
-        With a ``spread``.
-    frequency : array (F,)
-        [Hz]
+    - ``model``: with a ``spread``
+    - ``frequency`` (F,): [Hz]
     """
     sample_time = model.spec.sample_time
 
@@ -147,11 +143,8 @@ def response_covariance(model: Any, frequency: FloatArray) -> FloatArray:
 def gain_and_phase_deviation(response: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return standard deviations of modulus and phase [rad] of a frequency response, to first order.
 
-    Parameters
-    ----------
-    response : array (..., )
-    covariance : array (..., 2, 2)
-        Of its real and imaginary part.
+    - ``response`` (..., )
+    - ``covariance`` (..., 2, 2): of its real and imaginary part
 
     Examples
     --------

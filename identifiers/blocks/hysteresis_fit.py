@@ -174,24 +174,13 @@ def descended(
 ) -> tuple[Point, float]:
     """Return where no damped step lowers the squared error of free runs any more, and its root mean square.
 
-    Parameters
-    ----------
-    layout : Layout
-    point : Point
-    pairs : sequence of (u, y)
-    radii : array (nz, m)
-        Of the stops.
-    rounds : int
-        Steps, at most.
-    direct : bool
-        Outputs answer the input of the same sample; without, D and F stay 0.
-    positive : bool
-        Keep the weights of the stops at 0 and above.
+    Raises FitError if the run to begin with diverges.
 
-    Raises
-    ------
-    FitError
-        If the run to begin with diverges.
+    - ``pairs`` sequence of (u, y)
+    - ``radii`` (nz, m): of the stops
+    - ``rounds``: steps, at most
+    - ``direct``: outputs answer the input of the same sample; without, D and F stay 0
+    - ``positive``: keep the weights of the stops at 0 and above
     """
     total = sum(y.size for _, y in pairs)
     rest = np.zeros(radii.shape)

@@ -18,15 +18,9 @@ def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: st
     Outputs measured before k and inputs up to k move with the regressors, but white noise on the outputs at k and k + 1
     is none of theirs (Soderstrom & Stoica 1983, *Instrumental Variable Methods for System Identification*, eq. 3.10).
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    offset : bool
-        Fit a constant too.
-    what : str
-        For messages.
-    lags : int
-        How many earlier outputs and inputs serve as instruments.
+    - ``offset``: fit a constant too
+    - ``what``: for messages
+    - ``lags``: how many earlier outputs and inputs serve as instruments
     """
     x, z, y = instruments_of(records, offset, lags)
     if not len(x):

@@ -248,9 +248,7 @@ def lagged_blocks(
     - ``offset``: with a last column of ones
     - ``direct``: with the inputs of the instant that is predicted, after the lags
 
-    Yields
-    ------
-    (array (n, p), array (n, ny))
+    - yields (array (n, p), array (n, ny))
     """
     spec = trajectories[0].spec
     size = max(256, _CACHE // max(1, lags * (spec.ny + spec.nu)))

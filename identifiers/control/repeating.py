@@ -21,19 +21,12 @@ differentiate."""
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """``x+ = A x + B u``, corrected by ``M (y - C x)`` where an output is seen: departures from a plan.
+    """``x+ = A x + B u``, corrected by ``M (y - C x)`` where an output is seen: departures from a plan."""
 
-    Parameters
-    ----------
-    a, b, c : array (nx, nx), (nx, nu), (ny, nx)
-    correction : array (nx, ny)
-        M.
-    """
-
-    a: FloatArray
-    b: FloatArray
-    c: FloatArray
-    correction: FloatArray
+    a: FloatArray  # (nx, nx)
+    b: FloatArray  # (nx, nu)
+    c: FloatArray  # (ny, nx)
+    correction: FloatArray  # (nx, ny): M
 
     @classmethod
     def of(cls, parts: tuple[FloatArray, FloatArray, FloatArray], pushed: FloatArray, noise: float) -> Observer | None:

@@ -48,10 +48,7 @@ def policy_values(transition: FloatArray, reward: FloatArray, policy: FloatArray
 def optimal_values(transition: FloatArray, reward: FloatArray, discount: float) -> tuple[FloatArray, FloatArray]:
     """Return the optimal values (S,) and action values (S, A), by policy iteration (Puterman 1994, sec. 6.4).
 
-    Raises
-    ------
-    InputError
-        As of :func:`policy_values`.
+    Raises InputError as of :func:`policy_values`.
 
     Examples
     --------
@@ -115,12 +112,8 @@ def groups_of_rows(rows: FloatArray, tolerance: float, labels: Labels | None = N
 
     Values of a column belong together as long as no gap between neighbours is wider than the tolerance.
 
-    Parameters
-    ----------
-    rows : array (S, n)
-    tolerance : float
-    labels : array (S,), optional
-        Groups that are only split further.
+    - ``rows`` (S, n)
+    - ``labels`` (S,): groups that are only split further
 
     Examples
     --------

@@ -205,10 +205,7 @@ def _counted(
 ) -> tuple[Labels, FloatArray, str]:
     """Return the classes of a counted process, its pooled transitions (B, A, B), and how surely they are known.
 
-    Raises
-    ------
-    InputError
-        If a pair of state and action was never tried.
+    Raises InputError if a pair of state and action was never tried.
     """
     if not visits.all():
         never = [(int(s), int(a)) for s, a in np.argwhere(visits == 0)]

@@ -479,13 +479,8 @@ def _idle(solution: Solution, first: int, spec: PlantSpec) -> list[int]:
     The F test of these functions together (Seber & Lee 2003, *Linear Regression Analysis*, theorem 4.1), output by
     output: in a model of more they hold noise alone, which grows with their degree outside of the records.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of all functions.
-    first : int
-        Number of the first of these functions among the columns.
-    spec : PlantSpec
+    - ``solution``: of all functions
+    - ``first``: number of the first of these functions among the columns
     """
     from scipy.stats import f
 

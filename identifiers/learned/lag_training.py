@@ -133,14 +133,8 @@ class LagTask:
 def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, asks: Excited) -> LagTask:
     """Return the task that records pose; raises FitError if they cannot be learned from.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-    order : int
-        Past outputs and inputs.
-    what : str
-        Name of the identifier, for messages.
-    asks : Excited
+    - ``order``: past outputs and inputs
+    - ``what``: name of the identifier, for messages
     """
     records, spec = asks.asked(trajectories, samples=max(10, 2 * order + 6), what=what)
     cuts = [len(record) - max(len(record) // 5, order + 2) for record in records]

@@ -49,16 +49,10 @@ class Tree:
 def grow_tree(rows: FloatArray, targets: FloatArray, *, leaf: int, features: int, rng: np.random.Generator) -> Tree:
     """Return a regression tree (Breiman, Friedman, Olshen and Stone 1984, *CART*, sec. 8.4).
 
-    Parameters
-    ----------
-    rows : array (n, p)
-    targets : array (n, ny)
-        Scaled, since their squares are added.
-    leaf : int
-        Least number of samples in a leaf.
-    features : int
-        Columns that each split chooses from, drawn anew each time.
-    rng : numpy.random.Generator
+    - ``rows`` (n, p)
+    - ``targets`` (n, ny): scaled, since their squares are added
+    - ``leaf``: least number of samples in a leaf
+    - ``features``: columns that each split chooses from, drawn anew each time
 
     Examples
     --------

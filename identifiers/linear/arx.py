@@ -227,13 +227,7 @@ def lag_model(
 
     The state is ``[y[k], ..., y[k - lags + 1], u[k - 1], ..., u[k - lags + 1]]``.
 
-    Parameters
-    ----------
-    spec : PlantSpec
-    coefficients : array (lags (ny + nu) + offset, ny)
-    lags : int
-    offset : bool
-    notes : dict, optional
+    - ``coefficients`` (lags (ny + nu) + offset, ny)
     """
     ny, nu = spec.ny, spec.nu
     theta = coefficients.T
@@ -293,18 +287,9 @@ def with_lag_neighbours(
 ) -> LinearModel:
     """Return the model of :func:`lag_model` with what the regression finds without one stretch of the records each.
 
-    Parameters
-    ----------
-    model : LinearModel
-    records : sequence of Trajectory
-    solution : Solution
-        Of :func:`one_step`.
-    lags : int
-    offset : bool
-    delay : int
-    estimate : Estimate, optional
-        Of :func:`identifiers.common.one_step_estimate.least_squares_estimate`, where there is one: it has looked at
-        the residuals already.
+    - ``solution``: of :func:`one_step`
+    - ``estimate``: of :func:`identifiers.common.one_step_estimate.least_squares_estimate`, where there is one: it has
+      looked at the residuals already
     """
     found = None
     if len(model.a_matrix) <= LARGEST:
@@ -324,13 +309,7 @@ def with_lag_neighbours(
 def operating_point(records: Sequence[Trajectory], solution: Solution, lags: int, what: str) -> dict[str, str]:
     """Return a warning for the notes where a fit without a constant misses one: records about an operating point.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    solution : Solution
-        Without the constant.
-    lags : int
-    what : str
+    - ``solution``: without the constant
     """
     from scipy.stats import chi2
 

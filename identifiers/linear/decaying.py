@@ -66,17 +66,10 @@ def decaying_response(
     kernels TC and DI of Chen, Ohlsson & Ljung 2012, Automatica 48:1525); decay d, weight c and which of the two
     maximise the likelihood of the data. With little noise, or rich inputs, the answer is that of least squares.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-    length : int
-        Number of Markov parameters, the direct term included.
-    plain : array (length, ny, nu)
-        The least-squares estimate.
-    rms : array (ny,)
-        Its residual, not 0.
-    offset : bool
-        Fit a constant output too.
+    - ``length``: number of Markov parameters, the direct term included
+    - ``plain`` (length, ny, nu): the least-squares estimate
+    - ``rms`` (ny,): its residual, not 0
+    - ``offset``: fit a constant output too
     """
     nu, ny = trajectories[0].spec.nu, trajectories[0].spec.ny
     sums = normal_equations(trajectories, length, offset=offset)

@@ -70,23 +70,14 @@ def realize(
 
     Ho & Kalman 1966 (Regelungstechnik 14:545); Juang & Pappa 1985 (J. Guidance 8:620, eq. 18-21).
 
-    Parameters
-    ----------
-    markov : array (M, ny, nu)
-        G[1], G[2], ... (without the direct term).
-    order : int, optional
-        State dimension; by default the number of Hankel singular values above ``noise``, or where that is not known the
-        largest gap of those above ``tolerance``.
-    rows : int, optional
-        Block rows of the Hankel matrix; by default half of the Markov parameters, which uses all of them.
-    tolerance : float
-        Singular values below this fraction of the largest count as zero.
-    noise : float, optional
-        What the error of the Markov parameters leaves as singular value by itself.
-
-    Returns
-    -------
-    A (n, n), B (n, nu), C (ny, n), Hankel singular values (of a large matrix with a given order: the leading ones)
+    - ``markov`` (M, ny, nu): G[1], G[2], ... (without the direct term).
+    - ``order``: state dimension; by default the number of Hankel singular values above ``noise``, or where that is not
+      known the largest gap of those above ``tolerance``
+    - ``rows``: block rows of the Hankel matrix; by default half of the Markov parameters, which uses all of them
+    - ``tolerance``: singular values below this fraction of the largest count as zero
+    - ``noise``: what the error of the Markov parameters leaves as singular value by itself
+    - returns A (n, n), B (n, nu), C (ny, n), Hankel singular values (of a large matrix with a given order: the leading
+      ones)
 
     Examples
     --------
@@ -402,19 +393,10 @@ def observer_markov(
     ``y[k] = D u[k] + sum_{i=1}^{p} (P_i u[k-i] + Q_i y[k-i]) + c`` is fitted; the response of the system follows from
     ``G[k] = P_k + sum_{i=1}^{k} Q_i G[k-i]``, that to the innovation from ``H[k] = Q_k + sum_{i=1}^{k-1} Q_i H[k-i]``.
 
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-    lags : int
-        p, the length of the observer's memory.
-    length : int
-        Number of Markov parameters wanted, the direct term included.
-    offset, direct : bool
-        Fit a constant; fit D.
-
-    Returns
-    -------
-    G (length, ny, nu), H (length, ny, ny), output offset (ny,), residual rms (ny,)
+    - ``lags``: p, the length of the observer's memory
+    - ``length``: number of Markov parameters wanted, the direct term included
+    - ``offset, direct``: fit a constant; fit D
+    - returns G (length, ny, nu), H (length, ny, ny), output offset (ny,), residual rms (ny,)
     """
     what = "ho-kalman"
     records, spec = usable(trajectories, samples=lags + 2, what=what)

@@ -84,13 +84,8 @@ def markov_parameters(
 def normal_equations(records: Sequence[Trajectory], length: int, *, offset: bool) -> NormalEquations:
     """Return the sums over all windows of the records, none across a seam: lags of the inputs, then the constant.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-        Each of at least ``length`` samples.
-    length : int
-        Number of lags, that of the present sample included.
-    offset : bool
+    - ``records``: each of at least ``length`` samples
+    - ``length``: number of lags, that of the present sample included
     """
     nu, ny = records[0].spec.nu, records[0].spec.ny
     size = length * nu + int(offset)
@@ -103,12 +98,7 @@ def normal_equations(records: Sequence[Trajectory], length: int, *, offset: bool
 def sums_without(records: Sequence[Trajectory], length: int, *, offset: bool) -> list[NormalEquations]:
     """Return the normal equations of all windows but those of one stretch each; none of too few windows.
 
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    length : int
-    offset : bool
-        As of :func:`normal_equations`.
+    - ``offset``: as of :func:`normal_equations`
     """
     records = [record for record in records if len(record) >= length]
     windows = [len(record) - length + 1 for record in records]

@@ -28,15 +28,10 @@ _SLOW = 1e-6  # Sizes of a function, relative to the largest, below which it doe
 def glider_functions(q: FloatArray, u: FloatArray, *, nose_down: bool) -> dict[int, FloatArray]:
     """Return the twenty functions of the exercise (Hoburg & Tedrake 2009, appendix) by their number, each (N,).
 
-    Parameters
-    ----------
-    q : array (N, 7)
-        x, z [m], pitch, elevator [rad], and the rates of the first three.
-    u : array (N,)
-        Rate of the elevator [rad/s].
-    nose_down : bool
-        Pitch counts positive nose down, as in the textbook's data; the exercise takes angle of attack and speed of the
-        elevator as if it counted nose up.
+    - ``q`` (N, 7): x, z [m], pitch, elevator [rad], and the rates of the first three
+    - ``u`` (N,): rate of the elevator [rad/s]
+    - ``nose_down``: pitch counts positive nose down, as in the textbook's data; the exercise takes angle of attack and
+      speed of the elevator as if it counted nose up
 
     Examples
     --------
@@ -78,13 +73,8 @@ def glider_functions(q: FloatArray, u: FloatArray, *, nose_down: bool) -> dict[i
 def along_the_wing(q: FloatArray, accelerations: FloatArray, *, nose_down: bool) -> FloatArray:
     """Return the accelerations (N, 3) along and across the wing, without gravity, and of the pitch.
 
-    Parameters
-    ----------
-    q : array (N, 7)
-        As of :func:`glider_functions`.
-    accelerations : array (N, 3)
-        Of x, z [m/s^2] and the pitch [rad/s^2].
-    nose_down : bool
+    - ``q`` (N, 7): as of :func:`glider_functions`
+    - ``accelerations`` (N, 3): of x, z [m/s^2] and the pitch [rad/s^2]
     """
     sin, cos = np.sin(q[:, 2]), np.cos(q[:, 2])
     sign = -1.0 if nose_down else 1.0

@@ -34,26 +34,13 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class Regressed:
-    """The regression of a record's equations.
+    """The regression of a record's equations."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Lumped parameters, ``"m*l**2"``.
-    values : dict
-        Of those.
-    rank : RankDecision
-    condition : float
-        Of the rows, columns at unit length.
-    rms : float
-        Of the residual, in units of its own noise where coordinates weigh by it.
-    """
-
-    names: tuple[str, ...]
-    values: dict[str, float]
+    names: tuple[str, ...]  # Lumped parameters, ``"m*l**2"``
+    values: dict[str, float]  # Of those
     rank: RankDecision
-    condition: float
-    rms: float
+    condition: float  # Of the rows, columns at unit length
+    rms: float  # Of the residual, in units of its own noise where coordinates weigh by it
 
 
 @dataclass(frozen=True)

@@ -20,18 +20,10 @@ def rts(signal: FloatArray, dt: float, *, noise: float | None = None) -> tuple[F
     the one of largest likelihood on the first samples. The backward pass is that of Rauch, Tung & Striebel (1965, AIAA
     J. 3:1445).
 
-    Parameters
-    ----------
-    signal : array (N,)
-        Uniformly sampled, N >= 8.
-    dt : float
-        Sample time [s].
-    noise : float, optional
-        Standard deviation of the sensor; by default from the fourth difference of the signal.
-
-    Returns
-    -------
-    value, rate, acceleration : array (N,)
+    - ``signal`` (N,): uniformly sampled, N >= 8
+    - ``dt``: sample time [s]
+    - ``noise``: standard deviation of the sensor; by default from the fourth difference of the signal
+    - returns ``value, rate, acceleration`` (N,)
 
     Examples
     --------
@@ -104,28 +96,19 @@ kernel (Silverman 1984, Ann. Statist. 12:898) integrates to 0.2652, a cubic thro
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion of one record, away from its ends.
+    """The motion of one record, away from its ends."""
 
-    Attributes
-    ----------
-    t, q, v, a : array (N,), (N, n)
-        Time, coordinates, rates, accelerations.
-    u, mean_u : array (N, nu)
-        Input held from each instant on, and its mean over the samples before and after.
-    width : int
-        Samples that the smoothing spans (1: none).
-    widths : tuple of int
-        The same for each coordinate (0: the spline was taken), so that a copy can be smoothed alike.
-    """
-
+    # (N,), (N, n): Time, coordinates, rates, accelerations
     t: FloatArray
     q: FloatArray
     v: FloatArray
     a: FloatArray
+    # (N, nu): Input held from each instant on, and its mean over the samples before and after
     u: FloatArray
     mean_u: FloatArray
-    width: int
+    width: int  # Samples that the smoothing spans (1: none)
     widths: tuple[int, ...] = ()
+    """The same for each coordinate (0: the spline was taken), so that a copy can be smoothed alike."""
 
 
 def motion(
@@ -232,10 +215,7 @@ def noise_level(signal: FloatArray) -> float:
     The median of the periodogram there, of the signal without its trend under a Hann window: what moves slowly, and
     single kinks, do not reach it (the median of an exponential variable is ln 2 of its mean).
 
-    Parameters
-    ----------
-    signal : array (N,)
-        Uniformly sampled, unwrapped.
+    - ``signal`` (N,): uniformly sampled, unwrapped
 
     Examples
     --------

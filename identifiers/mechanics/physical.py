@@ -133,22 +133,13 @@ def recipe_for(
 ) -> Recipe:
     """Return the recipe of a model for records of a spec.
 
-    Parameters
-    ----------
-    spec : PlantSpec
-    what : str
-        Name of the identifier, for messages.
-    model : str, optional
-        By default the built-in model whose inputs and outputs (or their rates) are those of the spec, by name and unit.
-    options : mapping, optional
-        For the model's function.
-    effects : sequence of str
-        ``NAME@PORT``.
+    Raises FitError if no built-in model fits, or two do, or the given one does not.
 
-    Raises
-    ------
-    FitError
-        If no built-in model fits, or two do, or the given one does not.
+    - ``what``: name of the identifier, for messages
+    - ``model``: by default the built-in model whose inputs and outputs (or their rates) are those of the spec, by name
+      and unit
+    - ``options``: for the model's function
+    - ``effects``: ``NAME@PORT``
 
     Examples
     --------

@@ -26,10 +26,7 @@ _SAME = 0.01  # Relative difference of two fits that counts as none: far below w
 def column_of(record: Trajectory, name: str) -> FloatArray:
     """Return an input or an output of a record (N,) by its name.
 
-    Raises
-    ------
-    InputError
-        If there is none of that name.
+    Raises InputError if there is none of that name.
     """
     for table, channels in ((record.u, record.spec.inputs), (record.y, record.spec.outputs)):
         for k, channel in enumerate(channels):

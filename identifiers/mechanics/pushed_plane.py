@@ -48,24 +48,12 @@ _MOVED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Where a round tip meets a square object, over the samples k to k + 1 of a record.
+    """Where a round tip meets a square object, over the samples k to k + 1 of a record."""
 
-    Parameters
-    ----------
-    arm : array (N - 1, 2)
-        From the middle of the object to the contact [m], mean over the sample.
-    normal : array (N - 1, 2)
-        Unit vector out of the object.
-    touching : array of bool (N - 1,)
-        In contact at both ends of the sample.
-    slip : array (N - 1,)
-        Speed [m/s] of the tip along the side, against the object, averaged over 0.05 s.
-    """
-
-    arm: FloatArray
-    normal: FloatArray
-    touching: npt.NDArray[np.bool_]
-    slip: FloatArray
+    arm: FloatArray  # (N - 1, 2): From the middle of the object to the contact [m], mean over the sample
+    normal: FloatArray  # (N - 1, 2): Unit vector out of the object
+    touching: npt.NDArray[np.bool_]  # array of bool (N - 1,): In contact at both ends of the sample
+    slip: FloatArray  # (N - 1,): Speed [m/s] of the tip along the side, against the object, averaged over 0.05 s
 
 
 def contacts(places: FloatArray, angle: FloatArray, tips: FloatArray, half: float, tip: float, dt: float) -> Contact:
@@ -243,24 +231,13 @@ def fitted_in_plane(
 ) -> Any:
     """Return the fit of the object's parameters, and the record of the estimate.
 
-    Parameters
-    ----------
-    poses : sequence of array (N, 3)
-        x, y [m] and angle [rad] of the middle.
-    wrenches : sequence of array (N, 3)
-        Force [N] and torque about the middle [N m], held over each sample.
-    dt, gravity : float
-    half : float
-        Half the side [m]: sizes of the start values.
-    feet : three pairs of float, optional
-        As of :func:`object_in_plane`.
-    start : mapping, optional
-        Where parameters start.
+    Raises FitError if the object never turns: its inertia, and where its centre of mass is, are not in the data.
 
-    Raises
-    ------
-    FitError
-        If the object never turns: its inertia, and where its centre of mass is, are not in the data.
+    - ``poses`` sequence of array (N, 3): x, y [m] and angle [rad] of the middle
+    - ``wrenches`` sequence of array (N, 3): force [N] and torque about the middle [N m], held over each sample
+    - ``half``: half the side [m]: sizes of the start values
+    - ``feet``: as of :func:`object_in_plane`
+    - ``start``: where parameters start
     """
     from harness.physics import fit_output_error
     from harness.physics.fitting.output_error_estimate import output_error_estimate

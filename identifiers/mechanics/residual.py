@@ -37,15 +37,10 @@ RIDGES = np.logspace(-8, 2, 21)  # Ridge weights tried, relative to the mean squ
 
 @dataclass(frozen=True)
 class ResidualRecipe(Recipe):
-    """A mechanism with residual forces.
-
-    Parameters
-    ----------
-    forces : tuple of (str, Basis, array)
-        Coordinate, functions, weights in the unit of its force.
-    """
+    """A mechanism with residual forces."""
 
     forces: tuple[tuple[str, Basis, FloatArray], ...] = field(default=(), compare=False)
+    """tuple of (str, Basis, array): Coordinate, functions, weights in the unit of its force."""
 
     def system(self, spec: PlantSpec) -> System:
         """Return the system that speaks like a spec, the residual forces built in."""

@@ -83,22 +83,12 @@ class Basis:
 def basis_of(kind: Kind, columns: tuple[int, ...], motion: FloatArray, count: int, width: float) -> Basis:
     """Return functions whose centres are instants of a motion.
 
-    Parameters
-    ----------
-    kind : {"gaussian", "wavelet"}
-    columns : tuple of int
-        Features among the columns of ``motion``.
-    motion : array (N, 2 n)
-        Positions and rates.
-    count : int
-        How many functions; of wavelets over all scales together.
-    width : float
-        Of a function, in distances to the nearest other centre.
+    Raises InputError if there are fewer different instants than functions.
 
-    Raises
-    ------
-    InputError
-        If there are fewer different instants than functions.
+    - ``columns``: features among the columns of ``motion``
+    - ``motion`` (N, 2 n): positions and rates
+    - ``count``: how many functions; of wavelets over all scales together
+    - ``width``: of a function, in distances to the nearest other centre
 
     Examples
     --------

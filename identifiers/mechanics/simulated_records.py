@@ -45,18 +45,10 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """How estimates scatter.
+    """How estimates scatter."""
 
-    Attributes
-    ----------
-    covariance : array (k, k)
-        Of the corrected parameters.
-    count : int
-        Sets of records simulated.
-    """
-
-    covariance: FloatArray
-    count: int
+    covariance: FloatArray  # (k, k): Of the corrected parameters
+    count: int  # Sets of records simulated
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,19 +50,11 @@ class StartBelief(Described):
     estimation data, such a bend is no surprise, and what the outputs do not show is where it usually is when the rest
     is as they say (generalised least squares; Bar-Shalom, Li & Kirubarajan 2001, *Estimation with Applications to
     Tracking and Navigation*, sec. 3.4).
-
-    Parameters
-    ----------
-    mean : array (nx,)
-    precision : array (nx, nx)
-        Inverse of the covariance.
-    errors : array (k, ny)
-        Autocovariance of the errors of a free run, by samples between them.
     """
 
-    mean: FloatArray
-    precision: FloatArray
-    errors: FloatArray
+    mean: FloatArray  # (nx,)
+    precision: FloatArray  # (nx, nx): Inverse of the covariance
+    errors: FloatArray  # (k, ny): Autocovariance of the errors of a free run, by samples between them
 
     @classmethod
     def of(cls, simulator: Simulator, records: Sequence[Trajectory], fit: OutputErrorFit) -> StartBelief | None:

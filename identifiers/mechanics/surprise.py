@@ -28,33 +28,18 @@ class Surprise:
     truth must not take its own errors for noise of the sensors. Prediction errors beyond it are the parameters' at
     first, and widen the covariance (fading factor of the strong tracking filter, Zhou & Frank 1996, Int. J. Systems
     Sci. 27:333); what stays wrong in spite of that becomes noise.
-
-    Attributes
-    ----------
-    recent : array (4, ny)
-        Last outputs of the record, newest last; NaN before it began.
-    rough : array (2, ny)
-        Sum of the squared third differences by ROUGH, and their number.
-    begin : array (ny,)
-        Variance that is believed before the first third difference.
-    misfit : array (ny,)
-        Mean product of the prediction error and what a correction leaves of it, the noise if the model is right
-        (Mehra 1970, IEEE Trans. Autom. Control 15:175).
-    error : float
-        Recent mean squared prediction error in units of the noise.
-    seen : int
-        Samples.
-    widened : int
-        Samples at which the covariance was widened.
     """
 
-    recent: FloatArray
-    rough: FloatArray
-    begin: FloatArray
+    recent: FloatArray  # (4, ny): Last outputs of the record, newest last; NaN before it began
+    rough: FloatArray  # (2, ny): Sum of the squared third differences by ROUGH, and their number
+    begin: FloatArray  # (ny,): Variance that is believed before the first third difference
     misfit: FloatArray
-    error: float
-    seen: int
-    widened: int
+    """(ny,): Mean product of the prediction error and what a correction leaves of it, the noise if the model is right
+    (Mehra 1970, IEEE Trans. Autom. Control 15:175).
+    """
+    error: float  # Recent mean squared prediction error in units of the noise
+    seen: int  # Samples
+    widened: int  # Samples at which the covariance was widened
 
     @classmethod
     def none(cls, ny: int) -> Self:

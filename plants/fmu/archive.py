@@ -27,27 +27,13 @@ Kind = Literal["cs", "me"]
 
 @dataclass(frozen=True, eq=False)
 class FmuFile:
-    """An FMU that was read and found safe to unpack.
+    """An FMU that was read and found safe to unpack."""
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    description : fmpy.model_description.ModelDescription
-        As fmpy reads it.
-    version : {1, 2, 3}
-        Major version of FMI.
-    problems : tuple of str
-        Where the description breaks the standard without being unusable.
-    renamed : tuple of str
-        Which variables were given names of their own.
-    """
-
-    path: Path
-    description: Any
-    version: int
-    problems: tuple[str, ...]
-    renamed: tuple[str, ...] = ()
+    path: Path  # The file
+    description: Any  # As fmpy reads it
+    version: int  # Major version of FMI
+    problems: tuple[str, ...]  # Where the description breaks the standard without being unusable
+    renamed: tuple[str, ...] = ()  # Which variables were given names of their own
 
     @functools.cached_property
     def variables(self) -> dict[str, Any]:
@@ -102,10 +88,7 @@ class FmuFile:
     def unpack(self) -> Path:
         """Extract what running needs into a new temporary folder, which the caller removes.
 
-        Raises
-        ------
-        InputError
-            If there is no binary for this system, or an entry is damaged.
+        Raises InputError if there is no binary for this system, or an entry is damaged.
         """
         import fmpy
 
@@ -160,11 +143,9 @@ def read_fmu(path: str | Path) -> FmuFile:
 
     Its ``problems`` tell where the description breaks the standard.
 
-    Raises
-    ------
-    InputError
-        If it is not a zip archive, an entry is unsafe (path escape, link, duplicate, bomb), the description is
-        missing or unreadable, the FMI version is unknown, or it offers neither co-simulation nor model exchange.
+    Raises InputError if it is not a zip archive, an entry is unsafe (path escape, link, duplicate, bomb), the
+    description is missing or unreadable, the FMI version is unknown, or it offers neither co-simulation nor model
+    exchange.
 
     Examples
     --------

@@ -27,21 +27,14 @@ LEVELS = ("ok", "warning", "discard", "error", "fatal", "pending")
 class Instance:
     """An FMU in memory.
 
-    Parameters
-    ----------
-    file : FmuFile
-        What to load.
-    kind : {"cs", "me"}
-        Co-simulation or model exchange.
-    event_mode, early_return : bool
-        FMI 3.0 co-simulation: handle events here instead of inside the FMU; let a step end early.
-    debug : bool
-        Ask the FMU for its debug messages (they go to the logger ``plants.fmu.plant``).
+    Raises InputError if it has no binary for this system, cannot be loaded, or may exist only once in a process and
+    does already.
 
-    Raises
-    ------
-    InputError
-        If it has no binary for this system, cannot be loaded, or may exist only once in a process and does already.
+    - ``file``: what to load
+    - ``kind``: co-simulation or model exchange
+    - ``event_mode, early_return``: FMI 3.0 co-simulation: handle events here instead of inside the FMU; let a step end
+      early
+    - ``debug``: ask the FMU for its debug messages (they go to the logger ``plants.fmu.plant``)
     """
 
     def __init__(

@@ -132,16 +132,10 @@ def count_substeps(file: FmuFile, sample_time: float, step: float | None) -> int
 def complaints(file: FmuFile, kind: Kind, step: float, units: Sequence[str], *, told: bool) -> tuple[str, ...]:
     """Return the complaints about the FMU that a user should know, and log them.
 
-    Parameters
-    ----------
-    file, kind
-        The FMU, and how it is used.
-    step : float
-        Communication step [s].
-    units : sequence of str
-        What is odd about units.
-    told : bool
-        Whether the outputs tell what they depend on.
+    - ``file, kind``: the FMU, and how it is used
+    - ``step``: communication step [s]
+    - ``units``: what is odd about units
+    - ``told``: whether the outputs tell what they depend on
     """
     found = [*file.problems, *units]
     if not told:

@@ -37,12 +37,8 @@ class Start:
 class FirstRun:
     """The beginning of an FMU's first run, kept so that the second can be held against it.
 
-    Parameters
-    ----------
-    engine : Engine
-        What steps the instance.
-    values : Start
-        What the first run began from.
+    - ``engine``: what steps the instance
+    - ``values``: what the first run began from
     """
 
     def __init__(self, engine: Engine, values: Start) -> None:
@@ -82,19 +78,10 @@ class FirstRun:
     def way_back(self, begin: Callable[[Start], None], renew: Callable[[], None], *, once: bool) -> tuple[str, float]:
         """Return the way that brings the FMU back to its start, and the largest difference that its reset left.
 
-        Parameters
-        ----------
-        begin : callable
-            ``begin(values)`` brings the instance back, sets start values and reads ``engine.y``.
-        renew : callable
-            Puts a fresh instance in the place of the present one.
-        once : bool
-            True if the instance is not to be replaced without need: the FMU may exist only once in a process, or keeps
-            states for somebody.
-
-        Returns
-        -------
-        ("reset", "instance", "process" or "" if it cannot be told yet, float)
+        - ``begin``: ``begin(values)`` brings the instance back, sets start values and reads ``engine.y``
+        - ``renew``: puts a fresh instance in the place of the present one
+        - ``once``: True if the instance is not to be replaced without need: the FMU may exist only once in a process,
+          or keeps states for somebody
         """
         held = self._engine.u.copy()
         if self._u:
@@ -142,14 +129,9 @@ def _difference(one: FloatArray | None, other: FloatArray | None) -> float:
 def state_error(engine: Engine, take: Callable[[], Any], put: Callable[[Any], None], held: FloatArray) -> float | None:
     """Return by how much the continuation from a kept state differs from the first one; None if it cannot be told.
 
-    Parameters
-    ----------
-    engine : Engine
-        What steps the instance; afterwards it is where it was, if the FMU keeps its state.
-    take, put : callable
-        Take the state of the plant, and set it.
-    held : array (nu,)
-        Input of the continuation.
+    - ``engine``: what steps the instance; afterwards it is where it was, if the FMU keeps its state
+    - ``take, put``: take the state of the plant, and set it
+    - ``held`` (nu,): input of the continuation
     """
     u, y, before = engine.u.copy(), engine.y.copy(), take()
     rows = np.tile(held, (CONTINUED, 1))

@@ -64,12 +64,8 @@ class Conversion:
 def si_conversion(text: str | None, definition: Any = None) -> Conversion:
     """Return the scale and the offset that turn values in a unit of an FMU into SI.
 
-    Parameters
-    ----------
-    text : str or None
-        As the variable or its type says it, e.g. ``"N.m"``.
-    definition : fmpy.model_description.Unit, optional
-        The FMU's own definition by base units; it decides where there is one (FMI 2.0.5 sec. 2.2.2).
+    - ``text``: as the variable or its type says it, e.g. ``"N.m"``.
+    - ``definition``: the FMU's own definition by base units; it decides where there is one (FMI 2.0.5 sec. 2.2.2).
 
     Examples
     --------

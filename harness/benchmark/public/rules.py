@@ -307,10 +307,7 @@ RULES: dict[str, Rule] = {rule.id: rule for rule in (*_OFFICIAL_RULES, *_IDENTIB
 def chosen_rules(names: Sequence[str] | None = None) -> tuple[Rule, ...]:
     """Return the rules of some sets, or of all.
 
-    Raises
-    ------
-    InputError
-        If there is no such set.
+    Raises InputError if there is no such set.
 
     Examples
     --------

@@ -17,24 +17,12 @@ from harness.signals import FloatArray, Trajectory
 def window_rmse(measured: FloatArray, modelled: FloatArray, window: int) -> FloatArray:
     """Return the root mean square error of each output behind the window.
 
-    Parameters
-    ----------
-    measured, modelled : array (N, ny)
-        Outputs; where the model's are not finite, or miss by
-        :data:`harness.scoring.prediction.DIVERGED` times the scatter of what was measured,
-        the error is infinite.
-    window : int
-        Samples at the start that are not scored.
+    Raises InputError if the shapes differ, or nothing is left behind the window.
 
-    Returns
-    -------
-    array (ny,)
-        As ``RMSE(test.y[n:], y_model[n:])`` of ``nonlinear_benchmarks.error_metrics``.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, or nothing is left behind the window.
+    - ``measured, modelled`` (N, ny): outputs; where the model's are not finite, or miss by
+      :data:`harness.scoring.prediction.DIVERGED` times the scatter of what was measured, the error is infinite
+    - ``window``: samples at the start that are not scored
+    - returns (ny,): as ``RMSE(test.y[n:], y_model[n:])`` of ``nonlinear_benchmarks.error_metrics``
 
     Examples
     --------

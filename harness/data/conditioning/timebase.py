@@ -94,11 +94,8 @@ def pieces_of(
     - ``common``: sample time [s] of the runs before: all share one
     - ``where``: returns what a person calls a row (from 0), for messages
 
-    Returns
-    -------
-    pieces : list of Piece
-    notes : list of str
-        What was noticed and done, for the warnings of the data set.
+    - returns ``pieces``
+    - returns ``notes``: what was noticed and done, for the warnings of the data set
     """
     notes: list[str] = []
     pieces = _pieces_within(_Run(names, inputs, rules, notes), time, values, common, where)

@@ -27,10 +27,8 @@ def leaps_of(y: FloatArray, step: float = 0.0) -> tuple[npt.NDArray[np.intp], Fl
     - ``y`` (N,): a position, an angle without the jumps of a turn
     - ``step``: of the sensor: at rest a reading goes to and fro by one
 
-    Returns
-    -------
-    rows : array of int
-    sizes : array
+    - returns ``rows``
+    - returns ``sizes``
 
     Examples
     --------

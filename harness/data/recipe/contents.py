@@ -45,47 +45,26 @@ class ChannelContent:
 
 @dataclass(frozen=True)
 class Contents:
-    """What is inside a file of data.
-
-    Attributes
-    ----------
-    path : str
-    channels : tuple of ChannelContent
-        But for the time column.
-    rows : int
-    clock : str or None
-        The time column.
-    clock_stated : bool
-        False if the file does not say in what unit the time is.
-    start, length, sample_time : float or None
-        Of the clock [s].
-    holes, unsteady : int
-        Steps longer than one and a half sample times; steps that are not forward.
-    notes : tuple of str
-        What was noticed.
-    back : int
-        Of the unsteady steps those that run back.
-    unlikely, rough : bool
-        True where the time states no unit and is hardly seconds; where its steps vary.
-    sheet : str or None
-        Of a workbook, where one of several had to be chosen.
-    """
+    """What is inside a file of data."""
 
     path: str
-    channels: tuple[ChannelContent, ...]
+    channels: tuple[ChannelContent, ...]  # But for the time column
     rows: int
-    clock: str | None = None
-    clock_stated: bool = False
+    clock: str | None = None  # The time column
+    clock_stated: bool = False  # False if the file does not say in what unit the time is
+    # Of the clock [s]
     start: float | None = None
     length: float | None = None
     sample_time: float | None = None
+    # Steps longer than one and a half sample times; steps that are not forward
     holes: int = 0
     unsteady: int = 0
-    notes: tuple[str, ...] = ()
-    back: int = 0
+    notes: tuple[str, ...] = ()  # What was noticed
+    back: int = 0  # Of the unsteady steps those that run back
+    # True where the time states no unit and is hardly seconds; where its steps vary
     unlikely: bool = False
     rough: bool = False
-    sheet: str | None = None
+    sheet: str | None = None  # Of a workbook, where one of several had to be chosen
 
     def facts(self) -> list[str]:
         """Return lines for a person."""

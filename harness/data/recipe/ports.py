@@ -94,19 +94,11 @@ def rate_unit(unit: str, derivative: int) -> str:
 def ports_of(model: str, options: Mapping[str, Any], *, analogy: bool = False) -> Ports | None:
     """Return the ports of a nominal model; None for a model that takes any.
 
-    Parameters
-    ----------
-    model : str
-        Built-in name, an arm (``FILE.urdf``, ``FILE.xml``), ``FILE.py:NAME`` or ``FILE.fmu``.
-    options : mapping
-        Options of the model's definition.
-    analogy : bool
-        True where only the equations count and units come from the data.
+    Raises InputError if the model is unknown or cannot be read.
 
-    Raises
-    ------
-    InputError
-        If the model is unknown or cannot be read.
+    - ``model``: built-in name, an arm (``FILE.urdf``, ``FILE.xml``), ``FILE.py:NAME`` or ``FILE.fmu``
+    - ``options``: options of the model's definition
+    - ``analogy``: True where only the equations count and units come from the data
     """
     if model == ANY_PORTS:
         return None

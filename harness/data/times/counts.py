@@ -34,13 +34,9 @@ def unwrapped(counts: FloatArray, *, of_day: bool = False) -> tuple[FloatArray, 
     - ``counts`` (N,): in the unit of the counter
     - ``of_day``: True for times of day in seconds, whose clock may have twelve hours
 
-    Returns
-    -------
-    counts : array (N,)
-        As they came where any fall has another reason.
-    period : float
-        0 where nothing was done.
-    times : int
+    - returns ``counts`` (N,): as they came where any fall has another reason
+    - returns ``period``: 0 where nothing was done
+    - returns ``times``
 
     Examples
     --------

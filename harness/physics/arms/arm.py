@@ -177,20 +177,13 @@ def is_arm(name: str) -> bool:
 def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] = ()) -> ArmModel:
     """Return an arm by name, or from a URDF or MJCF file.
 
-    Parameters
-    ----------
-    name : str or path
-        A name of :data:`ARMS`, a URDF file, or an MJCF file (which needs the package ``mujoco``).
-    inertia : {"fixed", "calibrated"}
-        ``fixed``: masses, centres and inertias are those of the file, so that a payload or a wrong torque constant can
-        be seen. ``calibrated``: they are fitted to the data; then only what no inertial parameter can mimic is seen.
-    locked : sequence of str
-        Names of joints that do not move and are not in the log.
+    Raises InputError if the file cannot be read, an option is wrong, or PyBullet's data or MuJoCo are not installed.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, an option is wrong, or PyBullet's data or MuJoCo are not installed.
+    - ``name``: a name of :data:`ARMS`, a URDF file, or an MJCF file (which needs the package ``mujoco``)
+    - ``inertia``: ``fixed``: masses, centres and inertias are those of the file, so that a payload or a wrong torque
+      constant can be seen. ``calibrated``: they are fitted to the data; then only what no inertial parameter can mimic
+      is seen.
+    - ``locked``: names of joints that do not move and are not in the log
     """
     if inertia not in ("fixed", "calibrated"):
         raise InputError("option inertia", expected="fixed or calibrated", got=repr(inertia), remedy="choose one")

@@ -15,39 +15,21 @@ FEW = 10  # Samples of sliding below which nothing is said about it.
 
 @dataclass(frozen=True)
 class FrictionCone:
-    """Coulomb friction of a contact.
+    """Coulomb friction of a contact."""
 
-    Attributes
-    ----------
-    sliding : float
-        Coefficient while it slides; NaN if it did not.
-    spread : float
-        Standard deviation of single samples about it.
-    at_least : float
-        Largest ratio of tangential to normal force while it stuck: the coefficient is not below; NaN if it never did.
-    samples : int
-        Of sliding.
-    """
-
-    sliding: float
-    spread: float
+    sliding: float  # Coefficient while it slides; NaN if it did not
+    spread: float  # Standard deviation of single samples about it
     at_least: float
-    samples: int
+    """Largest ratio of tangential to normal force while it stuck: the coefficient is not below; NaN if it never did."""
+    samples: int  # Of sliding
 
 
 @dataclass(frozen=True, eq=False)
 class Restitution:
-    """How fast a contact lets go, over how fast it came (Newton).
+    """How fast a contact lets go, over how fast it came (Newton)."""
 
-    Attributes
-    ----------
-    coefficient : float
-        Median of the impacts.
-    before, after : array (impacts,)
-        Speed along the normal, towards and away [m/s].
-    """
-
-    coefficient: float
+    coefficient: float  # Median of the impacts
+    # (impacts,): Speed along the normal, towards and away [m/s]
     before: FloatArray
     after: FloatArray
 
@@ -58,19 +40,11 @@ def friction_cone(force: FloatArray, slip: FloatArray, *, fast: float = 0.01) ->
     While it slides the tangential force is the coefficient times the normal one, against the velocity; only that part
     of it is counted, by least squares.
 
-    Parameters
-    ----------
-    force : array (N, 3)
-        On the body [N].
-    slip : array (N, 3)
-        Velocity of the point of contact against what it touches [m/s].
-    fast : float
-        Speed from which on it slides [m/s].
+    Raises FitError if the contact never closes.
 
-    Raises
-    ------
-    FitError
-        If the contact never closes.
+    - ``force`` (N, 3): on the body [N]
+    - ``slip`` (N, 3): velocity of the point of contact against what it touches [m/s]
+    - ``fast``: speed from which on it slides [m/s]
 
     Examples
     --------

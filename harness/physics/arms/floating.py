@@ -31,20 +31,11 @@ LOST = 1e-9  # Singular value of a contact Jacobian, relative, below which a dir
 
 @dataclass(frozen=True, eq=False)
 class BaseMotion:
-    """How the frame of a floating base moves.
+    """How the frame of a floating base moves."""
 
-    Attributes
-    ----------
-    rotation : array (N, 3, 3)
-        From its own axes to the world's.
-    acceleration : array (N, 3)
-        Of its origin, in the world [m/s^2].
-    spin, turning : array (N, 3)
-        Angular velocity and acceleration in its own axes [rad/s, rad/s^2].
-    """
-
-    rotation: FloatArray
-    acceleration: FloatArray
+    rotation: FloatArray  # (N, 3, 3): From its own axes to the world's
+    acceleration: FloatArray  # (N, 3): Of its origin, in the world [m/s^2]
+    # (N, 3): Angular velocity and acceleration in its own axes [rad/s, rad/s^2]
     spin: FloatArray
     turning: FloatArray
 
@@ -60,20 +51,15 @@ class FloatingRobot:
 
     Generalized forces have 6 + n rows: force and moment on the base, in its own axes and about its origin, then the
     joints.
-
-    Attributes
-    ----------
-    model : ArmModel
-        Joints, bodies and what acts at the joints; its first joint is the base, fixed to the floating frame.
-    names : tuple of str
-        The bodies, in the order of the joints.
-    points : mapping
-        Of every site of the file: number of the joint that carries it, and where it is in that joint's frame (3,) [m].
     """
 
     model: ArmModel
-    names: tuple[str, ...]
+    """Joints, bodies and what acts at the joints; its first joint is the base, fixed to the floating frame."""
+    names: tuple[str, ...]  # The bodies, in the order of the joints
     points: Mapping[str, tuple[int, FloatArray]]
+    """Of every site of the file: number of the joint that carries it, and where it is in that joint's frame (3,)
+    [m].
+    """
 
     @property
     def arm(self) -> Arm:
@@ -106,18 +92,11 @@ class FloatingRobot:
 
         A wrench (force, moment about the point; both in the axes of the base) adds ``J' wrench``.
 
-        Parameters
-        ----------
-        point : str
-            Name of a site.
-        q : array (N, n)
-        offset : array (3,) or (N, 3), optional
-            From the site to where the force acts, in the axes of the base [m].
+        Raises InputError if there is no such site.
 
-        Raises
-        ------
-        InputError
-            If there is no such site.
+        - ``point``: name of a site
+        - ``q`` (N, n)
+        - ``offset`` (3,) or (N, 3): from the site to where the force acts, in the axes of the base [m]
         """
         if point not in self.points:
             raise InputError(
@@ -192,11 +171,8 @@ def rotation_matrices(quaternion: FloatArray) -> FloatArray:
 def load_floating(path: str | Path) -> FloatingRobot:
     """Return a robot with a floating base from an MJCF: one free joint, of the body that carries all others.
 
-    Raises
-    ------
-    InputError
-        If it has none or several, bodies beside it have mass and move, or it cannot be read (see
-        :func:`harness.physics.arms.formats.mjcf.load_mjcf`).
+    Raises InputError if it has none or several, bodies beside it have mass and move, or it cannot be read (see
+    :func:`harness.physics.arms.formats.mjcf.load_mjcf`).
     """
     file = Path(path)
     built = compiled(read_spec(file, shapes=False), file)

@@ -30,9 +30,7 @@ def pseudo_inertia(parameters: FloatArray) -> FloatArray:
     A body is physically consistent (a density that is nowhere negative makes it) if and only if J is positive definite
     (Wensing, Kim & Slotine 2018, IEEE Robot. Autom. Lett. 3:60, eq. 10-12).
 
-    Parameters
-    ----------
-    parameters : array (..., 10)
+    - ``parameters`` (..., 10)
 
     Examples
     --------
@@ -84,10 +82,7 @@ def is_consistent(parameters: FloatArray, *, tolerance: float = 0.0) -> bool:
 def refuse_inconsistent(names: Sequence[str], parameters: FloatArray) -> None:
     """Refuse a body (one row of (bodies, 10)) that no density makes, by the name of its joint; none at all may be.
 
-    Raises
-    ------
-    InputError
-        With the joint, and what to do.
+    Raises InputError with the joint, and what to do.
     """
     for name, row in zip(names, parameters, strict=True):
         if row.any() and not is_consistent(row, tolerance=1e-9):
@@ -140,10 +135,7 @@ def from_log_cholesky(theta: FloatArray) -> FloatArray:
     ``J = U U'`` with U upper triangular, the logarithms of its diagonal among theta (Rucker & Wensing 2022, IEEE Robot.
     Autom. Lett. 7:2732, eq. 15).
 
-    Parameters
-    ----------
-    theta : array (..., 10)
-        Upper triangle of U row by row, diagonal as logarithms.
+    - ``theta`` (..., 10): upper triangle of U row by row, diagonal as logarithms
 
     Examples
     --------
@@ -157,10 +149,7 @@ def from_log_cholesky(theta: FloatArray) -> FloatArray:
 def to_log_cholesky(parameters: FloatArray) -> FloatArray:
     """Return the log-Cholesky coordinates (..., 10) of consistent bodies (..., 10).
 
-    Raises
-    ------
-    InputError
-        If a body is not consistent.
+    Raises InputError if a body is not consistent.
 
     Examples
     --------

@@ -109,17 +109,10 @@ class Problem:
 def by_semidefinite_program(problem: Problem, *, objective: FloatArray | None = None) -> FloatArray:
     """Return x (k,) by a semidefinite program (cvxpy, Clarabel): the global optimum among consistent bodies.
 
-    Parameters
-    ----------
-    problem : Problem
-    objective : array (k,), optional
-        Minimise this linear function instead, the data being exact (``R x = R x_LS``): how far the constraints alone
-        bound a parameter that the motion does not show.
+    Raises FitError if the solver does not end at an optimum.
 
-    Raises
-    ------
-    FitError
-        If the solver does not end at an optimum.
+    - ``objective`` (k,): minimise this linear function instead, the data being exact (``R x = R x_LS``): how far the
+      constraints alone bound a parameter that the motion does not show
     """
     program = _Program(problem)
     if objective is None:
@@ -186,10 +179,7 @@ def by_log_cholesky(problem: Problem) -> FloatArray:
     (variable projection; Golub & Pereyra 1973, *SIAM J. Numer. Anal.* 10:413). From the prior on, in trust regions; the
     same optimum as the semidefinite program wherever that lies inside its bounds.
 
-    Raises
-    ------
-    FitError
-        If it does not converge.
+    Raises FitError if it does not converge.
     """
     from scipy.optimize import minimize, nnls
 
@@ -280,11 +270,8 @@ def by_least_squares(problem: Problem, kept: FloatArray) -> FloatArray:
 def extent_of(problem: Problem, direction: FloatArray) -> tuple[float, float]:
     """Return least and largest ``direction @ x`` among bodies that reproduce the data exactly (maybe infinite).
 
-    Parameters
-    ----------
-    problem : Problem
-        Its prior does not count.
-    direction : array (k,)
+    - ``problem``: its prior does not count
+    - ``direction`` (k,)
     """
     chosen = np.asarray(direction) != 0
     low = by_semidefinite_program(problem, objective=direction)[chosen]
@@ -298,12 +285,8 @@ def interval_of(problem: Problem, direction: FloatArray, slack: float) -> tuple[
     With half the quantile of chi square with one degree of freedom (1.92 for 95 %) these are profile likelihood
     intervals (Venzon & Moolgavkar 1988, *Applied Statistics* 37:87) beside the limits and the prior of the problem.
 
-    Parameters
-    ----------
-    problem : Problem
-    direction : array (k,)
-    slack : float
-        In units of the cost.
+    - ``direction`` (k,)
+    - ``slack``: in units of the cost
     """
     program = _Program(problem)
     program.solved(program.cost)

@@ -13,20 +13,10 @@ from harness.signals import FloatArray
 def joint_places(arm: Arm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the origins and the rotation matrices of all joints' frames, in the frame of the base.
 
-    Parameters
-    ----------
-    arm : Arm
-    q : array (N, n)
-        Positions of the joints that move.
+    Raises InputError if q has another number of columns.
 
-    Returns
-    -------
-    places, rotations : array (N, joints, 3) [m] and (N, joints, 3, 3)
-
-    Raises
-    ------
-    InputError
-        If q has another number of columns.
+    - ``q`` (N, n): positions of the joints that move
+    - returns ``places, rotations`` (N, joints, 3) [m] and (N, joints, 3, 3)
 
     Examples
     --------

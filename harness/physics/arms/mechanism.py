@@ -254,10 +254,7 @@ def _energies(joints: Sequence[Joint], q: Any, v: Any, p: Any, g: Any) -> tuple[
 def arm_of(subject: Any, what: str) -> ArmModel:
     """Return the arm that a model was read from, or refuse the model.
 
-    Raises
-    ------
-    InputError
-        If it is no arm; ``what`` was asked of it.
+    Raises InputError if it is no arm; ``what`` was asked of it.
     """
     mechanism = getattr(subject, "mechanism", None)
     if not isinstance(mechanism, ArmMechanism):

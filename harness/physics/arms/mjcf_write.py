@@ -36,26 +36,16 @@ def mjcf_with(
 ) -> str:
     """Return the text of the arm's MJCF with these parameters; what it includes is written into it.
 
-    Parameters
-    ----------
-    model : ArmModel
-        Read from an MJCF (its ``mjcf``).
-    parameters : array (10 * bodies,), optional
-        In the order of :attr:`harness.physics.arms.rigid_tree.Arm.parameters`; bodies that keep theirs are left as they
-        are written.
-    damping, friction, motor_inertia : array (n,), optional
-        Of the joints that move, into ``damping``, ``frictionloss`` and ``armature``; as in the file by default. What
-        an actuator of the file adds to its joint stays with the actuator.
-    payload : array (4,), optional
-        Mass [kg] and first moments [kg m] of a point on the last body, in the frame of its joint.
-    beyond : sequence of str
-        What was found and an MJCF has no place for; written into it as a comment.
+    Raises InputError if the arm has no MJCF, a body with mass is not physically consistent (MuJoCo would refuse it), or
+    a body or a joint cannot be found in the text by its name (``<replicate>``, ``<attach>``).
 
-    Raises
-    ------
-    InputError
-        If the arm has no MJCF, a body with mass is not physically consistent (MuJoCo would refuse it), or a body or a
-        joint cannot be found in the text by its name (``<replicate>``, ``<attach>``).
+    - ``model``: read from an MJCF (its ``mjcf``)
+    - ``parameters`` (10 * bodies,): in the order of :attr:`harness.physics.arms.rigid_tree.Arm.parameters`; bodies that
+      keep theirs are left as they are written
+    - ``damping, friction, motor_inertia`` (n,): of the joints that move, into ``damping``, ``frictionloss`` and
+      ``armature``; as in the file by default. What an actuator of the file adds to its joint stays with the actuator.
+    - ``payload`` (4,): mass [kg] and first moments [kg m] of a point on the last body, in the frame of its joint
+    - ``beyond``: what was found and an MJCF has no place for; written into it as a comment
     """
     if model.mjcf is None:
         raise InputError("MJCF of an arm", expected="an arm read from an MJCF", got="none", remedy="use load_arm")

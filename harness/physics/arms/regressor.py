@@ -104,11 +104,9 @@ class ArmRegressor:
     ) -> tuple[FloatArray, FloatArray, float]:
         """Return ``W' L'L W``, ``W' L'L tau`` and ``tau' L'L tau`` block by block, so that memory stays bounded.
 
-        Parameters
-        ----------
-        q, v, a, torque : array (N, n)
-        weights : array (n, n)
-            L: the torques of an instant are multiplied by it (1 / standard deviations, or a whitening).
+        - ``q, v, a, torque`` (N, n)
+        - ``weights`` (n, n): L: the torques of an instant are multiplied by it (1 / standard deviations, or a
+          whitening)
         """
         gram, side, power = np.zeros((self.columns, self.columns)), np.zeros(self.columns), 0.0
         for first in range(0, len(q), 2000):
@@ -181,12 +179,8 @@ def symbolic_regressor(joints: Sequence[Joint], *, floating: bool = False) -> tu
     Newton-Euler in the bodies' own frames, projected on the motion that each joint gives to each body behind it
     (Atkeson, An & Hollerbach 1986, Int. J. Robotics Res. 5(3):101, eq. 10-20).
 
-    Parameters
-    ----------
-    joints : sequence of Joint
-        Parents before children.
-    floating : bool
-        See :class:`ArmRegressor`.
+    - ``joints``: parents before children
+    - ``floating``: see :class:`ArmRegressor`
     """
     import casadi as ca
 

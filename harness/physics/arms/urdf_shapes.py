@@ -24,16 +24,10 @@ Box = tuple[FloatArray, FloatArray]
 def bounding_boxes(model: ArmModel) -> list[Box | None]:
     """Return the box (low (3,), high (3,)) [m] of every body in its joint's frame; None for one without shape.
 
-    Parameters
-    ----------
-    model : ArmModel
-        Read from a file. Meshes of a URDF: STL (binary) and OBJ, beside it. Of an MJCF what MuJoCo collides counts, or
-        all shapes of a body of which it collides none.
+    Raises InputError if a mesh is missing or of another kind.
 
-    Raises
-    ------
-    InputError
-        If a mesh is missing or of another kind.
+    - ``model``: read from a file. Meshes of a URDF: STL (binary) and OBJ, beside it. Of an MJCF what MuJoCo collides
+      counts, or all shapes of a body of which it collides none.
     """
     if model.mjcf is not None:
         return _of_mjcf(model.mjcf)

@@ -26,22 +26,14 @@ def urdf_with(
 ) -> str:
     """Return the text of the arm's URDF with these inertial parameters.
 
-    Parameters
-    ----------
-    model : ArmModel
-        Read from a file (its ``path``).
-    parameters : array (10 * bodies,)
-        In the order of :attr:`harness.physics.arms.rigid_tree.Arm.parameters`.
-    damping, friction : array (n,), optional
-        Of the joints that move, into ``<dynamics>``; as in the file by default.
-    motor_inertia : array (n,), optional
-        Of rotors behind their gears, into ``<transmission>`` (see :func:`harness.physics.arms.formats.urdf.rotors_of`);
-        nothing is written where all are those of the file.
+    Raises InputError if the arm has no file, or a body with mass is not physically consistent (other programs would
+    refuse it).
 
-    Raises
-    ------
-    InputError
-        If the arm has no file, or a body with mass is not physically consistent (other programs would refuse it).
+    - ``model``: read from a file (its ``path``)
+    - ``parameters`` (10 * bodies,): in the order of :attr:`harness.physics.arms.rigid_tree.Arm.parameters`
+    - ``damping, friction`` (n,): of the joints that move, into ``<dynamics>``; as in the file by default
+    - ``motor_inertia`` (n,): of rotors behind their gears, into ``<transmission>`` (see
+      :func:`harness.physics.arms.formats.urdf.rotors_of`); nothing is written where all are those of the file
     """
     if model.path is None:
         raise InputError("URDF of an arm", expected="an arm read from a file", got="none", remedy="use load_arm")

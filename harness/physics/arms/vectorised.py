@@ -57,15 +57,9 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
 class Vectorised:
     """A function of columns, called with a row for each sample.
 
-    Parameters
-    ----------
-    inputs, outputs : list of casadi.SX
-        Columns.
+    Raises ValueError if CasADi uses an operation that has no array operation here.
 
-    Raises
-    ------
-    ValueError
-        If CasADi uses an operation that has no array operation here.
+    - ``inputs, outputs``: columns
 
     Examples
     --------
@@ -119,10 +113,7 @@ class Vectorised:
 class OnRecords:
     """A CasADi SX function called with whole records: array operations, or CasADi's map where numpy lacks one.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of columns; an output may be a matrix.
+    - ``function``: of columns; an output may be a matrix
 
     Examples
     --------

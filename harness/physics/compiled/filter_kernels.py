@@ -84,10 +84,7 @@ def smoother_source(nx: int, ny: int) -> str:
 class FilterKernels:
     """The compiled pass of some sizes.
 
-    Attributes
-    ----------
-    run : int
-        Address for the filter of a system.
+    - ``run``: address for the filter of a system
     """
 
     def __init__(self, library: ctypes.CDLL) -> None:

@@ -121,28 +121,16 @@ class FisherScoring:
 
     First derivatives are those of the innovations; the last steps may count those of gains and variances, too.
 
-    Attributes
-    ----------
-    at : Place
-        The best so far.
-    damping : float
-        Of the next step, over the diagonal.
-    least_raised : float
-        From where it rises when a step fails, at least.
-    valley : bool
-        Whether the search is in a narrow valley that bends: long steps are corrected for the bend.
-    last : bool
-        Whether these are the last steps: what brings little ends the search.
-    more : pair of array, optional
-        What gains and variances add to the Jacobians; None if it is to be taken.
-    seen : float
-        Value where that was taken.
-    plain : float
-        What a whole step promised there without it.
-    gain : float
-        Log-likelihood that the last step brought.
-    converged, beyond, message, count
-        See :class:`LikelihoodFit`.
+    - ``at``: the best so far
+    - ``damping``: of the next step, over the diagonal
+    - ``least_raised``: from where it rises when a step fails, at least
+    - ``valley``: whether the search is in a narrow valley that bends: long steps are corrected for the bend
+    - ``last``: whether these are the last steps: what brings little ends the search
+    - ``more``: what gains and variances add to the Jacobians; None if it is to be taken
+    - ``seen``: value where that was taken
+    - ``plain``: what a whole step promised there without it
+    - ``gain``: log-likelihood that the last step brought
+    - ``converged, beyond, message, count``: see :class:`LikelihoodFit`
     """
 
     def __init__(

@@ -51,54 +51,27 @@ class Point:
 
 @dataclass(eq=False)
 class LikelihoodFit:
-    """Maximum of the likelihood.
+    """Maximum of the likelihood."""
 
-    Attributes
-    ----------
-    system : System
-        Without the latent forces.
-    point : Point
-    nll : float
-        Minus the log-likelihood of all records.
-    terms : list of array (K,)
-        The same by record and sample.
-    names : tuple of str
-        What was estimated: parameters, ``x0[record].state``, noise.
-    covariance : array
-        Of these, in the units of ``scaled``: logarithms for what cannot be negative.
-    logarithmic : array of bool
-    converged : bool
-    on_bound : tuple of str
-        Parameters on a bound, and noise on its upper one.
-    iterations : int
-    message : str
-    beyond : bool
-        True if it was left because its steps would not have brought it within reach.
-    pace : float
-        Log-likelihood that its last step gained; 0 where it converged.
-    damping : float
-        Of its last step: a search that goes on from here begins with it.
-    undetermined : tuple of str
-        What the records tell in combinations only: it can move along with others and nothing changes. ``covariance``
-        is that of the combinations.
-    """
-
-    system: System
+    system: System  # Without the latent forces
     point: Point
-    nll: float
-    terms: list[FloatArray]
-    names: tuple[str, ...]
-    covariance: FloatArray
+    nll: float  # Minus the log-likelihood of all records
+    terms: list[FloatArray]  # list of array (K,): The same by record and sample
+    names: tuple[str, ...]  # What was estimated: parameters, ``x0[record].state``, noise
+    covariance: FloatArray  # Of these, in the units of ``scaled``: logarithms for what cannot be negative
     logarithmic: npt.NDArray[np.bool_]
     converged: bool
-    on_bound: tuple[str, ...]
+    on_bound: tuple[str, ...]  # Parameters on a bound, and noise on its upper one
     iterations: int
     message: str = ""
     filtered: list[Filtered] = field(default_factory=list, repr=False)
-    beyond: bool = False
-    pace: float = 0.0
-    damping: float = FIRST_DAMPING
+    beyond: bool = False  # True if it was left because its steps would not have brought it within reach
+    pace: float = 0.0  # Log-likelihood that its last step gained; 0 where it converged
+    damping: float = FIRST_DAMPING  # Of its last step: a search that goes on from here begins with it
     undetermined: tuple[str, ...] = ()
+    """What the records tell in combinations only: it can move along with others and nothing changes. ``covariance`` is
+    that of the combinations.
+    """
 
     @property
     def parameters(self) -> dict[str, float]:

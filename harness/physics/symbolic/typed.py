@@ -90,10 +90,7 @@ def read_equations(text: str, name: str = "typed") -> Ode:
       ``t``, numbers, ``+ - * / ^ ( )`` and usual functions. Nothing in them is evaluated as Python.
     - ``name``: of the model
 
-    Raises
-    ------
-    InputError
-        Naming the line, if one is not understood, a name is unknown or a unit is none.
+    Raises InputError naming the line, if one is not understood, a name is unknown or a unit is none.
 
     Examples
     --------

@@ -161,13 +161,9 @@ def realisation_bound(markov: FloatArray, order: int, block: float) -> tuple[flo
     - ``markov`` (L, ny, nu): with the direct term
     - ``block``: bound on the error of [G_0 G_1 ...]
 
-    Returns
-    -------
-    bound : float
-        Infinite where the condition fails.
-    share : float
-        ``|L - L'|`` over s / 2: above 1 the theorem says nothing, and a record that many times as long, squared, would
-        make it speak.
+    - returns ``bound``: infinite where the condition fails
+    - returns ``share``: ``|L - L'|`` over s / 2: above 1 the theorem says nothing, and a record that many times as
+      long, squared, would make it speak
 
     Examples
     --------

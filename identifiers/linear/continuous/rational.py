@@ -16,24 +16,12 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class Rational:
-    """``G_j(s) = exp(-s delay_j) B_j(s) / A(s)`` with ``A = s^n + a_1 s^(n-1) + ...``, s in units of ``rate``.
+    """``G_j(s) = exp(-s delay_j) B_j(s) / A(s)`` with ``A = s^n + a_1 s^(n-1) + ...``, s in units of ``rate``."""
 
-    Parameters
-    ----------
-    a : array (n,)
-        After the leading 1, of ``s / rate``.
-    b : array (nu, m + 1)
-        Highest power first, of ``s / rate``.
-    delay : array (nu,)
-        [s]
-    rate : float
-        [rad/s] near the dynamics: powers of s of other sizes would make the equations ill-conditioned.
-    """
-
-    a: FloatArray
-    b: FloatArray
-    delay: FloatArray
-    rate: float
+    a: FloatArray  # (n,): After the leading 1, of ``s / rate``
+    b: FloatArray  # (nu, m + 1): Highest power first, of ``s / rate``
+    delay: FloatArray  # (nu,): [s]
+    rate: float  # [rad/s] near the dynamics: powers of s of other sizes would make the equations ill-conditioned
 
     @property
     def vector(self) -> FloatArray:

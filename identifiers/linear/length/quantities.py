@@ -49,13 +49,8 @@ def items_of_matrices(
     number, so that 5 % means 5 % of these and not of a number that lies near 1 at any fast sampling. A gain is that at
     rest, or the complex gain at a frequency. A response is the impulse response, its error the norm over all samples.
 
-    Parameters
-    ----------
-    matrices : (A, B, C, D)
-    spec : PlantSpec
-    asked : {"gain", "pole", "response"}
-    frequency : float, optional
-        [Hz] of a gain.
+    - ``matrices`` (A, B, C, D)
+    - ``frequency``: [Hz] of a gain
 
     Examples
     --------

@@ -67,25 +67,13 @@ def rows_of(
 ) -> Rows:
     """Return the equations of motion of a record.
 
-    Parameters
-    ----------
-    robot : FloatingRobot
-    record : Trajectory
-    contacts : sequence of str
-        Sites at which something may touch.
-    hidden : sequence of str
-        Contacts whose forces are eliminated; those of the others are read from the record.
-    radius : float
-        Of the balls around them [m].
-    smoothing : str
-        See :func:`identifiers.mechanics.motion.motion`.
-    forces : bool
-        False leaves out what was measured: the columns alone, of all directions.
+    Raises FitError if the record lacks a signal.
 
-    Raises
-    ------
-    FitError
-        If the record lacks a signal.
+    - ``contacts``: sites at which something may touch
+    - ``hidden``: contacts whose forces are eliminated; those of the others are read from the record
+    - ``radius``: of the balls around them [m]
+    - ``smoothing``: see :func:`identifiers.mechanics.motion.motion`
+    - ``forces``: False leaves out what was measured: the columns alone, of all directions
     """
     moved = floating_motion(robot, record, smoothing)
     q, v, a, n = moved.q, moved.v, moved.a, robot.n

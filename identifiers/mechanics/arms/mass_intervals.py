@@ -152,27 +152,13 @@ class MassIntervals:
 
 @dataclass(frozen=True, eq=False)
 class _Told:
-    """What records tell of the parameters: where they are likeliest, and how surely.
+    """What records tell of the parameters: where they are likeliest, and how surely."""
 
-    Attributes
-    ----------
-    best : array (k,)
-        By least squares, 0 in the directions that are not told.
-    gram : array (k, k)
-        Information; 0 in those directions.
-    spread : array (k, r)
-        A square root of the covariance in the others.
-    hidden : array (k, k - r)
-        Directions that are not told, of parameters in units of their columns.
-    colour : float
-        How many samples count as one.
-    """
-
-    best: FloatArray
-    gram: FloatArray
-    spread: FloatArray
-    hidden: FloatArray
-    colour: float
+    best: FloatArray  # (k,): By least squares, 0 in the directions that are not told
+    gram: FloatArray  # (k, k): Information; 0 in those directions
+    spread: FloatArray  # (k, r): A square root of the covariance in the others
+    hidden: FloatArray  # (k, k - r): Directions that are not told, of parameters in units of their columns
+    colour: float  # How many samples count as one
 
     @classmethod
     def of(cls, equations: Equations, moved: Sequence[Motion]) -> _Told:

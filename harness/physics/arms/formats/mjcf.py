@@ -26,49 +26,26 @@ SAME_GRAVITY = 1e-3  # Relative difference of the gravity that is no other plane
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """What a robot's file states.
-
-    Attributes
-    ----------
-    arm : Arm
-    at_joints : dict
-        Viscous damping [N m s/rad], dry friction [N m] and rotor inertia behind the gear [kg m^2] by joint
-        (N s/m, N and kg where it slides); joints without any may be missing.
-    notes : tuple of str
-        What its reader should know.
-    driven : frozenset of str
-        Joints that a motor drives; empty where the file states no motors.
-    """
+    """What a robot's file states."""
 
     arm: Arm
     at_joints: dict[str, tuple[float, float, float]]
-    notes: tuple[str, ...] = ()
-    driven: frozenset[str] = frozenset()
+    """Viscous damping [N m s/rad], dry friction [N m] and rotor inertia behind the gear [kg m^2] by joint (N s/m, N and
+    kg where it slides); joints without any may be missing.
+    """
+    notes: tuple[str, ...] = ()  # What its reader should know
+    driven: frozenset[str] = frozenset()  # Joints that a motor drives; empty where the file states no motors
 
 
 @dataclass(frozen=True)
 class Drive:
-    """An actuator of a compiled model.
+    """An actuator of a compiled model."""
 
-    Attributes
-    ----------
-    name : str
-        Empty if it has none.
-    number : int
-        Its number among the actuators.
-    joint : int or None
-        The joint that it drives; None if it drives something else (a tendon, a site).
-    gear : float
-        Of its first output.
-    controls : range
-        Places of its controls in ``ctrl``: one, or several for an orientation.
-    """
-
-    name: str
-    number: int
-    joint: int | None
-    gear: float
-    controls: range
+    name: str  # Empty if it has none
+    number: int  # Its number among the actuators
+    joint: int | None  # The joint that it drives; None if it drives something else (a tendon, a site)
+    gear: float  # Of its first output
+    controls: range  # Places of its controls in ``ctrl``: one, or several for an orientation
 
 
 def drives(model: Any) -> list[Drive]:
@@ -92,18 +69,11 @@ def drives(model: Any) -> list[Drive]:
 def load_mjcf(path: str | Path, *, locked: Collection[str] = ()) -> Stated:
     """Read an arm with a fixed base from an MJCF.
 
-    Parameters
-    ----------
-    path : path
-        An MJCF, or the text of one. The shapes of bodies whose inertia is stated are not looked at.
-    locked : collection of str
-        Joints that stay at their reference position; a ball or a coupled joint can be used only so.
+    Raises InputError if it cannot be read, or if coordinates are not those of an arm: a base that floats, ball joints,
+    joints that an equality couples, another gravity.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, or if coordinates are not those of an arm: a base that floats, ball joints, joints that
-        an equality couples, another gravity.
+    - ``path``: an MJCF, or the text of one. The shapes of bodies whose inertia is stated are not looked at.
+    - ``locked``: joints that stay at their reference position; a ball or a coupled joint can be used only so
 
     Examples
     --------

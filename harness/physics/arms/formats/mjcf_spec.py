@@ -45,10 +45,7 @@ def _unheard(text: str) -> None:
 def parsed(source: str | Path) -> tuple[ElementTree.Element, Path | None]:
     """Return the root of an MJCF or a URDF and its path, None for a text.
 
-    Raises
-    ------
-    InputError
-        If there is no such file, or it is neither.
+    Raises InputError if there is no such file, or it is neither.
 
     Examples
     --------
@@ -82,18 +79,11 @@ def parsed(source: str | Path) -> tuple[ElementTree.Element, Path | None]:
 def read_spec(source: str | Path, *, shapes: bool = True) -> Any:
     """Return a robot as an ``MjSpec`` that can be changed before it is compiled.
 
-    Parameters
-    ----------
-    source : str or Path
-        An MJCF or a URDF, or the text of one.
-    shapes : bool
-        False leaves out the shapes of every body whose mass and inertia are stated, with the meshes that nothing else
-        needs: such a robot touches nothing, and its meshes need not be there.
+    Raises InputError if it cannot be read, or names files outside its folder that nobody trusts.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, or names files outside its folder that nobody trusts.
+    - ``source``: an MJCF or a URDF, or the text of one
+    - ``shapes``: False leaves out the shapes of every body whose mass and inertia are stated, with the meshes that
+      nothing else needs: such a robot touches nothing, and its meshes need not be there
     """
     root, file = parsed(source)
     base = Path() if file is None else file

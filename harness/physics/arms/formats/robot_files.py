@@ -12,20 +12,10 @@ from harness.errors import InputError
 def robot_contents(path: str | Path) -> dict[str, Any]:
     """Return the joints of a robot's file as it states them, nothing computed or filled in.
 
-    Parameters
-    ----------
-    path : path
-        A URDF, or an MJCF (``<mujoco>``; files that it includes are not followed).
+    Raises InputError if the file is missing or neither.
 
-    Returns
-    -------
-    dict
-        ``format``, ``name``, ``bodies``, and ``joints``, ``actuators`` and ``sensors`` as lists of texts by key.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or neither.
+    - ``path``: a URDF, or an MJCF (``<mujoco>``; files that it includes are not followed)
+    - returns ``format``, ``name``, ``bodies``, and ``joints``, ``actuators`` and ``sensors`` as lists of texts by key
 
     Examples
     --------

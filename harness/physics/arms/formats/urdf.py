@@ -21,20 +21,10 @@ WORLD = "world"  # The link that needs no declaration: what a robot is fastened 
 def load_urdf(path: str | Path) -> Arm:
     """Read a robot with a fixed base.
 
-    Parameters
-    ----------
-    path : path
-        URDF file; meshes are not looked at.
+    Raises InputError if the file cannot be read, is no URDF, has a joint of another kind, or is no tree.
 
-    Returns
-    -------
-    Arm
-        Joints in the order of a depth-first walk, children in the order of the file (the order of Bullet).
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is no URDF, has a joint of another kind, or is no tree.
+    - ``path``: URDF file; meshes are not looked at
+    - returns joints in the order of a depth-first walk, children in the order of the file (the order of Bullet)
     """
     file = Path(path)
     if not file.is_file():
@@ -130,10 +120,7 @@ def _joint(element: ElementTree.Element, parent: int, body: tuple[float, FloatAr
 def inertial_of(link: ElementTree.Element, file: Path | None) -> tuple[float, FloatArray, FloatArray]:
     """Return mass, centre of mass and inertia about it (3, 3) of a link; zeros where it has none.
 
-    Raises
-    ------
-    InputError
-        If a number is none, or the mass is negative.
+    Raises InputError if a number is none, or the mass is negative.
     """
     place = f"link {link.get('name')}"
     inertial = link.find("inertial")
@@ -154,10 +141,7 @@ def inertial_of(link: ElementTree.Element, file: Path | None) -> tuple[float, Fl
 def dynamics_of(root: ElementTree.Element, file: Path | None) -> dict[str, tuple[float, float]]:
     """Return damping and friction of every joint that states them, by name.
 
-    Raises
-    ------
-    InputError
-        If one is no number >= 0.
+    Raises InputError if one is no number >= 0.
     """
     result = {}
     for joint in root.findall("joint"):
@@ -200,10 +184,7 @@ def rotors_of(root: ElementTree.Element, file: Path | None) -> dict[str, float]:
     ``<rotor_inertia value>`` and ``<gear_ratio value>`` of a ``<transmission>``, in any namespace (Drake's URDFs have
     them); a ratio that is not stated there is that of ``<mechanicalReduction>``, or 1.
 
-    Raises
-    ------
-    InputError
-        If one is no number >= 0.
+    Raises InputError if one is no number >= 0.
 
     Examples
     --------
