@@ -1,0 +1,272 @@
+"""Where fits of the search start, what is fitted again, what is given, and what is taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from linear_form import ALL, USES, LinearForm, accepted, found_in, linear_records, main, mixed, placed, table_of
+from made_fits import a_fit
+
+from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.search.compare import Comparison, Judged
+from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised
+from harness.diagnosis.search.generalised import generalise, starts_of
+from harness.diagnosis.search.leftover import left_over
+from harness.diagnosis.search.moves import pair
+from harness.diagnosis.search.race import _remembered
+from harness.diagnosis.search.refusal import Kind, Refusal
+from harness.diagnosis.search.scores import ScoreTest, score_test
+from harness.diagnosis.search.search import search
+from harness.diagnosis.search.table import Answer, Round
+from harness.diagnosis.search.ties import _typical, _usual
+from harness.diagnosis.search.warm import polished
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.errors import FitError
+from harness.physics import Parameter
+
+# ---- from where ------------------------------------------------------------------------------------------------------
+
+
+def started(law: Placed, given: Mapping[str, float], names: Sequence[str], hidden: Sequence[float], **kind: Any) -> Any:
+    """Return the start of a law whose columns the records hold with these coefficients."""
+
+    class Form(LinearForm):
+        def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+            x = [-np.column_stack([self.records.x[use][name] for name in list(columns)]) for use in USES]
+            return [Column(law, dict(given), tuple(names), *x, **kind)]
+
+    columns = dict(zip(("linear_spring", "cubic_spring"), hidden, strict=False))
+    form = Form(linear_records(3, columns, n=4000))
+    (lead,) = score_test(form, form.fit((), [], None), [law]).leads
+    return lead.starts[0]
+
+
+def test_a_wave_starts_with_the_amplitude_and_phase_of_its_two_columns() -> None:
+    law = Placed(builtin()["periodic_disturbance"], "theta")
+    start = started(law, {"omega": 3.0}, ("in phase", "quarter turn"), (-0.8, 0.6), kind="wave")
+    assert start[law.name("omega")] == 3.0
+    assert start[law.name("A")] == pytest.approx(1.0, abs=0.05)
+    assert start[law.name("phi")] % (2 * np.pi) == pytest.approx(np.arctan2(0.6, -0.8), abs=0.05)
+
+
+@pytest.mark.parametrize(("share", "times"), [(0.5, 0.5), (10.0, 3.0), (-1.0, 0.1)])
+def test_a_whole_effect_that_counts_some_times_starts_as_many_times_as_large(share: float, times: float) -> None:
+    """A lag of no time is none; beyond a factor of three the first order says nothing more."""
+    lag = Placed(builtin()["actuator_lag"], "u")
+    start = started(lag, {"tau": 0.02}, ("effect",), (share,))
+    assert start[lag.name("tau")] == pytest.approx(times * 0.02, rel=0.1 if times == share else 1e-9)
+
+
+def test_a_law_starts_from_the_one_that_it_refines_and_from_what_its_place_knows() -> None:
+    simple, rich = placed("linear_spring"), placed("cubic_spring")
+    (k,) = simple.effect.parameters
+    (k3,) = rich.effect.parameters
+    effect = replace(
+        rich.effect, parameters=(replace(k, refined=(1.0, 2.0)), replace(k3, scale="0.5", grid=(1.0, 4.0)))
+    )
+    fit = a_fit(values={"a": 1.0, simple.name(k.name): 3.0})
+    starts = starts_of(Placed(effect, "theta"), simple, fit, {k3.name: (7.0,)}, {})
+    rich = Placed(effect, "theta")
+    found = [(start[rich.name(k.name)], start[rich.name(k3.name)]) for start in starts]
+    assert found == [(size, new) for size in (3.0, 6.0) for new in (7.0, 0.5, 2.0)]
+    assert all(start["a"] == 1.0 for start in starts)
+
+
+@pytest.mark.parametrize("forgets", [False, True])
+def test_what_a_force_that_remembers_has_taken_up_is_asked_beside_one_that_forgets(forgets: bool) -> None:
+    form: Any = LinearForm(linear_records(2, {"cubic_spring": 0.4, "quadratic_drag": 0.3}))
+    base = form.fit((), [], None)
+    quick = replace(base, values={**base.values, "a": base.values["a"] + 0.01})
+    form.without_memory = lambda fit: quick if forgets else None
+    seen = score_test(form, quick, ALL)
+    (drag,) = [lead for lead in seen.leads if lead.placed == placed("quadratic_drag")]
+    table, nothing = table_of(form, base), ScoreTest([], [])
+    names = [str(lead.placed) for lead in _remembered(table, base, nothing, ALL)]
+    assert names == (["cubic_spring@theta", "quadratic_drag@theta"] if forgets else [])
+    known = ScoreTest([drag], []), ScoreTest([], [drag]), ScoreTest([replace(drag, gain=POLICY.lead - 0.1)], [])
+    told = [[str(lead.placed) for lead in _remembered(table, base, test, ALL)] for test in known]
+    assert told == ([names[:1], names[:1], names] if forgets else [[], [], []]), "what promises enough is begun anyway"
+
+
+# ---- again -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("behind", "again"), [(0.3, False), (5.0, True), (EFFORT.margin + 10.0, True)])
+def test_a_base_is_fitted_again_from_where_its_rival_ended(behind: float, again: bool) -> None:
+    form = LinearForm(linear_records(3, {"linear_spring": 0.4, "quadratic_drag": 0.4}))
+    nominal, drag = form.fit((), [], None), placed("quadratic_drag")
+    whole = form.fit([drag], [], nominal)
+    terms = {use: [each - behind / len(each) for each in whole.terms[use]] for use in USES}
+    base = replace(whole, terms=terms)
+    better = form.fit([drag, placed("linear_spring")], [], base)
+    found = polished(table_of(form, nominal), base, [better])
+    assert (found.penalised == pytest.approx(whole.penalised)) if again else found is base
+    assert polished(table_of(form, nominal), base, []) is base
+    assert polished(table_of(form, nominal), base, [nominal]) is base, "no rival is better"
+    stuck = replace(whole, converged=False)
+    form.finish = lambda *given: stuck  # type: ignore[method-assign]
+    assert polished(table_of(form, nominal), base, [better]) is base, "what came to its end stays"
+    if again:
+        unfinished = replace(base, converged=False)
+        assert polished(table_of(form, nominal), unfinished, [better]) is stuck
+    lawless = replace(whole, values={**whole.values, main("quadratic_drag"): -0.4})
+    form.finish = lambda *given: lawless  # type: ignore[method-assign]
+    assert polished(table_of(form, nominal), base, [better]) is base, "it was accepted as a law"
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_rival_that_was_left_on_its_way_is_an_answer_where_its_end_passes(sign: float) -> None:
+    form = LinearForm(linear_records(9, {"quadratic_drag": 0.4 * sign}))
+    nominal, drag = form.fit((), [], None), placed("quadratic_drag")
+    fit = replace(form.fit([drag], [], nominal), converged=False, beyond=True)
+    row = Judged((drag,), fit, Comparison(60.0, 60.0, 5.0, 5.0), (Refusal(Kind.STOPPED),))
+    past = Round(nominal, score_test(form, nominal, ALL), (row,))
+    found = [accepted(one) for one in pair(table_of(form, nominal, past), Answer(nominal))]
+    assert ({"quadratic_drag"} in found) is (sign > 0), "of the wrong sign it is no law"
+
+
+@pytest.mark.parametrize("helps", [True, False])
+def test_rivals_of_a_law_are_refined_where_that_helps_the_law_itself(helps: bool) -> None:
+    records = linear_records(
+        23, {"linear_spring": 1.0, "quadratic_drag": 0.5 * helps}, alike={"cubic_spring": "linear_spring"}
+    )
+    for refined, law in (("quadratic_spring", "linear_spring"), ("force_bias", "cubic_spring")):
+        mixed(records, refined, **{law: 1.0, "quadratic_drag": 0.5})
+    form = LinearForm(records)
+    base = form.fit((), [], None)
+    laws = [placed("linear_spring"), placed("cubic_spring")]
+    rich = [
+        Placed(replace(placed(name).effect, nests=(law.effect.name,), grows="drag"), "theta")
+        for name, law in zip(("quadratic_spring", "force_bias"), laws, strict=True)
+    ]
+    fits: dict[Placed, Fit | None] = {law: form.fit([law], [], base) for law in laws}
+    generalise(table_of(form, base), base, fits, [*laws, *rich])
+    assert set(fits) == {*laws, *(rich if helps else ())}
+
+
+# ---- what is left, and what is typical -------------------------------------------------------------------------------
+
+
+def test_an_initial_state_of_the_validation_records_takes_nothing_from_a_free_force() -> None:
+    """It belongs to the record: the force is judged by what no such state can do."""
+    found = []
+    for shift in (0.0, 40.0):
+        records = linear_records(6, {"cubic_spring": 0.3})
+        records.y["validation"] += shift * records.x["validation"]["b"]
+
+        class Form(LinearForm):
+            def linearised(self, fit: Fit) -> Linearised:
+                whole = super().linearised(fit)
+                return replace(whole, names=("a",), states={"b": 0.0})
+
+        form = Form(records)
+        axis = left_over(form, form.fit((), [], None)).best
+        assert axis is not None
+        found.append((axis.name, axis.validation, axis.error))
+    assert found[0] == (found[1][0], *map(pytest.approx, found[1][1:]))
+
+
+def law_on_bound(bounds: Sequence[str], *, gap: float = 0.0, more: int = 0, **fields: Any) -> tuple[Fit, Judged]:
+    """Return an answer and a friction with an exponent, of which these parameters lie on their bounds."""
+    law = placed("sublinear_friction")
+    answer = a_fit(effects=[placed("coulomb_friction")])
+    gains = (np.full(400, -gap / 800), np.full(400, -gap / 800))
+    fit = a_fit(gains, [law], count=answer.count + more, **fields)
+    refusals = tuple(Refusal(Kind.BOUND, name, (0.05,)) for name in bounds)
+    return answer, Judged((law,), fit, Comparison(50.0, 50.0, 5.0, 5.0), refusals)
+
+
+def test_a_law_on_a_bound_of_its_exponent_is_asked_with_a_usual_one() -> None:
+    answer, row = law_on_bound(["a"])
+    typical = _typical(answer, row, POLICY)
+    assert typical is not None
+    assert [known.name for known in typical.effect.parameters if known.fixed] == ["a"]
+    values = _usual(row, typical)
+    assert (values[typical.name("a")], values[typical.name("Fr")]) == (0.5, 0.5), "usual, and as it was fitted"
+    assert row.fit is not None
+    moved = replace(row.fit, values={**row.fit.values, typical.name("a"): 0.05, typical.name("Fr"): 0.3})
+    values = _usual(replace(row, fit=moved), typical)
+    assert (values[typical.name("a")], values[typical.name("Fr")]) == (0.5, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "fields"),
+    [
+        ([], {}),
+        (["Fr"], {}),  # a force has no usual value
+        (["a", "Fr"], {}),
+        (["a"], {"beyond": True}),
+        (["a"], {"gap": 2 * POLICY.tie}),
+    ],
+)
+def test_no_other_law_has_a_usual_value(bounds: Sequence[str], fields: Mapping[str, Any]) -> None:
+    answer, row = law_on_bound(bounds, **fields)
+    assert _typical(answer, row, POLICY) is None
+    answer, row = law_on_bound(["a"])
+    refused = replace(row, refusals=(*row.refusals, Refusal(Kind.SIGN, "Fr", (-0.1,))))
+    assert _typical(answer, refused, POLICY) is None, "of the wrong sign it is none at any exponent"
+    assert _typical(answer, replace(row, added=(*row.added, placed("force_bias"))), POLICY) is None
+    assert _typical(answer, replace(row, fit=None), POLICY) is None
+
+
+@pytest.mark.parametrize(("more", "asked"), [(0, False), (1, False), (2, True)])
+def test_a_law_whose_exponent_costs_more_than_it_tells_is_asked_with_a_usual_one(more: int, asked: bool) -> None:
+    """A parameter costs 3 of 400 samples: one ties even so, two do not."""
+    answer, row = law_on_bound([], more=more)
+    typical = _typical(answer, row, POLICY)
+    assert (typical is not None) is asked
+
+
+# ---- given, far off, taken back --------------------------------------------------------------------------------------
+
+
+def test_what_is_given_stays_whatever_its_evidence_and_counts_for_nothing() -> None:
+    form = LinearForm(linear_records(3, {"cubic_spring": 0.4, "quadratic_drag": 0.3, "force_bias": 0.3}))
+    nominal = form.fit((), [], None)
+    spring = placed("linear_spring")
+    outcome = search(form, nominal, ALL, given=[spring])
+    assert [one.given for one in outcome.accepted] == [True, False, False, False], "as many are found beside it"
+    assert outcome.accepted[0].placed == spring
+    assert outcome.accepted[0].evidence < POLICY.evidence
+    only = table_of(form, nominal).given([spring, placed("cubic_spring")])
+    assert [one.beside for one in only.accepted] == [{"cubic_spring@theta"}, {"linear_spring@theta"}]
+    whole = form.fit([spring, placed("cubic_spring")], [], nominal)
+    assert sum(one.evidence for one in only.accepted) == pytest.approx(whole.penalised - nominal.penalised)
+
+    class Diverges(LinearForm):
+        def begin(self, effects: Any, starts: Any, base: Fit | None, hope: float = -np.inf) -> Begun:
+            return None  # type: ignore[return-value]
+
+    with pytest.raises(FitError, match="linear_spring"):
+        table_of(Diverges(form.records), nominal).given([spring])
+
+
+def test_what_lies_on_a_bound_or_is_not_told_is_not_far_off_what_was_declared() -> None:
+    declared = [Parameter("a", "kg", 1e-3)]
+    fit = a_fit()  # a is 1.0 within 0.1
+    assert [one.name for one in fit.far_off(declared)] == ["a"]
+    assert fit.far_off(declared, factor=1e4) == ()
+    assert a_fit(on_bound=("a",)).far_off(declared) == ()
+    assert a_fit(deviations={"a": 1.0}).far_off(declared) == (), "its interval has the declared value in it"
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_what_is_taken_back_was_something_where_it_gained_as_much_as_is_asked(share: float) -> None:
+    found = found_in({"linear_spring": 0.4}, 9)
+    whole = sum(found.model.log_likelihood(use) - found.nominal.log_likelihood(use) for use in USES)
+    back = found.taken_back(share * whole)
+    assert back.model is found.nominal
+    assert back.accepted == ()
+    assert back.withdrawn == (found.accepted if share < 1.0 else ())
+    for past, before in zip(back.rounds, found.rounds, strict=True):
+        for row, old in zip(past.candidates, before.candidates, strict=True):
+            gone = Refusal(Kind.WITHDRAWN) in row.refusals
+            assert gone is (row.name == "linear_spring@theta" and old.passed)
+            assert row.refusals[: len(old.refusals)] == old.refusals
+    assert found.taken_back().withdrawn == found.accepted
