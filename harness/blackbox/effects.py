@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from harness.blackbox.around import Around
 from harness.blackbox.system import FmuSystem
-from harness.effects.effect import Effect, Placed, port_units, unit_of
+from harness.effects.effect import DRY, Effect, Placed, port_units, unit_of
 from harness.effects.places import port_of
 from harness.errors import InputError
 from harness.physics.definition.parameters import Parameter
@@ -17,8 +17,6 @@ from harness.signals import Channel
 
 if TYPE_CHECKING:
     from harness.physics.definition.ports import Port
-
-DRY = "dry friction"  # The whole of the laws whose force jumps as the motion turns.
 
 
 def fits_fmu(effect: Effect) -> bool:

@@ -30,6 +30,7 @@ from harness.diagnosis.steps import (
     Progress,
     again_by_free_runs,
     all_readings,
+    another_day,
     at_full_rate,
     beaten,
     candidates_of,
@@ -148,7 +149,7 @@ def diagnose(
             outcome, finer = rounded, run_freely(kind, form, rounded, dataset, simple, share)
             runs = runs if finer.worse(policy) else finer
         outcome = widened(form, outcome)
-        misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)
+        misfit = misfit_reasons(form, outcome.nominal, outcome.model, runs, policy, wrong, factor=thinned.factor)
         apart = form.apart(outcome.model)
         alarms = _alarms(doubts, system, outcome)
         far = sizes_off(system, outcome.model, DATA_POLICY.far * DATA_POLICY.near)
@@ -161,7 +162,7 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*alarms, *cut, *beaten(rival), *over_nothing(outcome.model), *faults],
+        [*alarms, *cut, *beaten(rival), *over_nothing(outcome.model), *another_day(outcome.model), *faults],
         time.monotonic() - began,
         apart,
         doubtful=bool(doubts or far),
@@ -189,4 +190,6 @@ def _add_doubts(diagnosis: Diagnosis, factor: int) -> None:
         diagnosis.warnings.append(diagnosis.apart.words(model.values))
     if diagnosis.verdict == "unexplained" or (diagnosis.stand_in and not diagnosis.misfit):
         with one_thread():
-            diagnosis.warnings += likely_mistakes(diagnosis.form, model, diagnosis.policy, factor)
+            diagnosis.warnings += likely_mistakes(
+                diagnosis.form, diagnosis.outcome.nominal, model, diagnosis.policy, factor
+            )

@@ -21,7 +21,14 @@ LATEST = SHIFTS[-1]
 
 
 def misfit_reasons(
-    form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, wrong: Sequence[str] = (), *, factor: int = 1
+    form: WholeForm,
+    nominal: Fit,
+    final: Fit,
+    runs: FreeRuns,
+    policy: Policy,
+    wrong: Sequence[str] = (),
+    *,
+    factor: int = 1,
 ) -> tuple[str, ...]:
     """Return why the model does not fit the data, and what probably is wrong; empty if it fits.
 
@@ -53,7 +60,7 @@ def misfit_reasons(
     if bound and reasons:
         reasons.append(f"{', '.join(bound)} ended on a bound")
     if reasons:
-        reasons += likely_mistakes(form, final, policy, factor)
+        reasons += likely_mistakes(form, nominal, final, policy, factor)
     return tuple(reasons)
 
 
@@ -128,16 +135,20 @@ def _length(runs: FreeRuns) -> str:
     return "whole records" if runs.horizon.seconds is None else f"windows of {runs.horizon.seconds:g} s"
 
 
-def likely_mistakes(form: WholeForm, final: Fit, policy: Policy, factor: int = 1) -> list[str]:
+def likely_mistakes(form: WholeForm, nominal: Fit, final: Fit, policy: Policy, factor: int = 1) -> list[str]:
     """Return the mistakes whose repair makes the nominal model much likelier, all that do so about as well.
 
-    ``factor`` samples of the data stand behind each that the form judges.
+    Its first steps must already do better than the nominal model does with the data as they are. ``factor`` samples of
+    the data stand behind each that the form judges.
     """
     least = final.log_likelihood("estimation") + policy.misfit_gain
     likelier = []
     for text, dataset, scale in [*mistakes(form.dataset), *_shifted(form, factor)]:
         other = form.on(dataset)
-        fit = other.fit((), other.first_starts(), None)
+        begun = other.begin((), other.first_starts(), None, least - scale)
+        if begun is None or begun.log_likelihood + scale <= nominal.log_likelihood("estimation"):
+            continue
+        fit = other.finish(begun, None, least=least - scale)
         if fit is not None and (value := fit.log_likelihood("estimation") + scale) > least:
             likelier.append((value, text))
     best = max((value for value, _ in likelier), default=0.0)

@@ -35,6 +35,12 @@ class Policy:
         "what was fitted must help where it was not: 84 %, as one use has half of what both together say",
         "base 220000; a magnet at one angle in the tests",
     )
+    day: float = number(
+        0.3,
+        "standard deviation of the level of dry friction from one day to another, over the level",
+        "Bittencourt & Gunnarsson 2012, J. Dyn. Sys. Meas. Control 134:051013: by temperature alone tens of percent",
+        "four free swings of one pendulum: .075, .083, .087 and .14",
+    )
     sized: float = number(
         0.5,
         "share of the gain that the size of an effect promises of the validation records, below which, by more than "

@@ -189,7 +189,8 @@ def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
         return outcome
     if any(impossible(whole, one, found) for one in fit.effects):
         return outcome
-    told = ("system", "values", "deviations", "beside", "logarithmic", "on_bound", "own")  # the system has their bounds
+    # the system has their bounds
+    told = "system", "values", "deviations", "beside", "logarithmic", "on_bound", "own", "day"
     model = replace(fit, **{name: getattr(found, name) for name in told})
     return replace(outcome, nominal=model if fit is outcome.nominal else outcome.nominal, model=model)
 
@@ -224,6 +225,15 @@ def over_nothing(fit: Fit) -> list[str]:
                 f"{one.effect.name.replace('_', ' ')} may not be there"
             )
     return warnings
+
+
+def another_day(fit: Fit) -> list[str]:
+    """Return warnings about dry friction that is another one on the day of the validation records."""
+    return [
+        f"dry friction differs between the records: {name} is {fit.values[name]:.3g} on the estimation records and "
+        f"about {level:.3g} on the validation records, whose figures use that"
+        for name, level in fit.day.items()
+    ]
 
 
 def beaten(rival: str) -> list[str]:

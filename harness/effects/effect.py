@@ -28,6 +28,7 @@ longest lag; the base turned by a known angle; swings beyond 60 deg, and beyond 
 from high speed; no excitation at all; a known mass added."""
 _FIXED_ARGUMENTS = 5
 _EXTRA_ARGUMENTS = ("t", "a", "load", "damping", "pull", "temperature")
+DRY = "dry friction"  # The whole of the laws whose force jumps as the motion turns.
 NEEDS = ("drive", "gravity", "alone", "place", "astatic", "temperature")
 """What a law may ask of the plant about its port: an input's force on that coordinate; gravity; no other coordinate;
 that something tells where the coordinate stands, as a law about a place of its own has none where every record begins

@@ -206,8 +206,8 @@ def doubted(
         gain = repaired if isinstance(repaired, float) else sum(repaired[name] for name in flipped)
         return SimpleNamespace(
             first_starts=list,
-            fit=lambda effects, starts, base: SimpleNamespace(log_likelihood=lambda use: 100.0 + gain),
-            begin=lambda effects, starts, base: None,
+            begin=lambda effects, starts, base, hope=0.0: SimpleNamespace(log_likelihood=100.0 + gain),
+            finish=lambda begun, base, least: SimpleNamespace(log_likelihood=lambda use: begun.log_likelihood),
         )
 
     form: Any = SimpleNamespace(
@@ -228,7 +228,7 @@ def doubted(
         columns=[("theta", "rad")],
     )
     runs = FreeRuns.of(Horizon(None, "whole records"), output, None, after)
-    return misfit_reasons(form, final, runs, POLICY, doubts)
+    return misfit_reasons(form, final, final, runs, POLICY, doubts)
 
 
 def dataset(n: int = 200, **more: Any) -> Dataset:

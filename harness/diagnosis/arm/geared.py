@@ -22,10 +22,9 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, named, value
 from harness.diagnosis.search.ties import close, undecided
-from harness.effects.effect import Placed
+from harness.effects.effect import DRY, Placed
 
 USUAL = ("viscous_friction", ROTOR)
-DRY = "dry friction"
 PLAIN = "coulomb_friction"
 DRAGS = ("viscous_friction", "quadratic_drag")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from harness.diagnosis.forms.fit_records import likelihood_detail
-from harness.diagnosis.forms.predictive import predictive, spread_of
+from harness.diagnosis.forms.predictive import predicted
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError
@@ -88,8 +88,9 @@ def _within_spread(likelihood: Likelihood, fit: Fit, after: LikelihoodFit) -> li
     for name in fit.own:
         k = likelihood.system.parameter_names.index(name)
         start[k] = after.point.p[k]
-    spread = spread_of(likelihood_detail(fit).best, fit.free, list(fit.own))
-    expected = predictive(likelihood, replace(after.point, p=start), fit.free, spread)
+    expected = predicted(
+        likelihood, replace(after.point, p=start), likelihood_detail(fit).best, fit.free, list(fit.own), fit.effects
+    )
     paths = likelihood.filtered(expected.point)
     if paths is None:
         raise FitError("validation", expected="a finite state", got="divergence", remedy="refit the model")

@@ -31,7 +31,7 @@ from harness.diagnosis.forms.named import (
     state_values,
     within,
 )
-from harness.diagnosis.forms.predictive import Predictive, predictive, spread_of
+from harness.diagnosis.forms.predictive import Predictive, of_its_day, predicted, spread_of
 from harness.diagnosis.forms.robust import coloured_deviations
 from harness.diagnosis.forms.suspects import lost_signs, piled_up
 from harness.diagnosis.forms.system_form import SystemForm
@@ -332,6 +332,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             best.converged,
             best.on_bound,
             own=own,
+            day=of_its_day(effects, best.parameters, expected.moved),
             innovations={
                 "estimation": [(passed.e, passed.s) for passed in best.filtered],
                 "validation": [(passed.e, passed.s) for passed in outside],
@@ -407,7 +408,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             chosen = likelihood.maximise(chosen, free=free, exact=False)
         chosen = from_instants(likelihood, chosen, free=free)
         shared = [name for name in best.names if name in system.parameter_names]
-        expected = predictive(likelihood, chosen.point, shared, spread_of(best, shared, own))
+        expected = predicted(likelihood, chosen.point, best, shared, own, system.effects)
         phases = [name for name in own if name in turning]
         told = self._told_by_halves(system, passes, expected.point, phases) if phases else []
         return {name: chosen.parameters[name] for name in own}, told, expected
@@ -559,7 +560,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
     def linearised(self, fit: Fit) -> Linearised:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         own = per_record(fit.effects)
-        spread = spread_of(likelihood_detail(fit).best, fit.free, own)
+        spread = spread_of(likelihood_detail(fit).best, fit.free, own, fit.effects)
         states = state_values(likelihood_detail(fit).passes, likelihood_detail(fit).points["estimation"])
         return linearised(fit, {use: self.paths(fit, use)[0] for use in USES}, spread, states)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.systems import AnySystem
-from harness.effects.effect import Placed
+from harness.effects.effect import DRY, Placed
 from harness.effects.parameter import Role
 from harness.physics.compiled.kalman_pass import Pass
 from harness.physics.fitting.maximum import LikelihoodFit, Point
@@ -35,6 +35,15 @@ def per_record(effects: Sequence[Placed], role: Role = "") -> list[str]:
         for placed in effects
         for parameter in placed.effect.parameters
         if parameter.per_record and role in ("", parameter.role)
+    ]
+
+
+def dry_levels(effects: Sequence[Placed]) -> list[list[str]]:
+    """Return for every law of dry friction the names of what its force is proportional to."""
+    return [
+        [placed.name(parameter.name) for parameter in placed.effect.parameters if parameter.linear]
+        for placed in effects
+        if placed.effect.whole == DRY
     ]
 
 

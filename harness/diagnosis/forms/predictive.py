@@ -6,11 +6,14 @@ into any error of the prediction. Judged at the estimate alone the true law woul
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from harness.diagnosis.forms.named import dry_levels
+from harness.diagnosis.policy import POLICY
+from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.compiled.kalman_pass import Filtered
 from harness.physics.fitting.likelihood import Likelihood
@@ -37,14 +40,44 @@ class Predictive:
     price: float  # To be taken from the log-likelihood of the validation records at ``point``
 
 
-def spread_of(best: LikelihoodFit, free: Sequence[str], own: Sequence[str]) -> FloatArray:
+def spread_of(
+    best: LikelihoodFit, free: Sequence[str], own: Sequence[str], effects: Sequence[Placed] = ()
+) -> FloatArray:
     """Return a square root of the covariance of parameters, (count, k), themselves and not their logarithms.
 
     What is 0 in truth lies a few deviations from a small estimate, and infinitely many of its logarithm.
 
     - ``best``: of the estimation records
     - ``own``: those among them that belong to a record, and are no knowledge about another one: rows of 0
+    - ``effects``: of the fit; dry friction is as large as it is that day, whatever the records of another one tell
     """
+    days = [[best.parameters[name] if name in levels else 0.0 for name in free] for levels in dry_levels(effects)]
+    return np.hstack([_known(best, free, own), POLICY.day * np.reshape(days, (-1, len(free))).T])
+
+
+def of_its_day(effects: Sequence[Placed], values: Mapping[str, float], moved: FloatArray) -> dict[str, float]:
+    """Return the levels of dry friction that are farther from ``values`` than days usually are, as ``moved`` has them.
+
+    Examples
+    --------
+    >>> from harness.effects.dictionary import builtin
+    >>> from harness.effects.effect import Placed
+    >>> friction = Placed(builtin()["coulomb_friction"], "theta")
+    >>> levels = of_its_day([friction], {"coulomb_friction@theta.Fc": 0.1}, np.array([0.3, -2.0]))
+    >>> round(levels["coulomb_friction@theta.Fc"], 6)
+    0.04
+    """
+    levels = dry_levels(effects)
+    return {
+        name: float(values[name] * (1.0 + POLICY.day * part))
+        for part, names in zip(moved[len(moved) - len(levels) :], levels, strict=True)
+        for name in names
+        if abs(part) > 1.0
+    }
+
+
+def _known(best: LikelihoodFit, free: Sequence[str], own: Sequence[str]) -> FloatArray:
+    """Return a square root of the covariance that the estimation records leave, (count, k)."""
     rows = [best.names.index(name) for name in free]
     scale = np.where(best.logarithmic[rows], [best.parameters[name] for name in free], 1.0)
     covariance = best.covariance[np.ix_(rows, rows)] * np.outer(scale, scale)
@@ -56,6 +89,26 @@ def spread_of(best: LikelihoodFit, free: Sequence[str], own: Sequence[str]) -> F
     scale = np.where(known, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None])[:, values > 0])
+
+
+def predicted(
+    likelihood: Likelihood,
+    start: Point,
+    best: LikelihoodFit,
+    free: Sequence[str],
+    own: Sequence[str],
+    effects: Sequence[Placed],
+) -> Predictive:
+    """Return the density of records given those of the estimation, dry friction as large as it is that day.
+
+    What would drive there, and not brake, is no friction of another day: then its level is that of the estimation.
+    """
+    expected = predictive(likelihood, start, free, spread_of(best, free, own, effects))
+    levels = of_its_day(effects, best.parameters, expected.moved)
+    if all(level * best.parameters[name] >= 0.0 for name, level in levels.items()):
+        return expected
+    expected = predictive(likelihood, start, free, spread_of(best, free, own))
+    return replace(expected, moved=np.append(expected.moved, np.zeros(len(dry_levels(effects)))))
 
 
 def predictive(

@@ -58,6 +58,8 @@ class Fit:
         True if the innovations are errors of free runs: what is not modelled moves many of them together.
     own : dict
         Parameters of the validation records themselves.
+    day : dict
+        Levels of dry friction on the day of the validation records, where they are others than days usually bring.
     incoherence : dict
         By full name of an effect that repeats: the logarithm of the evidence for amplitude and phase that are drawn
         anew in every part of the records, against ones that stay.
@@ -80,6 +82,7 @@ class Fit:
     on_bound: tuple[str, ...]
     innovations: dict[str, list[tuple[FloatArray, FloatArray]]] = field(default_factory=dict, repr=False)
     own: dict[str, float] = field(default_factory=dict)
+    day: dict[str, float] = field(default_factory=dict)
     incoherence: dict[str, float] = field(default_factory=dict)
     detail: object = field(default=None, repr=False)
     beyond: bool = False
