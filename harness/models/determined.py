@@ -185,7 +185,7 @@ def gaps_words(bands: Mapping[str, Sequence[Sequence[float]]] | None, sample_tim
     Examples
     --------
     >>> gaps_words({"y per u": [[0.0, 2.0]]}, 0.1)
-    'its data determine y per u from 0 to 2 Hz; elsewhere its order alone speaks'
+    'its data determine y per u from 0 to 2 Hz; elsewhere only its order does'
     >>> gaps_words({"y per u": [[0.0, 5.0]]}, 0.1)
     ''
     """
@@ -195,7 +195,7 @@ def gaps_words(bands: Mapping[str, Sequence[Sequence[float]]] | None, sample_tim
         return ""
     first = dict(list(some.items())[:SAID])
     more = f" (and {len(some) - SAID} more pairs)" if len(some) > SAID else ""
-    return f"its data determine {bands_words(first)}{more}; elsewhere its order alone speaks"
+    return f"its data determine {bands_words(first)}{more}; elsewhere only its order does"
 
 
 def outside(bands: Sequence[Sequence[float]], frequency: FloatArray) -> npt.NDArray[np.bool_]:

@@ -66,10 +66,7 @@ class RankDecision:
 class Estimate:
     """Parameters that were estimated, and how far they can be believed.
 
-    Raises
-    ------
-    InputError
-        If the sizes do not fit, a name is used twice, or an interval is upside down.
+    Raises InputError if the sizes do not fit, a name is used twice, or an interval is upside down.
 
     Examples
     --------

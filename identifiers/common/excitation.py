@@ -275,8 +275,8 @@ def unexcited(records: Sequence[Trajectory], needed: int) -> str:
     if lags >= needed:
         return ""
     return (
-        f"the inputs excite {lags} lags and the model asks for {needed}: it follows from how the record starts, "
-        "and from its order, more than from what the inputs do; use a richer input, or a lower order"
+        f"the inputs excite {lags} lags but the model needs {needed}: it rests more on how the record starts, "
+        "and on its order, than on what the inputs do; use a richer input, or a lower order"
     )
 
 

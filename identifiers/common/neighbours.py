@@ -195,5 +195,5 @@ def spread_of(
     count = len(near)
     share = (count - 1) / count if factor is None else factor
     free = float(count - 1) if freedom is None else freedom
-    said = method or f"fits without one of {count} stretches of the records each"
+    said = method or f"jackknife: fits that leave out one of {count} stretches of the records"
     return Spread(a, b, c, d, share, free, said, warning)

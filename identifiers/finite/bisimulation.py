@@ -77,11 +77,8 @@ def counted_bisimulation(counts: FloatArray, reward: FloatArray, *, level: float
     rejects that both reach the classes alike, at ``level`` shared among all pairs of states (Bonferroni). States that
     the counts do not tell apart are one: more data may split them.
 
-    Parameters
-    ----------
-    counts : array (S, A, S)
-    reward : array (S, A)
-    level : float
+    - ``counts`` (S, A, S)
+    - ``reward`` (S, A)
 
     Examples
     --------

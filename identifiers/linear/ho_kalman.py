@@ -237,7 +237,7 @@ class HoKalman(Excited):
         said = missing_notes(trajectories, None if self.observer is None else records)
         notes: dict[str, Any] = {"residual_rms": response.rms.tolist(), "feedback_share": feedback.share, **said}
         if feedback.found and self.observer is None:
-            notes["warning"] = "past outputs foretell the input (feedback): the direct fit is biased; use observer"
+            notes["warning"] = "past outputs predict the input (feedback): the direct fit is biased; use observer"
         # Outputs count by their noise, inputs by their size: no unit decides on order and directions.
         size = sizes([record.y for record in records])
         scaling = Scaling(sizes([record.u for record in records]), np.maximum(response.rms, _QUIET * size))

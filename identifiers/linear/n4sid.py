@@ -74,7 +74,7 @@ class Subspace:
     ----------
     order : int, optional
         State dimension; by default the one up to 12 that errs least, on all samples and on every third stretch,
-        left out: in free runs, or one step ahead where past outputs foretell the input.
+        left out: in free runs, or one step ahead where past outputs predict the input.
     past : int, optional
         Samples of the past, and of the future, in the regressions; raised above the order where it is smaller. By
         default 12, and more (20, 30, 50) as long as each step lowers the error by 5 %: fast sampling asks for more.
@@ -84,7 +84,7 @@ class Subspace:
         loop. ``"pbsid"`` predicts from the past alone (Chiuso 2007, Automatica 43, 1034-1048, sec. 3), with a ridge
         chosen by generalised cross-validation: also for closed loops, and for smooth inputs, whose future the past
         foretells, so that the other regressions tell the two apart by rounding and noise. ``"auto"`` takes of cva
-        (not where past outputs foretell the input), parsim and pbsid what errs least over all samples, each of its
+        (not where past outputs predict the input), parsim and pbsid what errs least over all samples, each of its
         own order.
     direct : bool
         Keep the direct term D; under feedback leave it out. Outputs that answer the input of the same sample need it,
@@ -92,7 +92,7 @@ class Subspace:
     stable : bool
         Move eigenvalues on or outside the unit circle to radius 0.999.
     least_excitation : float
-        As of ``least-squares``: where past outputs foretell the input, it must depart from the law by so many times
+        As of ``least-squares``: where past outputs predict the input, it must depart from the law by so many times
         the noise that the law passes on; 0 asks for nothing.
 
     Examples
@@ -204,7 +204,7 @@ class Subspace:
         if self.order is None:
             notes["order_error"] = {str(size): error for size, error in found.ladder.items()}
         if data.feedback.found and found.method not in ANY_LOOP:
-            notes["warning"] = "past outputs foretell the input (feedback): use method parsim or pbsid"
+            notes["warning"] = "past outputs predict the input (feedback): use method parsim or pbsid"
         values = found.values[:20].tolist()
         notes |= {"singular_values": values, "output_directions": data.records[0].spec.ny}
         model = found.model

@@ -192,7 +192,7 @@ class PredictionError(Excited):
             model = model.in_units(scaling)
             return directions.expanded(model, measured[0]) if directions else model
 
-        rule = "given" if self.order is not None else "Schwarz's rule"
+        rule = "given" if self.order is not None else "BIC"
         if "warning" not in notes and not stabilized:
             estimate = state_space_estimate(told(found.plant), [], rule)
             notes |= {} if estimate is None else {"estimate": estimate.to_dict()}
@@ -216,7 +216,7 @@ class PredictionError(Excited):
         if poor := self._unexcited(records, order):
             notes["warning"] = poor
         if feedback.found and self.structure == "oe":
-            notes["warning"] = "outputs foretell the input (feedback): output error is biased unless noise is white"
+            notes["warning"] = "outputs predict the input (feedback): output error is biased unless noise is white"
         rms = (np.array(model.notes["residual_rms"]) * scaling.outputs).tolist()
         told = [in_units(fit, scaling, output) for output, fit in enumerate(fits)]
         notes = {**notes, **model.notes, "order": order, "residual_rms": rms}
@@ -261,7 +261,7 @@ class PredictionError(Excited):
             return f"the model may be that of the controller: {error}"
         if feedback.share > ANSWERED and min(white) < COLOURED / records[0].spec.ny:
             return (
-                "residuals are correlated in time, which in a loop (past outputs foretell the input) biases "
+                "residuals are correlated in time, which under feedback (past outputs predict the input) biases "
                 "what the inputs do: raise the order, or move the set-point more"
             )
         return ""

@@ -100,7 +100,7 @@ def estimated_response(
     """Return the Markov parameters of records in open loop, and a bound on their error.
 
     The bound is that of :class:`identifiers.linear.bounds.responses.LagsKnown`, given these inputs. What lies beyond
-    the length is added as if it fell on as the last tenth does. Raises FitError if past outputs foretell the inputs,
+    the length is added as if it fell on as the last tenth does. Raises FitError if past outputs predict the inputs,
     the inputs do not excite so many lags, outputs answer them within the same sample, or the response has not died out.
 
     - ``length``: L, long enough for the response to die out
@@ -114,7 +114,7 @@ def estimated_response(
         raise FitError(
             f"{what}: feedback",
             expected="inputs that do not depend on outputs",
-            got="past outputs foretell the inputs",
+            got="past outputs predict the inputs",
             remedy="record in open loop, or identify with n4sid, which allows for a loop, and design on its model",
         )
     y_mean = np.concatenate([record.y for record in records]).mean(axis=0)

@@ -17,27 +17,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a grey box is made of, in words that a file can hold.
+    """What a grey box is made of, in words that a file can hold."""
 
-    Parameters
-    ----------
-    model : str
-        A built-in model (``"cart-pole"``) or ``FILE.py:NAME``.
-    options : mapping
-        For the model's function (``{"order": 3}`` of ``linear``).
-    outputs : tuple of (str, int)
-        Ports measured and which derivative of each.
-    effects : tuple of str
-        ``"coulomb_friction@theta"``.
-    unnamed : tuple of ResidualForce
-        Forces without a name, added last.
-    """
-
-    model: str
+    model: str  # A built-in model (``"cart-pole"``) or ``FILE.py:NAME``
     options: Mapping[str, Any] = field(default_factory=dict)
-    outputs: tuple[tuple[str, int], ...] = ()
-    effects: tuple[str, ...] = ()
-    unnamed: tuple[ResidualForce, ...] = ()
+    """For the model's function (``{"order": 3}`` of ``linear``)."""
+    outputs: tuple[tuple[str, int], ...] = ()  # tuple of (str, int): Ports measured and which derivative of each
+    effects: tuple[str, ...] = ()  # ``"coulomb_friction@theta"``
+    unnamed: tuple[ResidualForce, ...] = ()  # Forces without a name, added last
 
     def with_unnamed(self, forces: Sequence[ResidualForce]) -> Recipe:
         """Return the recipe with forces without a name added (see :mod:`harness.physics.fitting.residual_force`)."""

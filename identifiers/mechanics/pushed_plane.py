@@ -163,15 +163,11 @@ def calm(force: FloatArray) -> list[tuple[int, int]]:
 def object_in_plane(gravity: float = 9.81, feet: Feet = None) -> Any:
     """Return the mechanism of a rigid object on a table under a force and a torque at its middle.
 
-    Parameters
-    ----------
-    gravity : float
-        [m/s^2].
-    feet : three pairs of float, optional
-        Places of three feet from the middle, along the sides [m]: Coulomb friction under each, with the load that
-        statics gives it. By default the support is unknown: its friction is an ellipsoid of force and torque,
-        ``-mu m g (v, r^2 w) / sqrt(v^2 + r^2 w^2)`` with the velocity v and the rate w of the centre of mass (Lee and
-        Cutkosky 1991, *J. Eng. Ind.* 113:320), where r says how far out it rubs, on the mean.
+    - ``gravity``: [m/s^2]
+    - ``feet``: places of three feet from the middle, along the sides [m]: Coulomb friction under each, with the load
+      that statics gives it. By default the support is unknown: its friction is an ellipsoid of force and torque, ``-mu
+      m g (v, r^2 w) / sqrt(v^2 + r^2 w^2)`` with the velocity v and the rate w of the centre of mass (Lee and Cutkosky
+      1991, *J. Eng. Ind.* 113:320), where r says how far out it rubs, on the mean.
 
     Examples
     --------

@@ -20,24 +20,14 @@ class Basis:
 
     Gaussians ``exp(-r^2 / 2)``, or Mexican-hat wavelets ``(d - r^2) exp(-r^2 / 2)`` (d features; Zhang & Benveniste
     1992, IEEE Trans. Neural Networks 3:889), with ``r = |z - centre| / width``. Both vanish far from the data.
-
-    Parameters
-    ----------
-    kind : {"gaussian", "wavelet"}
-    columns : tuple of int
-        Which of (q_1 ... q_n, v_1 ... v_n) are the features.
-    middle, scale : array (d,)
-    centres : array (k, d)
-        In scaled features; each is an instant of the records.
-    widths : array (k,)
     """
 
     kind: Kind
-    columns: tuple[int, ...]
-    middle: FloatArray
-    scale: FloatArray
-    centres: FloatArray
-    widths: FloatArray
+    columns: tuple[int, ...]  # Which of (q_1 ... q_n, v_1 ... v_n) are the features.
+    middle: FloatArray  # (d,)
+    scale: FloatArray  # (d,)
+    centres: FloatArray  # (k, d): In scaled features; each is an instant of the records
+    widths: FloatArray  # (k,)
 
     @property
     def k(self) -> int:

@@ -84,17 +84,11 @@ def corrected(
     noise in the regressor shrinks happens to simulated records just as much. The scatter of the estimates over
     simulated records, through the inverse Jacobian of their mean over the parameters, is that of the parameters.
 
-    Parameters
-    ----------
-    parts : sequence of Piece
-        Of the records that were measured.
-    model_of : callable
-        From parameters (k,) to the model that has them, as near as physical parameters come, and the values reached.
-    refit : callable
-        From records to estimates (k,).
-    count : int
-        Sets of simulated records.
-    rng : numpy.random.Generator
+    - ``parts``: of the records that were measured
+    - ``model_of``: from parameters (k,) to the model that has them, as near as physical parameters come, and the values
+      reached
+    - ``refit``: from records to estimates (k,)
+    - ``count``: sets of simulated records
     """
     records, sizes = [part.record for part in parts], [part.noise for part in parts]
     # by noise of a level that is as uncertain as the measured one; the search itself goes by the measured one

@@ -159,17 +159,9 @@ def explicit_urdf(
 def stated(source: str | Path, locked: Sequence[str] = ()) -> tuple[list[float], ...]:
     """Return the damping, friction, effort and velocity that a URDF states of the joints that move.
 
-    Parameters
-    ----------
-    source : str or Path
-        A file, or the text of one.
-    locked : sequence of str
-        Joints that are made rigid.
-
-    Returns
-    -------
-    damping, friction, effort, velocity : list of float
-        0 and infinite where it states none.
+    - ``source``: a file, or the text of one
+    - ``locked``: joints that are made rigid
+    - returns ``damping, friction, effort, velocity``: 0 and infinite where it states none
     """
     root, folder = _parsed(source)
     file = None if folder is None else Path(source)

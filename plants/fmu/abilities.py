@@ -100,12 +100,7 @@ MARK = b"sysidfmu"
 def packed(instance: Instance, state: Snapshot) -> bytes:
     """Return a state as bytes that an instance of the same FMU takes back.
 
-    Raises
-    ------
-    InputError
-        If the FMU does not offer it.
-    PlantError
-        If it fails to.
+    Raises InputError if the FMU does not offer it. Raises PlantError if it fails to.
     """
     _need_offer(instance)
     try:
@@ -119,12 +114,7 @@ def packed(instance: Instance, state: Snapshot) -> bytes:
 def unpacked(instance: Instance, data: bytes) -> Snapshot:
     """Return a state of this instance from the bytes of :func:`packed`.
 
-    Raises
-    ------
-    InputError
-        If the FMU does not offer it, or the bytes are not of this FMU.
-    PlantError
-        If it fails to.
+    Raises InputError if the FMU does not offer it, or the bytes are not of this FMU. Raises PlantError if it fails to.
     """
     _need_offer(instance)
     mark, digest, k, event = HEAD.unpack_from(data) if len(data) >= HEAD.size else (b"", b"", 0, math.nan)

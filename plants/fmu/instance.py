@@ -203,14 +203,9 @@ class Instance:
     def enter(self, values: Mapping[str, Any], t0: float, tolerance: float | None) -> None:
         """Reset if needed, set start values and begin to initialise; FMI 1.0 ends it too.
 
-        Parameters
-        ----------
-        values : mapping
-            Values by variable name, as the FMU's own types and units (lists for arrays).
-        t0 : float
-            Start time [s].
-        tolerance : float or None
-            Relative tolerance for solvers inside the FMU.
+        - ``values``: values by variable name, as the FMU's own types and units (lists for arrays)
+        - ``t0``: start time [s]
+        - ``tolerance``: relative tolerance for solvers inside the FMU
         """
         if self.dead:
             raise self.failure("not usable after a fatal error; start a new process")

@@ -16,16 +16,10 @@ from plants.fmu.variables import INTEGERS, REALS, port, unknown
 def encode(file: FmuFile, variable: Any, value: Any, scale: float = 1.0, offset: float = 0.0) -> Any:
     """Return a Python value as the FMU's type, or refuse it.
 
-    Parameters
-    ----------
-    file : FmuFile
-        For the message.
-    variable : fmpy.model_description.ModelVariable
-        What is set.
-    value : number, str, bool or sequence
-        In SI; a string for enumerations may be the item's name.
-    scale, offset : float
-        SI = scale * (value of the FMU) + offset.
+    - ``file``: for the message
+    - ``variable``: what is set
+    - ``value``: in SI; a string for enumerations may be the item's name
+    - ``scale, offset``: SI = scale * (value of the FMU) + offset
     """
     wanted = 1
     for n in variable.shape or ():

@@ -44,11 +44,8 @@ def stopped(engine: Engine) -> PlantError:
 def finish(engine: Engine) -> None:
     """Bring an interrupted step to its end, so that ``engine.y`` and ``engine.loop.k`` are those of the next sample.
 
-    Raises
-    ------
-    PlantError
-        ``terminated`` if the FMU ends the simulation, ``diverged`` for NaN, ``timeout`` for steps that are discarded
-        without end, ``crashed`` for anything else.
+    Raises PlantError: ``terminated`` if the FMU ends the simulation, ``diverged`` for NaN, ``timeout`` for steps that
+    are discarded without end, ``crashed`` for anything else.
     """
     loop = engine.loop
     if engine.error is not None or loop.what in (SET_FAILED, GET_FAILED, OUTPUT_NOT_FINITE, INPUT_NOT_FINITE):

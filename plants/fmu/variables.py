@@ -240,23 +240,13 @@ def feeds_through(file: FmuFile, inputs: Sequence[Port], outputs: Sequence[Port]
 def describe(path: str | Path) -> dict[str, Any]:
     """Return the description of an FMU, for a person or for JSON.
 
-    Parameters
-    ----------
-    path : path
-        The ``.fmu`` file.
+    Raises InputError if it is no FMU or cannot be read.
 
-    Returns
-    -------
-    dict
-        ``file``, ``model``, ``description``, ``fmi``, ``tool``, ``platforms``, ``kinds`` (abilities by kind),
-        ``experiment``, ``problems``, and ``variables``: rows with name, type, causality, variability, initial, unit,
-        si_unit (``SI = scale * value + offset``), start, minimum, maximum, shape, items (of an enumeration), alias,
-        derivative_of, description.
-
-    Raises
-    ------
-    InputError
-        If it is no FMU or cannot be read.
+    - ``path``: the ``.fmu`` file
+    - returns ``file``, ``model``, ``description``, ``fmi``, ``tool``, ``platforms``, ``kinds`` (abilities by kind),
+      ``experiment``, ``problems``, and ``variables``: rows with name, type, causality, variability, initial, unit,
+      si_unit (``SI = scale * value + offset``), start, minimum, maximum, shape, items (of an enumeration), alias,
+      derivative_of, description
 
     Examples
     --------

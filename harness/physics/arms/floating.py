@@ -129,17 +129,10 @@ class FloatingRobot:
 def eliminated(jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the directions of motion that no force at some contacts works on.
 
-    Parameters
-    ----------
-    jacobian : array (N, c, m)
-        Of the points where unknown forces act, c of their components.
-
-    Returns
-    -------
-    directions : array (N, m, m)
-        Columns, orthonormal; those of no use are 0: multiply an equation from the left by the transpose.
-    count : array (N,)
-        How many are of use.
+    - ``jacobian`` (N, c, m): of the points where unknown forces act, c of their components
+    - returns ``directions`` (N, m, m): columns, orthonormal; those of no use are 0: multiply an equation from the left
+      by the transpose
+    - returns ``count`` (N,): how many are of use
 
     Examples
     --------

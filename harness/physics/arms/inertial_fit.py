@@ -38,24 +38,15 @@ _DIAGONAL = np.nonzero(_ROWS == _COLUMNS)[0]
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """The free bodies, scaled by their prior.
+    """The free bodies, scaled by their prior."""
 
-    Attributes
-    ----------
-    prior : array (B, 10)
-        Consistent.
-    scale : array (B, 4, 4)
-        T, lower triangular: ``J0 = T T'``.
-    maps : array (B, 10, 16)
-        From the entries of K to parameters.
-    boxes : sequence of (low (3,), high (3,)) or None
-        Box that holds the centre of mass and every part of a body [m], in its joint's frame.
-    """
-
-    prior: FloatArray
-    scale: FloatArray = field(init=False)
-    maps: FloatArray = field(init=False)
+    prior: FloatArray  # (B, 10): Consistent
+    scale: FloatArray = field(init=False)  # (B, 4, 4): T, lower triangular: ``J0 = T T'``
+    maps: FloatArray = field(init=False)  # (B, 10, 16): From the entries of K to parameters
     boxes: Sequence[tuple[FloatArray, FloatArray] | None] = ()
+    """sequence of (low (3,), high (3,)) or None: Box that holds the centre of mass and every part of a body [m], in its
+    joint's frame.
+    """
 
     def __post_init__(self) -> None:
         prior = np.asarray(self.prior, dtype=float).reshape(-1, 10)
@@ -73,24 +64,14 @@ class Bodies:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Weighted normal equations of bodies and friction.
+    """Weighted normal equations of bodies and friction."""
 
-    Attributes
-    ----------
-    gram, side : array (k, k), (k,)
-        G and s; the first 10 B unknowns are the bodies'.
-    bodies : Bodies
-    trust : float or None
-        Relative standard deviation of the prior inertia; None: no prior.
-    positive : array of bool (k - 10 B,)
-        Which of the other unknowns cannot be negative.
-    """
-
+    # (k, k), (k,): G and s; the first 10 B unknowns are the bodies'
     gram: FloatArray
     side: FloatArray
     bodies: Bodies
-    trust: float | None
-    positive: FloatArray
+    trust: float | None  # Relative standard deviation of the prior inertia; None: no prior
+    positive: FloatArray  # array of bool (k - 10 B,): Which of the other unknowns cannot be negative
 
     @property
     def weight(self) -> float:

@@ -17,13 +17,6 @@ from harness.signals import FloatArray
 class Arm:
     """A tree of joints on a fixed base, parents before children.
 
-    Parameters
-    ----------
-    name : str
-        Of the robot.
-    joints : tuple of Joint
-        Fixed ones included.
-
     Examples
     --------
     The torque that holds a pendulum (1 kg at 0.5 m) level is m g l:
@@ -36,8 +29,8 @@ class Arm:
     [4.905]
     """
 
-    name: str
-    joints: tuple[Joint, ...]
+    name: str  # Of the robot
+    joints: tuple[Joint, ...]  # Fixed ones included
 
     @property
     def moving(self) -> tuple[Joint, ...]:
@@ -114,12 +107,8 @@ class Arm:
     def symbolic_torques(self, parameters: Any, offsets: Any = None) -> tuple[list[Any], Any]:
         """Return the symbols (q, v, a, gravity) and the torques, linear in the inertial parameters.
 
-        Parameters
-        ----------
-        parameters : symbols (10 * bodies,)
-            In the order of :attr:`parameters`.
-        offsets : symbols (3 * bodies,), optional
-            Where the joints sit in the frames of their parents [m]; by default as in the file.
+        - ``parameters``: in the order of :attr:`parameters`
+        - ``offsets``: where the joints sit in the frames of their parents [m]; by default as in the file
 
         Notes
         -----

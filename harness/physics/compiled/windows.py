@@ -52,14 +52,9 @@ class Evaluation:
 class Windows:
     """All windows of some records at one horizon.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    trajectories : sequence of Trajectory
-    horizon : float or None
-        Length of a window [s]; None for whole records. A remainder shorter than half a window joins the last one.
-    sigma : array (ny,)
-        Weights are 1 / sigma.
+    - ``horizon``: length of a window [s]; None for whole records. A remainder shorter than half a window joins the last
+      one.
+    - ``sigma`` (ny,): weights are 1 / sigma
     """
 
     def __init__(

@@ -72,22 +72,22 @@ def doubt_of_loop(model: Any, records: Sequence[Trajectory], feedback: Feedback)
     told = chances < COLOURED / model.spec.ny
     if told.any() and (taken := float(_taken_back(model, kept, errors, first)[told].max())) > TAKEN:
         return (
-            f"residuals are correlated in time (probability {chances.min():.1g} by chance), which in a loop (past "
-            f"outputs foretell the input) biases what the inputs do, by {percent(taken)} of it: raise the order, "
+            f"residuals are correlated in time (probability {chances.min():.1g} by chance). Under feedback (past "
+            f"outputs predict the input) this biases the response to the inputs by {percent(taken)}: raise the order, "
             "model the noise (prediction-error), or move the set-point more"
         )
     mistaken, chance = _mistaken(kept, errors, ahead, first)
     if mistaken > MISTAKEN:
         return (
-            f"what moves the inputs beside the controller explains residuals of {percent(mistaken)} of what the "
-            f"inputs do (probability {chance:.1g} by chance): the model takes something else for it; use another "
-            "method, or move the set-point more"
+            f"the part of the inputs that the controller does not set explains residuals of {percent(mistaken)} of the "
+            f"response to them (probability {chance:.1g} by chance): the model mistakes the loop for the plant; use "
+            "another method, or move the set-point more"
         )
     scatter = _scatter(model, kept)
     if scatter > UNCERTAIN:
         return (
-            "the inputs answer the outputs (feedback), and what else moves them hardly shows in the load: the first "
-            f"answers to an input are uncertain by {percent(scatter)}; move the set-point more, or longer"
+            "the inputs respond to the outputs (feedback), and what else moves them hardly shows beside the load: the "
+            f"first samples of the response are uncertain by {percent(scatter)}; move the set-point more, or longer"
         )
     return ""
 

@@ -74,7 +74,7 @@ def doubt_of_own_record(
         return None
     most = RUN_AWAY * max(float(np.abs(record.y).max(initial=0.0)) for record in kept)
     if not all(np.isfinite(one).all() and np.abs(one).max(initial=0.0) <= most for one in (r[first:] for r in left)):
-        return "a free run over the records that the model was fitted to diverges: it is no model to simulate"
+        return "a free run over the model's own estimation records diverges: do not simulate with it"
     doubts = [_doubt(kept, left, good, column, first, linear=linear) for column in range(records[0].spec.ny)]
     return next((doubt for doubt in doubts if doubt), "" if any(doubt is not None for doubt in doubts) else None)
 
@@ -100,16 +100,16 @@ def _doubt(
     share = float(rest.std() / whole.std()) if whole.std() > 0 else 0.0
     if share > NOTHING and (chance := _idle(records, column, taken)) > BY_CHANCE:
         return (
-            f"nothing tells that the inputs move {name}: by chance alone they correlate with it as much (probability "
+            f"nothing shows that the inputs move {name}: chance alone correlates them as much (probability "
             f"{chance:.2g}), and a free run leaves {percent(share)} of it: move them more, or record what does"
         )
     if share > limit:
         return (
-            f"a free run over the records that the model was fitted to errs by {percent(share)} of "
-            f"{name}, whose motion is mostly not the inputs': take a drift out, or use a linear model"
+            f"a free run over the model's own estimation records errs by {percent(share)} of "
+            f"{name}, most of whose motion does not come from the inputs: remove a drift, or use a linear model"
             if limit < WORTHLESS
-            else f"a free run over the records that the model was fitted to errs by more than {name} moves "
-            f"({percent(share)}): its mean foretells more; use another method, or a longer record"
+            else f"a free run over the model's own estimation records errs by more than {name} moves "
+            f"({percent(share)}): its mean predicts better; use another method, or a longer record"
         )
     answered = _answered(records, [one[:, column] - rest.mean() for one in left], column, first, taken)
     if answered is None:
@@ -118,9 +118,9 @@ def _doubt(
     if share <= RIGHT or chance >= COLOURED / len(records[0].spec.outputs):
         return ""
     return (
-        f"a free run over the records that the model was fitted to leaves {percent(share)} of what the inputs "
-        f"do to {name} (probability {chance:.1g} if it were {percent(RIGHT)}): take a drift or a level "
-        "out, a better structure, or another method"
+        f"a free run over the model's own estimation records leaves {percent(share)} of what the inputs "
+        f"do to {name} (probability {chance:.1g} if it were {percent(RIGHT)}): remove a drift or an offset, "
+        "or use a better structure or another method"
     )
 
 

@@ -109,7 +109,7 @@ def _controlled(records: Sequence[Trajectory], feedback: Feedback) -> str:
     if not (feedback.found or feedback.unforeseen < NEW) or (law := law_of(records)) is None:
         return ""
     return (
-        f"{law.text} up to {law.departure:.1e} of full size: what the inputs do beside the controller is not in the "
+        f"{law.text} up to {law.departure:.1e} of full size: what the inputs do without the controller is not in the "
         "records; add an excitation to what it commands"
     )
 
@@ -123,8 +123,8 @@ def _at_once(records: Sequence[Trajectory], feedback: Feedback) -> str:
     if before.probability < ALONE:
         return ""
     return (
-        "an input goes with the outputs of the same sample, and nothing before foretells it: either an output "
-        "answers within the sample (declare feedthrough = true, without which the model is wrong), or a controller "
+        "an input follows the outputs of the same sample, and nothing earlier predicts it: either an output "
+        "responds within the sample (declare feedthrough = true, or the model is wrong), or a controller "
         "acts at once; the records cannot tell which"
     )
 
@@ -140,8 +140,8 @@ def _unmoved(model: Any, records: Sequence[Trajectory], feedback: Feedback) -> s
         return _guessed(model, records)
     moved = f"{feedback.moves:.0f} moves" if feedback.moves < lags else f"{lags} lags"
     return (
-        f"the inputs excite no more than {moved}, from which a model without an order knows the answers to such inputs "
-        "alone; use a richer input (more steps, lines, noise), or a linear model of low order"
+        f"the inputs excite no more than {moved}; a model without an order then knows the response to such inputs "
+        "only; use a richer input (more steps, lines, noise), or a linear model of low order"
     )
 
 
@@ -166,8 +166,8 @@ def _guessed(model: Any, records: Sequence[Trajectory]) -> str:
         bent = [np.mean((between - 0.5 * (low + high)) ** 2), np.mean((beyond - 1.5 * high + 0.5 * low) ** 2)]
         if max(bent) > GUESSED**2 * np.mean((high - low) ** 2):
             return (
-                f"{channel.name} takes two levels, and the model bends between them or beyond: what it answers to "
-                "others is a guess; use an input of more levels, or a model that is linear in it"
+                f"{channel.name} takes two levels, and the model bends between them or beyond: its response to "
+                "other levels is a guess; use an input with more levels, or a model that is linear in it"
             )
     return ""
 

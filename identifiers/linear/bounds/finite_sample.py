@@ -115,7 +115,7 @@ class FiniteSample:
         rows, words = self._of_equations(model, records)
         closed = feedback_of(records).found if records[0].spec.nu else False
         if closed:
-            words.append("past outputs foretell the inputs: bounds on responses are for open loops, and none is given")
+            words.append("past outputs predict the inputs: bounds hold for open loops only, and none is given")
         elif records[0].spec.nu:
             more, said = self._of_responses(model, records, rng)
             rows += more

@@ -181,8 +181,8 @@ class ContinuousTransferFunction(Excited):
         }
         feedback = feedback_of(measured)
         if feedback.found:
-            notes["warning"] = "outputs foretell the input (feedback): output error is biased unless noise is white"
-        method = f"fits without one of {GROUPS} stretches of the records each"
+            notes["warning"] = "outputs predict the input (feedback): output error is biased unless noise is white"
+        method = f"jackknife: fits that leave out one of {GROUPS} stretches of the records"
         free = float(GROUPS - 1)
         model = sampled_model(spec, rows, covariances, self.hold, notes, freedom=free, method=method)
         estimate = estimate_of_rows(spec.inputs, spec.outputs, rows, covariances, freedom=free, method=method)

@@ -147,9 +147,7 @@ class ImpulseResponse(Excited):
         }
         feedback = feedback_of(records).found
         if feedback:
-            notes["warning"] = (
-                "past outputs foretell the input (feedback): the response is biased; use prediction-error"
-            )
+            notes["warning"] = "past outputs predict the input (feedback): the response is biased; use prediction-error"
         coloured = _coloured(records, response, level, first)
         if not feedback and coloured is None:
             notes |= {"low": bands.low.tolist(), "high": bands.high.tolist()}

@@ -400,10 +400,7 @@ def band(moved: Sequence[Motion]) -> float:
 def speaks(arm: ArmModel, spec: PlantSpec, what: str) -> None:
     """Refuse records whose signals are not those of the arm, by name.
 
-    Raises
-    ------
-    FitError
-        If they are not.
+    Raises FitError if they are not.
     """
     inputs, outputs = [c.name for c in spec.inputs], [c.name for c in spec.outputs]
     missing = [position.name for position in arm.positions if position.name not in outputs]
