@@ -219,6 +219,25 @@ def test_a_value_is_told_where_only_the_nominal_scale_is_not() -> None:
     assert impossible(FORM, one, a_fit(effects=[one], deviations=wide, beside={one.main(): 0.1})) == []
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "size", "traded"),
+    [(0.1, 2.0, 0.9, True), (0.1, 0.1, 0.9, False), (2.0, 2.0, 0.9, False), (0.1, 2.0, 0.1, False)],
+)
+def test_an_effect_beside_which_a_parameter_is_told_no_more_only_trades_with_it(
+    before: float, after: float, size: float, traded: bool
+) -> None:
+    """Deviations of a parameter of 1 without and beside an effect of 0.5, and of that effect."""
+    one = placed("quadratic_drag")
+    base = a_fit(deviations={"a": before})
+    fit = a_fit(
+        (np.full(400, 1.0), GAIN), [one], count=4, deviations={"a": after, one.main(): size}, beside={one.main(): 0.1}
+    )
+    refusals = judged(FORM, [one], fit, base, base).refusals
+    assert [refusal.subject for refusal in refusals if refusal.kind is Kind.TRADED] == ["a"] * traded
+    held = replace(fit, free=("a",))
+    assert Kind.TRADED not in {refusal.kind for refusal in judged(FORM, [one], held, base, base).refusals}
+
+
 def test_stribeck_friction_that_rises_with_speed_is_against_its_own_law() -> None:
     one = placed("stribeck_friction")
     values = {"a": 1.0, **{one.name(name): 0.5 for name in one.effect.parameter_names}}

@@ -94,6 +94,51 @@ def test_what_a_force_that_remembers_has_taken_up_is_asked_beside_one_that_forge
     assert told == ([names[:1], names[:1], names] if forgets else [[], [], []]), "what promises enough is begun anyway"
 
 
+def test_a_refit_hopes_for_a_share_of_the_best_one_and_ends_where_it_cannot_pay() -> None:
+    hopes: dict[str, float] = {}
+    least: dict[str, float] = {}
+
+    class Form(LinearForm):
+        def begin(self, effects: Any, starts: Any, base: Fit | None, hope: float = -np.inf) -> Begun:
+            hopes.setdefault("+".join(map(str, effects)), hope)
+            return super().begin(effects, starts, base, hope)
+
+        def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, worth: float = -np.inf) -> Fit:
+            least.setdefault("+".join(map(str, begun.effects)), worth)
+            return super().finish(begun, base, rival, worth)
+
+    form = Form(linear_records(3, {"cubic_spring": 0.4, "quadratic_drag": 0.3}))
+    nominal = form.fit((), [], None)
+    outcome = search(form, nominal, ALL)
+    before = nominal.log_likelihood("estimation")
+    gain = form.fit([placed("cubic_spring")], [], nominal).log_likelihood("estimation") - before
+    assert hopes["cubic_spring@theta"] == pytest.approx(before + POLICY.lead), "nothing was begun before it"
+    assert hopes["quadratic_drag@theta"] == pytest.approx(before + POLICY.reach * gain)
+    assert least["cubic_spring@theta"] == pytest.approx(before + 0.5 * np.log(1000) - POLICY.evidence)
+    second = outcome.rounds[1].base.log_likelihood("estimation")
+    assert least["cubic_spring@theta+quadratic_drag@theta"] == pytest.approx(
+        second + 0.5 * np.log(1000) - POLICY.evidence
+    )
+
+
+def test_what_moves_nothing_in_these_records_changes_no_promise() -> None:
+    class Form(LinearForm):
+        def linearised(self, fit: Fit) -> Linearised:
+            whole = super().linearised(fit)
+            more = {use: np.column_stack([part, np.zeros(len(part))]) for use, part in whole.nuisance.items()}
+            return replace(whole, nuisance=more, states={"x0": 0.0})
+
+    records = linear_records(3, {"cubic_spring": 0.4})
+    plain, idle = LinearForm(records), Form(records)
+    fit = plain.fit((), [], None)
+    promises = [
+        [(str(lead.placed), lead.gain, lead.share) for lead in score_test(form, fit, ALL).leads]
+        for form in (plain, idle)
+    ]
+    for one, other in zip(*promises, strict=True):
+        assert one == (other[0], *map(pytest.approx, other[1:]))
+
+
 # ---- again -----------------------------------------------------------------------------------------------------------
 
 
