@@ -77,7 +77,7 @@ def refuse_undetermined(records: Sequence[Trajectory], what: str, least_excitati
             raise FitError(
                 f"{what}: the data do not determine the model",
                 expected="inputs that do not move together",
-                got=f"{law} but for a constant",
+                got=f"{law} up to a constant",
                 remedy="excite every input by itself, or leave one out",
             )
         _refuse_late(first_rows(records), what)
@@ -95,7 +95,7 @@ def _refuse_still(records: Sequence[Trajectory], what: str) -> None:
         raise FitError(
             f"{what}: the data do not determine the model",
             expected="inputs that move",
-            got=f"constant {', '.join(names)}: what an input does that never moves is not in the records",
+            got=f"constant {', '.join(names)}: the records do not show what a constant input does",
             remedy="excite every input, or leave it out",
         )
 

@@ -56,7 +56,7 @@ def notes_of(
         )
         if identifier is None and feedback_of(records).found:
             notes.append(
-                "past outputs foretell the input (feedback): frequencies and damping here have the bias of noise, "
+                "past outputs predict the input (feedback): frequencies and damping here have the bias of noise, "
                 "which no interval holds"
             )
     else:
@@ -122,7 +122,7 @@ def identify_modes(
     identifier : str, optional
         Id of an identifier of linear models, whose poles are taken: their intervals come from leaving out stretches.
         By default ``"ssi"``, a subspace fit with its covariance (:mod:`harness.modal.subspace`), which is refused where
-        past outputs foretell the input; named, it is made even so.
+        past outputs predict the input; named, it is made even so.
     orders : sequence of int, optional
         Numbers of states, two for each mode; by default 2, 4, ... 40, as far as the data reach.
     criteria : Criteria, optional
@@ -282,7 +282,7 @@ def _refuse_feedback(records: Sequence[Trajectory]) -> None:
     """Refuse inputs that answer the outputs: noise that comes back through the loop would pass for motion."""
     if records[0].spec.nu and feedback_of(records).found:
         raise FitError(
-            "modes: past outputs foretell the input (feedback)",
+            "modes: past outputs predict the input (feedback)",
             expected="inputs that do not answer the outputs",
             got="a controller in the loop, or inputs that follow the motion",
             remedy="--identifier n4sid, which allows for it; --identifier ssi takes frequencies and damping with the "

@@ -101,7 +101,7 @@ def test_smooth_inputs_tell_less_and_the_bound_says_so():
 
 
 def test_a_loop_and_inputs_that_act_at_once_are_refused():
-    with pytest.raises(FitError, match="past outputs foretell the inputs"):
+    with pytest.raises(FitError, match="past outputs predict the inputs"):
         estimated_response([record(2000, 0, gain=0.3)], 50)
     one = record(2000, 0)
     with pytest.raises(FitError, match="move the inputs on by a sample"):

@@ -85,7 +85,7 @@ def test_of_right_models_one_in_a_thousand_is_warned_of():
 
 def test_a_drift_that_no_input_makes_is_said():
     data = record(staircase(), added=4 * np.linspace(0, 1, N))
-    assert "a free run over the records that the model was fitted to" in warning("random-forest", data)
+    assert "a free run over the model's own estimation records" in warning("random-forest", data)
 
 
 @pytest.mark.parametrize("name", ["arx", "n4sid", "prediction-error"])
@@ -96,7 +96,7 @@ def test_inputs_that_move_nothing_are_said(name):
         rng, y = np.random.default_rng(seed), np.zeros(N)
         for k in range(1, N):
             y[k] = 0.9 * y[k - 1] + rng.standard_normal()
-        said += "nothing tells that the inputs move y" in warning(name, replace(record(staircase(100)), y=y[:, None]))
+        said += "nothing shows that the inputs move y" in warning(name, replace(record(staircase(100)), y=y[:, None]))
     assert said >= 6
 
 
