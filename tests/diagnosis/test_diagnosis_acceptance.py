@@ -11,7 +11,7 @@ from linear_form import placed
 from made_fits import FORM, NoForm, a_fit
 
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.compare import compared, difference, impossible, judged
+from harness.diagnosis.search.compare import compared, difference, impossible, judged, wrong_signs
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.ties import undecided
@@ -202,13 +202,27 @@ def test_what_did_not_converge_or_cannot_be_is_rejected() -> None:
     assert [one.kind for one in judged(dear, [one], None, a_fit(), a_fit()).refusals] == [Kind.COST]
 
 
+def test_a_sign_is_asked_of_what_the_law_is_about_and_the_data_tell() -> None:
+    """Of the width that rounds a friction, or of a value that was held, no sign says anything."""
+    for name, sign, refused in (("Fc", "+", True), ("w", "+", False), ("Fc", "-", False), ("Fc", "any", False)):
+        law = placed("coulomb_friction").effect
+        parts = [replace(one, sign=sign) if one.name == name else one for one in law.parameters]
+        for fixed in (False, True):
+            held = [replace(one, fixed=fixed or one.fixed) for one in parts]
+            one = Placed(replace(law, parameters=tuple(held)), "theta")
+            values = {one.name("Fc"): 0.5, one.name("w"): 0.5} | {one.name(name): -0.5}
+            found = [(refusal.kind, refusal.subject) for refusal in wrong_signs(one, values)]
+            assert found == [(Kind.SIGN, name)] * (refused and not fixed)
+
+
 def test_a_value_on_its_bound_is_no_estimate() -> None:
     drag = builtin()["quadratic_drag"]
     parameter = replace(drag.parameters[0], maximum=0.5)
     bounded = Placed(replace(drag, parameters=(parameter,)), "theta")
     assert impossible(FORM, bounded, a_fit(effects=[bounded]))[0].kind is Kind.BOUND
-    free = Placed(replace(drag, parameters=(replace(parameter, maximum=0.6),)), "theta")
-    assert impossible(FORM, free, a_fit(effects=[free])) == []
+    for maximum, lies_on_it in ((0.6, False), (0.50007, False), (0.50004, True)):  # within a ten-thousandth
+        near = Placed(replace(drag, parameters=(replace(parameter, maximum=maximum),)), "theta")
+        assert [one.kind for one in impossible(FORM, near, a_fit(effects=[near]))] == [Kind.BOUND] * lies_on_it
 
 
 def test_a_value_is_told_where_only_the_nominal_scale_is_not() -> None:

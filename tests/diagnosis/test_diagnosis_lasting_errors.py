@@ -84,6 +84,20 @@ def test_beside_an_error_that_remembers_parameters_are_paid_too() -> None:
     assert price == pytest.approx((-np.log(500), 0.0))
 
 
+@pytest.mark.parametrize("nothing", [0.0, np.nan])
+def test_an_output_that_errs_by_nothing_or_was_never_read_tells_nothing(nothing: float) -> None:
+    """The square of the smallest deviation was 0, and divided by."""
+    wave, fits = np.sin(np.arange(500) / 20.0), []
+    for left in (0.0, 1.0):
+        one = free_run(left * wave)
+        fits.append(one)
+        more = {u: [(np.column_stack([e, e * 0.0 + nothing]), np.ones((500, 2))) for e, _ in one.innovations[u]]
+                for u in USES}  # fmt: skip
+        fits.append(replace(one, innovations=more))
+    assert coloured_gains(fits[1], fits[3], 2) == pytest.approx(coloured_gains(fits[0], fits[2], 2))
+    assert Coloured(np.zeros(2), 1.0).memory == 0.0
+
+
 @pytest.mark.parametrize(
     ("gains", "lost"),
     [

@@ -25,9 +25,9 @@ from linear_form import (
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.fit import Column, Fit
-from harness.diagnosis.search.leftover import Axis, Leftover, _expected, left_over
+from harness.diagnosis.search.leftover import Axis, Leftover, _expected, _Explained, left_over
 from harness.diagnosis.search.moves import climbed, specialise
-from harness.diagnosis.search.scores import score_test
+from harness.diagnosis.search.scores import projected, score_test
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, Answer, Round
 from harness.diagnosis.search.ties import tied, total
@@ -140,6 +140,21 @@ def test_the_evidence_of_a_free_force_is_that_of_normal_coefficients() -> None:
     assert best.evidence == pytest.approx(max(gains), rel=1e-6)
     assert best.values[0] == pytest.approx(0.3, abs=0.1), "sign and size of the force"
     assert best.validation > 10
+
+
+def test_a_free_force_has_as_many_coefficients_as_the_innovations_tell() -> None:
+    """The trace of what takes the innovations to the force: less than one of a function that is hardly seen."""
+    form = LinearForm(linear_records(6, {"cubic_spring": 4.0}, absorbed={"cubic_spring": 0.05}))
+    fit = form.fit((), [], None)
+    basis, residual = projected(form, fit)
+    (column,) = [one for one in form.test_functions(fit) if one.names[1] == "cubic_spring"]
+    found = _Explained.of(column, basis, residual, form.linearised(fit), POLICY)
+    unit = column.estimation[:, 0] / np.linalg.norm(column.estimation[:, 0])
+    left = unit - basis @ (basis.T @ unit)
+    size, along = float(left @ left), float(left @ residual)
+    gains = {v: 0.5 * (v * along**2 / (1 + v * size) - np.log1p(v * size)) for v in np.geomspace(1e-2, 1e6, 17)}
+    prior = max(gains, key=lambda one: gains[one])
+    assert found.count == pytest.approx(prior * size / (1 + prior * size), rel=1e-6)
 
 
 def test_parameters_move_where_their_spread_and_the_validation_records_want_them() -> None:

@@ -18,11 +18,12 @@ from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised
 from harness.diagnosis.search.generalised import generalise, starts_of
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.moves import pair
-from harness.diagnosis.search.race import _remembered
+from harness.diagnosis.search.outcome import Outcome
+from harness.diagnosis.search.race import _Race, _remembered
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.scores import ScoreTest, score_test
 from harness.diagnosis.search.search import search
-from harness.diagnosis.search.table import Answer, Round
+from harness.diagnosis.search.table import Accepted, Answer, Round
 from harness.diagnosis.search.ties import _typical, _usual
 from harness.diagnosis.search.warm import polished
 from harness.effects import builtin
@@ -121,6 +122,25 @@ def test_a_refit_hopes_for_a_share_of_the_best_one_and_ends_where_it_cannot_pay(
     )
 
 
+def test_what_is_exactly_the_same_as_the_likeliest_is_finished_however_it_began() -> None:
+    """A bias of the sensor of an angle is a tilt of gravity: neither may lose by its first steps."""
+    form = LinearForm(linear_records(3, {}))
+    nominal = form.fit((), [], None)
+    tilt, offset, spring = placed("gravity_tilt"), placed("sensor_offset"), placed("linear_spring")
+    race = _Race(nominal, 0.0, POLICY, form.laws)
+    for law, gain in ((offset, 0.5), (spring, 20.0), (tilt, 50.0)):
+        race.begun[law] = Begun((law,), nominal.log_likelihood("estimation") + gain, {}, None)
+    assert race.next([]) == [tilt, spring, offset]
+    assert race.next([tilt]) == [spring], "the likeliest of those that are left has no twin"
+    assert race.next([offset]) == [tilt, spring], "once"
+    race.begun[offset] = Begun((offset,), nominal.log_likelihood("estimation") + 40.0, {}, None)
+    assert race.next([]) == [tilt, offset, spring], "in its own place"
+    race.begun[offset] = None
+    assert race.next([]) == [tilt, spring], "it cannot be simulated"
+    race.begun[tilt] = Begun((tilt,), nominal.log_likelihood("estimation") + 100.0, {}, None)
+    assert race.next([]) == [tilt], "the other lost by its first steps"
+
+
 def test_what_moves_nothing_in_these_records_changes_no_promise() -> None:
     class Form(LinearForm):
         def linearised(self, fit: Fit) -> Linearised:
@@ -142,7 +162,7 @@ def test_what_moves_nothing_in_these_records_changes_no_promise() -> None:
 # ---- again -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("behind", "again"), [(0.3, False), (5.0, True), (EFFORT.margin + 10.0, True)])
+@pytest.mark.parametrize(("behind", "again"), [(0.4, False), (0.6, True), (EFFORT.margin + 10.0, True)])
 def test_a_base_is_fitted_again_from_where_its_rival_ended(behind: float, again: bool) -> None:
     form = LinearForm(linear_records(3, {"linear_spring": 0.4, "quadratic_drag": 0.4}))
     nominal, drag = form.fit((), [], None), placed("quadratic_drag")
@@ -176,14 +196,24 @@ def test_a_rival_that_was_left_on_its_way_is_an_answer_where_its_end_passes(sign
     assert ({"quadratic_drag"} in found) is (sign > 0), "of the wrong sign it is no law"
 
 
-@pytest.mark.parametrize("helps", [True, False])
-def test_rivals_of_a_law_are_refined_where_that_helps_the_law_itself(helps: bool) -> None:
-    records = linear_records(
-        23, {"linear_spring": 1.0, "quadratic_drag": 0.5 * helps}, alike={"cubic_spring": "linear_spring"}
-    )
+@pytest.mark.parametrize("ahead", [-1.0, 4.5, 5.5])
+def test_rivals_of_a_law_are_refined_where_that_helps_the_law_itself(ahead: float) -> None:
+    """By what is asked of an effect; of a rival it is then not asked any more."""
+    helps = ahead > POLICY.evidence
+    records = linear_records(23, {"linear_spring": 1.0, "quadratic_drag": 0.5}, alike={"cubic_spring": "linear_spring"})
     for refined, law in (("quadratic_spring", "linear_spring"), ("force_bias", "cubic_spring")):
         mixed(records, refined, **{law: 1.0, "quadratic_drag": 0.5})
-    form = LinearForm(records)
+
+    class Form(LinearForm):
+        def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit:
+            fit = super().finish(begun, base)
+            assert base is not None
+            first = begun.effects[-1].effect.name == "quadratic_spring"
+            more = base.penalised + (ahead if first else 1.0) - fit.penalised
+            terms = {"estimation": [each + more / len(each) for each in fit.terms["estimation"]]}
+            return replace(fit, terms={**fit.terms, **terms})
+
+    form = Form(records)
     base = form.fit((), [], None)
     laws = [placed("linear_spring"), placed("cubic_spring")]
     rich = [
@@ -299,6 +329,21 @@ def test_what_lies_on_a_bound_or_is_not_told_is_not_far_off_what_was_declared() 
     assert fit.far_off(declared, factor=1e4) == ()
     assert a_fit(on_bound=("a",)).far_off(declared) == ()
     assert a_fit(deviations={"a": 1.0}).far_off(declared) == (), "its interval has the declared value in it"
+
+
+@pytest.mark.parametrize(("promised", "told"), [(0.9, False), (1.1, True)])
+def test_what_was_promised_of_the_validation_records_must_be_evidence_to_be_denied(promised: float, told: bool) -> None:
+    spring, law = placed("linear_spring"), np.ones(400) * np.sqrt(promised * 2 * POLICY.evidence / 200)
+    base, fit = (
+        a_fit(innovations={use: [(part[:, None], np.ones((400, 1)))] for use in USES}) for part in (law, 0.0 * law)
+    )
+    row = Judged((spring,), fit, Comparison(50.0, -5.0, 0.5, 1.0), ())
+    one = Accepted(spring, ((spring,),), 50.0, -5.0)
+    nothing: Any = None
+    outcome = Outcome(nothing, base, fit, (one,), (Round(base, nothing, (row,)),))
+    expected = promised * 2 * POLICY.evidence
+    assert dict(outcome.denied()) == ({str(spring): pytest.approx(0.5 * (1 - 5.0 / expected))} if told else {})
+    assert replace(outcome, accepted=()).denied() == (), "it is no part of the answer"
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])

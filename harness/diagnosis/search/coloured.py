@@ -251,7 +251,7 @@ def coloured_likelihood(errors: Mapping[str, Sequence[tuple[FloatArray, FloatArr
         values = {use: [error[:, output] for error, _ in records] for use, records in errors.items()}
         before = {use: [Before.of(np.isfinite(one).astype(float), order) for one in values[use]] for use in values}
         known = {use: [np.nan_to_num(one) for one in values[use]] for use in values}
-        floor = LEAST * float(np.sqrt(np.mean(np.concatenate(known["estimation"]) ** 2))) + 1e-300
+        floor = LEAST * float(np.sqrt(np.mean(np.concatenate(known["estimation"]) ** 2))) + 1e-150  # its square is no 0
         error = fitted_error(known["estimation"], before["estimation"], order, floor)
         for use, records in known.items():
             for one, rows in zip(records, before[use], strict=True):

@@ -71,7 +71,7 @@ def search(
         if lost((better or answer).model):
             ended = better or answer
             return Outcome(form, table.nominal, ended.model, ended.accepted, tuple(table.rounds))
-        if better is not None and len(better.accepted) > 1:
+        if better is not None:
             better = climbed(table, climbed(table, better, exchange), drop)
         if not paired and (better is None or len(table.rounds) > 1):
             so_far, paired = better or answer, True
