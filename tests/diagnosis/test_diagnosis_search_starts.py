@@ -45,6 +45,9 @@ def started(law: Placed, given: Mapping[str, float], names: Sequence[str], hidde
     columns = dict(zip(("linear_spring", "cubic_spring"), hidden, strict=False))
     form = Form(linear_records(3, columns, n=4000))
     (lead,) = score_test(form, form.fit((), [], None), [law]).leads
+    assert lead.gain - lead.penalised == pytest.approx(
+        0.5 * np.log(4000) * sum(not one.fixed for one in law.effect.parameters)
+    )
     return lead.starts[0]
 
 
@@ -77,6 +80,15 @@ def test_a_law_starts_from_the_one_that_it_refines_and_from_what_its_place_knows
     found = [(start[rich.name(k.name)], start[rich.name(k3.name)]) for start in starts]
     assert found == [(size, new) for size in (3.0, 6.0) for new in (7.0, 0.5, 2.0)]
     assert all(start["a"] == 1.0 for start in starts)
+
+
+def test_what_was_shown_by_a_fit_is_hidden_no_more() -> None:
+    form = LinearForm(linear_records(4, {}, absorbed={"cubic_spring": 0.001, "quadratic_drag": 0.001}))
+    test = score_test(form, form.fit((), [], None), ALL)
+    names = [[str(lead.placed) for lead in leads] for leads in (test.leads, test.hidden)]
+    shown = test.with_shown({"quadratic_drag@theta"})
+    assert [str(lead.placed) for lead in shown.leads] == [*names[0], "quadratic_drag@theta"]
+    assert [str(lead.placed) for lead in shown.hidden] == ["cubic_spring@theta"]
 
 
 @pytest.mark.parametrize("forgets", [False, True])
