@@ -105,7 +105,7 @@ def test_inputs_that_move_together_are_named():
     a = rng.normal(size=300)
     spec = PlantSpec((Channel("a"), Channel("b")), (Channel("y"),), 1.0)
     data = Trajectory(np.arange(300.0), np.column_stack([a, 1 - 2 * a]), rng.normal(size=(300, 1)), spec)
-    with pytest.raises(FitError, match=r"b = -2 a but for a constant"):
+    with pytest.raises(FitError, match=r"b = -2 a up to a constant"):
         refuse_undetermined([data], "mine")
     refuse_undetermined([data], "mine", 0.0)
 
