@@ -416,6 +416,19 @@ def test_smoothing_widths_are_kept_where_the_step_can_follow():
     assert given.parameter("coulomb_friction@theta.w").minimum == pytest.approx(1e-4)  # what is given is taken
 
 
+@pytest.mark.parametrize(("fast", "steps"), [(1.3, 1), (1.5, 2), (2.9, 3)])
+def test_what_is_followed_takes_half_of_what_the_method_endures(fast: float, steps: int) -> None:
+    lagging = compose(PENDULUM, [put("actuator_lag", "u", tau=0.01 / fast)])
+    assert recommended_substeps(lagging, None, 0.01) == steps
+
+
+@pytest.mark.parametrize(("fast", "steps"), [(2.4, 1), (2.6, 2), (5.1, 3)])
+def test_what_slips_at_speed_is_stable(fast: float, steps: int) -> None:
+    """Runge and Kutta's method of order 4 endures an eigenvalue times a step of 2.78."""
+    bristles = compose(PENDULUM, [put("lugre_coulomb_friction", "theta", Fc=1e-9, xs=1e-3, tau=0.0, T=0.0)])
+    assert recommended_substeps(bristles, None, 0.01, x=np.array([0.0, 0.1 * fast, 1e-3])) == steps
+
+
 def test_a_lag_is_never_so_short_that_it_costs_many_steps() -> None:
     """A fit that had no use for one followed it to a hundredth of a sample, in 55 steps each."""
     lagging = compose(PENDULUM, [put("actuator_lag", "u")], sizes={"u": {"u": 1.0, "dt": 0.01}})
