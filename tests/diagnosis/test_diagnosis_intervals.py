@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import functools
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_fits import a_fit
 from scipy.signal import lfilter
 
-from harness.diagnosis.forms.robust import robust_covariance
+from harness.diagnosis.forms.robust import coloured_deviations, robust_covariance
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.intervals import _blocks, block_interval, correlation_samples
+from harness.diagnosis.search.coloured import Before, fitted_error
 from harness.physics import load_model
 from harness.physics.compiled.windows import Windows
 from harness.signals import PlantSpec, Trajectory
@@ -184,3 +188,43 @@ def test_intervals_of_free_runs_hold_the_truth_though_their_errors_are_coloured(
         held += np.abs(change) < 1.96 * np.sqrt(np.diag(covariance))
     assert (held >= 180).all()  # as if independent: 20 % and 100 %
     assert (held <= 198).all()
+
+
+def test_the_covariance_of_free_runs_is_the_sandwich_of_its_formula() -> None:
+    """Two records, two outputs, a reading that is missing: sums over outputs of J' C J between inverses of J' J."""
+    rng = np.random.default_rng(0)
+    errors = [lfilter([1.0], [1.0, -0.8], rng.standard_normal((n, 2)), axis=0) * [1.0, 5.0] for n in (60, 45)]
+    errors[1][20:25, 0] = np.nan
+    jacobians = [rng.standard_normal((len(e), 2, 3)) for e in errors]
+    bread, meat = np.zeros((3, 3)), np.zeros((3, 3))
+    for k in range(2):
+        there = [np.isfinite(e[:, k]) for e in errors]
+        before = [Before.of(rows.astype(float), 1) for rows in there]
+        error = fitted_error([np.nan_to_num(e[:, k]) for e in errors], before, 1, 1e-9)
+        for j, rows in zip(jacobians, there, strict=True):
+            lags = np.abs(np.subtract.outer(np.arange(len(j)), np.arange(len(j))))
+            told = j[:, k][rows] / error.deviation
+            bread += told.T @ told
+            meat += told.T @ (error.coefficients[0] ** lags)[np.ix_(rows, rows)] @ told
+    wanted = np.linalg.inv(bread) @ meat @ np.linalg.inv(bread)
+    assert robust_covariance(errors, jacobians, 1, np.array([1e-9, 1e-9])) == pytest.approx(wanted, rel=1e-6)
+
+
+def test_intervals_of_free_runs_know_that_every_record_has_its_own_initial_state() -> None:
+    """A parameter is told by what none of the starts can do, through its logarithm where it was fitted so."""
+    rng = np.random.default_rng(1)
+    errors = [rng.standard_normal((200, 1)) for _ in range(2)]
+    moves = [rng.standard_normal((200, 1, 4)) for _ in range(2)]  # three parameters and an initial state
+    told = {"a": 0.1, "b": 0.0, "c": 0.1}
+    values = {"a": 4.0, "b": 2.0, "c": 1.0}
+    fit = a_fit(values=values, free=tuple(values), deviations=told, logarithmic=frozenset("a"))
+    paths: Any = [SimpleNamespace(e=e, j=j) for e, j in zip(errors, moves, strict=True)]
+    found = coloured_deviations(fit, paths, 1, np.array([1e-9])).deviations
+    wide = np.zeros((400, 4))
+    for number, j in enumerate(moves):
+        rows = slice(200 * number, 200 * (number + 1))
+        wide[rows, :2], wide[rows, 2 + number] = j[:, 0, [0, 2]], j[:, 0, 3]
+    parts = [wide[:200, None], wide[200:, None]]
+    covariance = robust_covariance(errors, parts, 1, np.array([1e-9]))
+    a, c = np.sqrt(np.diag(covariance))[:2]
+    assert (found["a"], found["b"], found["c"]) == pytest.approx((a / 4.0, 0.0, c)), "what was held stays held"

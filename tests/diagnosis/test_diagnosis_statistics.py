@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import kolmogorov
+from scipy.stats import chi2
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.number import described
@@ -52,6 +54,46 @@ def test_each_test_sees_what_it_is_for() -> None:
     assert tests.cusum_of_squares(late)[2].p < 1e-6
     path, band, _ = tests.cusum_of_squares(late)
     assert np.abs(path).max() > band
+
+
+def test_correlations_are_the_sums_that_their_formulas_say() -> None:
+    rng = np.random.default_rng(5)
+    u, r = rng.standard_normal(40) + 2.0, rng.standard_normal(40) - 1.0
+    x, e = u - u.mean(), r - r.mean()
+    rho = [e[k:] @ e[: 40 - k] / (e @ e) for k in range(6)]
+    assert tests.autocorrelation(r, 5) == pytest.approx(rho)
+    assert tests.max_autocorrelation(r, 5) == pytest.approx(max(map(abs, rho[1:])))
+    scale = np.sqrt((x @ x) * (e @ e))
+    later = [x[: 40 - k] @ e[k:] / scale for k in range(4)]  # the residual after the input
+    earlier = [x[k:] @ e[: 40 - k] / scale for k in range(3, 0, -1)]
+    assert tests.cross_correlation(u, r, 3) == pytest.approx([*earlier, *later])
+    assert tests.cross_correlation(u, r, 0) == pytest.approx(later[:1])
+    found = tests.ljung_box(r, 5, fitted=2)
+    q = 40 * 42 * sum(one**2 / (40 - k) for k, one in enumerate(rho[1:], 1))
+    assert (found.statistic, found.dof, found.p) == pytest.approx((q, 3, chi2.sf(q, 3)))
+    rows = np.column_stack([x[3 - k : 40 - k] for k in range(4)])
+    rows, cut = rows - rows.mean(axis=0), r[3:] - r[3:].mean()
+    explained = rows @ np.linalg.lstsq(rows, cut, rcond=None)[0]
+    q = 37 * (explained @ explained) / (cut @ cut)
+    found = tests.input_correlation(u, r, 3)
+    assert (found.statistic, found.dof, found.p) == pytest.approx((q, 4, chi2.sf(q, 4)))
+    path, band, found = tests.cusum_of_squares(r)
+    sums = [(r[: k + 1] ** 2).sum() / (r @ r) - (k + 1) / 40 for k in range(40)]
+    assert path == pytest.approx(np.array(sums))
+    assert (band, found.statistic) == pytest.approx((2.58 / np.sqrt(40), np.abs(sums).max()))
+    spread = (r**2).std() / (r**2).mean()
+    assert found.p == pytest.approx(kolmogorov(np.abs(sums).max() * np.sqrt(40) / spread))
+
+
+def test_of_a_residual_that_is_nothing_no_test_says_anything() -> None:
+    nothing, u = np.zeros(50), np.random.default_rng(0).standard_normal(50)
+    assert tests.autocorrelation(nothing, 3).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert tests.cross_correlation(u, nothing, 2).tolist() == [0.0] * 5
+    for found in (tests.input_correlation(u, nothing), tests.cusum_of_squares(nothing)[2]):
+        assert np.isnan(found.p)
+        assert found.to_dict()["p"] is None
+    assert tests.cusum_of_squares(np.ones(50))[2].to_dict()["p"] is None, "its squares do not scatter"
+    assert tests.input_correlation(np.ones(50), u).dof == 0, "an input that stands still tells nothing"
 
 
 def test_effective_samples_of_white_and_of_first_order_noise() -> None:
