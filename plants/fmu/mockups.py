@@ -9,12 +9,14 @@ The controllers and the sensor (``pi_controller``, ``state_feedback``, ``quantis
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from inspect import Parameter, signature
 from typing import Any, Literal
+from xml.etree import ElementTree
 
-from harness.options import options_of
 from plants.fmu.plant import FmuPlant
-from plants.mockups import mockup
+from plants.mockups import FOLDER, mockup
 
 
 def _made(
@@ -51,19 +53,40 @@ def _made(
     return FmuPlant(mockup(model, fmi), sample_time=sample_time, outputs=outputs, parameters=parameters)
 
 
-@options_of(_made, "model", "values")
-def pendulum_fmu(
-    *,
-    outputs: Sequence[str] = ("theta",),
-    J: float = 0.05,
-    b: float = 0.02,
-    mgl: float = 1.0,
-    Fc: float = 0.0,
-    Fs: float = 0.0,
-    vs: float = 0.1,
-    c2: float = 0.0,
-    **options: Any,
-) -> FmuPlant:
+def _described(
+    model: str, *, outputs: Sequence[str], sample_time: float = 0.01
+) -> Callable[[Callable[..., Any]], Callable[..., FmuPlant]]:
+    """Make of a function that only tells what a mockup is one that makes it: its options are those of its FMU."""
+    variables = ElementTree.parse(FOLDER / model / "modelDescription.xml").iter("ScalarVariable")
+    kinds = {one.attrib["name"]: one[0] for one in variables if one.get("causality") == "parameter"}
+    values: dict[str, float] = {
+        name: kind.attrib["start"] == "true" if kind.tag == "Boolean" else float(kind.attrib["start"])
+        for name, kind in kinds.items()
+    }
+    usual: dict[str, Any] = {"outputs": outputs, "sample_time": sample_time, "substep": values.pop("substep")}
+    own = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=value, annotation=type(value)) for name, value in values.items()
+    ]
+
+    def told(text: Callable[..., Any]) -> Callable[..., FmuPlant]:
+        @wraps(text)
+        def made(**options: Any) -> FmuPlant:
+            given = {name: options.pop(name, value) for name, value in values.items()}
+            return _made(model, given, **(usual | options))
+
+        whole = signature(_made)
+        rest = [one.replace(default=usual.get(name, one.default)) for name, one in whole.parameters.items()][2:]
+        vars(made).update(
+            __signature__=whole.replace(parameters=[rest[0], *own, *rest[1:]], return_annotation=FmuPlant),
+            __options_of__=_made,
+        )
+        return made
+
+    return told
+
+
+@_described("pendulum", outputs=("theta",))
+def pendulum_fmu(**options: Any) -> Any:
     """Pendulum as an FMU: J theta'' + b theta' + mgl sin theta + friction = u, with true dry friction if wanted.
 
     Parameters
@@ -83,25 +106,10 @@ def pendulum_fmu(
     ...     print(plant.spec)
     u [N m] -> theta [rad] every 0.02 s
     """
-    values = {"J": J, "b": b, "mgl": mgl, "Fc": Fc, "Fs": Fs, "vs": vs, "c2": c2}
-    return _made("pendulum", values, outputs=outputs, **options)
 
 
-@options_of(_made, "model", "values")
-def cart_pole_fmu(
-    *,
-    outputs: Sequence[str] = ("x", "theta"),
-    mc: float = 1.0,
-    mp: float = 0.2,
-    l: float = 0.5,  # noqa: E741 (the field's name of a length)
-    g: float = 9.81,
-    bx: float = 0.2,
-    btheta: float = 0.005,
-    Fx: float = 0.0,
-    Ftheta: float = 0.0,
-    width: float = 1e-3,
-    **options: Any,
-) -> FmuPlant:
+@_described("cart_pole", outputs=("x", "theta"))
+def cart_pole_fmu(**options: Any) -> Any:
     """Cart-pole as an FMU: force on the cart, theta = 0 hanging down, optional Coulomb friction of cart and hinge.
 
     Parameters
@@ -121,22 +129,10 @@ def cart_pole_fmu(
     ...     print(plant.spec)
     u [N] -> x [m], theta [rad] every 0.01 s
     """
-    values = {"mc": mc, "mp": mp, "l": l, "g": g, "bx": bx}
-    values |= {"btheta": btheta, "Fx": Fx, "Ftheta": Ftheta, "width": width}
-    return _made("cart_pole", values, outputs=outputs, **options)
 
 
-@options_of(_made, "model", "values")
-def mass_spring_fmu(
-    *,
-    outputs: Sequence[str] = ("q",),
-    m: float = 1.0,
-    c: float = 0.1,
-    k: float = 1.0,
-    k2: float = 0.0,
-    k3: float = 0.0,
-    **options: Any,
-) -> FmuPlant:
+@_described("mass_spring", outputs=("q",))
+def mass_spring_fmu(**options: Any) -> Any:
     """Mass, spring and damper as an FMU: m q'' + c q' + k q + k2 q^2 + k3 q^3 = u.
 
     Parameters
@@ -152,28 +148,10 @@ def mass_spring_fmu(
     ...     print(plant.spec)
     u [N] -> q [m] every 0.01 s
     """
-    values = {"m": m, "c": c, "k": k, "k2": k2, "k3": k3}
-    return _made("mass_spring", values, outputs=outputs, **options)
 
 
-@options_of(_made, "model", "values")
-def drive_fmu(
-    *,
-    sample_time: float = 1e-3,
-    substep: float = 5e-4,
-    outputs: Sequence[str] = ("q",),
-    M: float = 40.0,
-    ML: float = 55.0,
-    Fv: float = 200.0,
-    FvL: float = 0.0,
-    Fc: float = 0.0,
-    offset: float = 0.0,
-    gap: float = 0.0,
-    k: float = 2e6,
-    d: float = 2e3,
-    width: float = 1e-3,
-    **options: Any,
-) -> FmuPlant:
+@_described("drive", outputs=("q",), sample_time=1e-3)
+def drive_fmu(**options: Any) -> Any:
     """Linear drive as an FMU: motor and load, viscous and Coulomb friction, offset, optional backlash between them.
 
     Parameters
@@ -194,25 +172,10 @@ def drive_fmu(
     ...     print(plant.spec)
     u [N] -> q [m] every 0.001 s
     """
-    values = {"M": M, "ML": ML, "Fv": Fv, "FvL": FvL, "Fc": Fc}
-    values |= {"offset": offset, "gap": gap, "k": k, "d": d, "width": width}
-    return _made("drive", values, outputs=outputs, sample_time=sample_time, substep=substep, **options)
 
 
-@options_of(_made, "model", "values")
-def two_tanks_fmu(
-    *,
-    sample_time: float = 1.0,
-    substep: float = 0.1,
-    outputs: Sequence[str] = ("y",),
-    k_pump: float = 0.04,
-    k_upper: float = 0.06,
-    k_lower: float = 0.06,
-    overflow: bool = False,
-    rim: float = 10.0,
-    share: float = 0.5,
-    **options: Any,
-) -> FmuPlant:
+@_described("two_tanks", outputs=("y",), sample_time=1.0)
+def two_tanks_fmu(**options: Any) -> Any:
     """Two tanks in cascade as an FMU: pump voltage to lower level, Torricelli outflow, optional overflow.
 
     Parameters
@@ -232,6 +195,3 @@ def two_tanks_fmu(
     ...     print(plant.spec)
     u [V] -> y [V] every 1 s
     """
-    values = {"k_pump": k_pump, "k_upper": k_upper, "k_lower": k_lower}
-    values |= {"overflow": overflow, "rim": rim, "share": share}
-    return _made("two_tanks", values, outputs=outputs, sample_time=sample_time, substep=substep, **options)
