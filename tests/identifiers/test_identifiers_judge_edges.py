@@ -96,7 +96,7 @@ def test_a_ramp_is_no_controller_and_no_excitation(noise):
         model = create("identifiers", "prediction-error", structure=structure, order=2).fit(
             [ramp], rng=np.random.default_rng(0)
         )
-        assert "excite 1 lags and the model asks for 4" in model.notes["warning"]
+        assert "excite 1 lags but the model needs 4" in model.notes["warning"]
         assert "estimate" not in model.notes
 
 
