@@ -19,13 +19,13 @@ from harness.diagnosis.search.generalised import generalise, starts_of
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.moves import pair
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.race import _Race, _remembered
+from harness.diagnosis.search.race import _best, _Race, _remembered
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.scores import ScoreTest, score_test
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, Answer, Round
-from harness.diagnosis.search.ties import _typical, _usual
-from harness.diagnosis.search.warm import polished
+from harness.diagnosis.search.ties import _typical, _usual, alike
+from harness.diagnosis.search.warm import as_good, polished
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import FitError
@@ -151,6 +151,53 @@ def test_what_is_exactly_the_same_as_the_likeliest_is_finished_however_it_began(
     assert race.next([]) == [tilt, spring], "it cannot be simulated"
     race.begun[tilt] = Begun((tilt,), nominal.log_likelihood("estimation") + 100.0, {}, None)
     assert race.next([]) == [tilt], "the other lost by its first steps"
+
+
+@pytest.mark.parametrize(
+    ("contains", "estimation", "validation", "good"),
+    [
+        (False, 0.6, 0.3, True),
+        (False, 0.6, 0.5, False),
+        (True, 0.9, 0.0, True),
+        (True, 1.1, 0.0, False),
+        (True, 0.0, EFFORT.close - 0.1, True),
+        (True, 0.0, EFFORT.close + 0.1, False),
+    ],
+)
+def test_an_end_is_as_good_as_another_within_one_of_the_likelihood(
+    contains: bool, estimation: float, validation: float, good: bool
+) -> None:
+    """A law that contains the other may lose more of it, of the validation records alone."""
+    other = a_fit((np.full(400, estimation / 400), np.full(400, validation / 400)))
+    assert as_good(a_fit(), other, contains=contains) is good
+
+
+def test_the_rival_that_ends_a_fit_is_another_one_that_passes() -> None:
+    one, other, third = (placed(name) for name in ("linear_spring", "cubic_spring", "quadratic_drag"))
+    fits: dict[Placed, Fit | None] = {
+        law: a_fit((np.full(400, gain / 400), np.zeros(400)))
+        for law, gain in ((one, 30.0), (other, 20.0), (third, 10.0))
+    }
+    fits[placed("force_bias")] = None
+    assert _best(fits, one, lambda placed, fit: True) is fits[other]
+    assert _best(fits, other, lambda placed, fit: True) is fits[one]
+    assert _best(fits, other, lambda placed, fit: placed != one) is fits[third], "what is refused ends nothing"
+    assert _best({one: fits[one]}, one, lambda placed, fit: True) is None
+
+
+def test_what_may_be_tied_with_an_effect_is_like_it_at_its_place_and_was_refitted() -> None:
+    form = LinearForm(linear_records(3, {}))
+    nominal = form.fit((), [], None)
+    laws = placed("coulomb_friction"), placed("stribeck_friction"), placed("viscous_friction"), placed("cubic_spring")
+    elsewhere = replace(laws[1], at="x")
+    rows = [Judged((law,), nominal, None, ()) for law in (*laws, elsewhere)]
+    rows += [Judged((placed("asymmetric_friction"),), nominal, None, (Refusal(Kind.SIGN, "Fp", (-0.1,)),))]
+    past = Round(nominal, ScoreTest([], []), tuple(rows))
+    near = form.laws.family(laws[0].effect).near
+    wanted = [(law,) for law in laws[1:] if law.effect.name in near]
+    assert alike(laws[0], past, form.laws) == wanted
+    assert (laws[1],) in wanted
+    assert (laws[3],) not in wanted
 
 
 def test_what_moves_nothing_in_these_records_changes_no_promise() -> None:
