@@ -82,8 +82,10 @@ class Reach(Described):
 
         # Rows that are centres themselves lie at distance 0: how far new ones lie, halves tell of each other.
         fold = np.arange(len(rows)) * _FOLDS // len(rows) % 2 == 0
-        halves = [cKDTree(_spread_out(rows[part])).query(rows[~part])[0] for part in (fold, ~fold) if part.any()]
-        return cls(_spread_out(rows), float(np.quantile(np.concatenate(halves), _INSIDE)), growth)
+        halves = [
+            cKDTree(spread_out(rows[part], _CENTRES)).query(rows[~part])[0] for part in (fold, ~fold) if part.any()
+        ]
+        return cls(spread_out(rows, _CENTRES), float(np.quantile(np.concatenate(halves), _INSIDE)), growth)
 
     @cached_property
     def _tree(self) -> Any:
@@ -106,12 +108,11 @@ class Reach(Described):
         return np.asarray(self.beyond(rows)[..., None] * self.growth)
 
 
-def _spread_out(rows: FloatArray) -> FloatArray:
-    """Return rows, each as far as can be from those before it (Gonzalez 1985, *Theor. Comput. Sci.* 38, 293-306)."""
-    count = min(_CENTRES, len(rows))
+def spread_out(rows: FloatArray, count: int) -> FloatArray:
+    """Return so many rows, each as far as can be from those before it (Gonzalez 1985, *Theor. Comput. Sci.* 38, 293-306)."""
     chosen = [int(np.argmin(np.sum((rows - rows.mean(axis=0)) ** 2, axis=1)))]
     nearest = np.sum((rows - rows[chosen[0]]) ** 2, axis=1)
-    while len(chosen) < count and nearest.max() > 0:
+    while len(chosen) < min(count, len(rows)) and nearest.max() > 0:
         chosen.append(int(np.argmax(nearest)))
         nearest = np.minimum(nearest, np.sum((rows - rows[chosen[-1]]) ** 2, axis=1))
     return np.asarray(rows[chosen])

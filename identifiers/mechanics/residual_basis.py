@@ -9,6 +9,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray
+from identifiers.common.reach import spread_out
 
 Kind = Literal["gaussian", "wavelet"]
 LEVELS = 3  # Scales of the wavelets: each halves the width of the one before and takes twice as many centres.
@@ -116,12 +117,7 @@ def spread_centres(points: FloatArray, count: int) -> FloatArray:
             got=str(count),
             remedy="lower the number, or record longer",
         )
-    chosen = [int(np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))]
-    nearest = np.sum((points - points[chosen[0]]) ** 2, axis=1)
-    while len(chosen) < count:
-        chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, np.sum((points - points[chosen[-1]]) ** 2, axis=1))
-    return np.asarray(points[chosen])
+    return spread_out(points, count)
 
 
 def _spacing(centres: FloatArray) -> float:

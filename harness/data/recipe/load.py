@@ -152,7 +152,8 @@ def _load(
         description = read_description(path)
     description = msgspec.structs.replace(description, undriven=tuple({*description.undriven, *undriven}))
     try:
-        return Reader(path, description, model, ports, notes, tables).load(fitted=not chosen.whole)
+        reader = Reader(path, description, notes, tables, model=model, ports=ports)
+        return reader.load(fitted=not chosen.whole)
     except InputError as error:
         raise error.located(file=path) from error
 

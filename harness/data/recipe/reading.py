@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,28 +27,27 @@ from harness.data.tables.merging import in_turn, merged, one_clock
 from harness.data.tables.table import Table, open_table
 from harness.errors import InputError
 from harness.resolution import resolution
-from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, stated_categories
+from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory, stated_categories
 from harness.units import convert, fits
 
 DATA_FOLDER = "SYSID_HARNESS_DATA"  # Environment variable that names the folder of recordings.
 
 
 class Reader:
-    """One call of :func:`load_dataset`."""
+    """One call of :func:`load_dataset`; the model and its ports are for the :class:`Plan`."""
 
     def __init__(
         self,
         path: Path,
         description: Description,
-        model: str | None,
-        ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
         notes: list[str],
         tables: dict[Path, Table],
+        **named: Any,
     ) -> None:
         self.path, self.description = path, description
         self.tables = tables
         self._joined: dict[int, Table] = {}
-        self.plan = Plan(path, description, model=model, ports=ports, header_unit=self._header_unit)
+        self.plan = Plan(path, description, header_unit=self._header_unit, **named)
         self.notes = [*notes, *self.plan.notes]
         self.steps: dict[str, list[float]] = {}
         self.recorded: dict[str, str] = {}

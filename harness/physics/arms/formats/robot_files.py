@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from harness.errors import InputError
+from harness.physics.arms.formats.mjcf_spec import parsed
 
 
 def robot_contents(path: str | Path) -> dict[str, Any]:
@@ -28,24 +28,8 @@ def robot_contents(path: str | Path) -> dict[str, Any]:
     >>> found["joints"][0]["joint"], found["joints"][0]["effort"]
     ('shoulder', '3')
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError("no such file", expected="a URDF or MJCF", got="no file", remedy="check the path", file=path)
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise InputError("not XML", expected="a URDF or MJCF", got=str(error), remedy="repair it", file=path) from error
-    if root.tag == "robot":
-        return _urdf(root)
-    if root.tag == "mujoco":
-        return _mjcf(root)
-    raise InputError(
-        "no robot",
-        expected="<robot> (URDF) or <mujoco> (MJCF)",
-        got=f"<{root.tag}>",
-        remedy="check the file",
-        file=path,
-    )
+    root, _ = parsed(Path(path))
+    return _urdf(root) if root.tag == "robot" else _mjcf(root)
 
 
 def _urdf(root: ElementTree.Element) -> dict[str, Any]:
