@@ -109,7 +109,7 @@ class Reach(Described):
 
 
 def spread_out(rows: FloatArray, count: int) -> FloatArray:
-    """Return so many rows, each as far as can be from those before it (Gonzalez 1985, *Theor. Comput. Sci.* 38, 293-306)."""
+    """Return so many rows, each as far as can be from those before it (Gonzalez 1985, *Theor. Comput. Sci.* 38:293)."""
     chosen = [int(np.argmin(np.sum((rows - rows.mean(axis=0)) ** 2, axis=1)))]
     nearest = np.sum((rows - rows[chosen[0]]) ** 2, axis=1)
     while len(chosen) < min(count, len(rows)) and nearest.max() > 0:
