@@ -11,6 +11,7 @@ from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.number import described
 from harness.diagnosis.policy import DATA_POLICY, POLICY, RUN_POLICY
 from harness.diagnosis.runs import residual_tests as tests
+from harness.diagnosis.runs.closed_loop_bias import _autoregression, _spread
 
 REPEATS = 400
 
@@ -108,3 +109,38 @@ def test_no_two_numbers_of_the_policy_share_a_name_and_each_has_a_reason() -> No
     names = [name for group in groups for name in group]
     assert len(names) == len(set(names)), "one would hide the other in report.json"
     assert all(number["reason"] and number["source"] for group in groups for number in group.values())
+
+
+# ---- the spread of what a closed loop shifts -------------------------------------------------------------------------
+
+
+def vector_noise(count: int, n: int) -> np.ndarray:
+    """Return draws (count, n, 2) of an autoregression of two outputs."""
+    found = np.random.default_rng(0).standard_normal((count, n, 2)) @ MIX.T
+    for k in range(1, n):
+        found[:, k] += found[:, k - 1] @ MATRIX.T
+    return found
+
+
+MATRIX, MIX = np.array([[0.7, 0.2], [0.0, 0.5]]), np.array([[1.0, 0.0], [0.5, 2.0]])
+
+
+def test_an_autoregression_of_two_outputs_is_found_with_its_noise() -> None:
+    lags, noise = _autoregression(list(vector_noise(2, 6000)))
+    assert len(lags) == 1
+    assert lags[0] == pytest.approx(MATRIX, abs=0.03)
+    assert noise == pytest.approx(MIX @ MIX.T, abs=0.1)
+
+
+@pytest.mark.parametrize("windows", [1, 60])
+def test_the_spread_of_weighted_sums_is_that_of_coloured_noise(windows: int) -> None:
+    """In long records by an autoregression, over many windows by their own sums: as over many draws."""
+    n, rng = 1500, np.random.default_rng(0)
+    weights = np.repeat(rng.standard_normal((n // 10, 2, 2)), 10, axis=0).reshape(-1, 2)  # slow, as a motion is
+    draws = vector_noise(400, n).reshape(400, -1)
+    many = [_spread(weights, r, [n // windows] * windows, 2, 2) for r in draws[:4]]
+    wanted = np.cov((draws @ weights).T)
+    off = np.mean([found for found, _ in many], axis=0) - wanted
+    assert np.abs(off / np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))).max() < 0.3
+    free = {second for _, second in many}
+    assert free == {58} if windows == 60 else 100 < min(free) <= max(free) < 1000

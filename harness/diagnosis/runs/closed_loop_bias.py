@@ -284,8 +284,7 @@ def _spread(weights: FloatArray, r: FloatArray, lengths: Sequence[int], ny: int,
         starts = np.concatenate([[0], ends[:-1]])[(np.arange(groups) * len(lengths)) // groups] * ny
         scores = np.add.reduceat(weights * r[:, None], starts, axis=0)
         scores = scores - scores.mean(axis=0)
-        factor = groups / (groups - 1) * (groups - 1) / max(groups - q, 1)
-        return scores.T @ scores * factor, groups - q
+        return scores.T @ scores * groups / max(groups - q, 1), groups - q
     parts = np.split(r.reshape(-1, ny), ends[:-1])
     lags, noise = _autoregression(parts)
     total = np.zeros((q, q))
