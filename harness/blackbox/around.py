@@ -54,6 +54,14 @@ class Around:
         return 16 if self.derivatives.is_zero() else 4
 
     @cached_property
+    def driving(self) -> list[int]:
+        """Rows of p that change what goes into the black box: without them its run stays the same."""
+        import casadi as ca
+
+        inside = ca.vertcat(self.command, self.derivatives, self.starts)
+        return [row for row, enters in enumerate(ca.which_depends(inside, self.p)) if enters] if self.p.numel() else []
+
+    @cached_property
     def functions(self) -> dict[str, Any]:
         """CasADi functions ``command``, ``derivatives`` (u, q, v, t, z, p), ``reading`` (y, q, v, t, p), ``starts``."""
         from harness.physics.compiled.ccode import dense

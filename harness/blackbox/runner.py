@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import statistics
+from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +15,7 @@ from harness.blackbox.system import FmuSystem
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
+KEPT = 64  # Runs that are kept: those of a fit's last steps, over some records.
 MEASURED = 8
 """Runs of a length that tell what one costs; the first, which loads the library, takes several times as long."""
 
@@ -79,6 +81,7 @@ class Runner:
         self.meter = Meter()
         self.steps: dict[tuple[str, int], float] = {}  # Relative steps of differences by parameter and length of a run
         self._rng = np.random.default_rng(0)  # an FMU draws nothing
+        self.tables: OrderedDict[bytes, tuple[FloatArray, FloatArray, FloatArray]] = OrderedDict()  # The last runs
 
     @property
     def seconds(self) -> float:
@@ -86,7 +89,21 @@ class Runner:
         return self.meter.seconds + sum(runner.seconds for runner in self._finer.values())
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_plant": None, "_left": None, "_owner": 0, "_set": {}, "_finer": {}}
+        fresh: dict[str, Any] = {
+            "_plant": None,
+            "_left": None,
+            "_owner": 0,
+            "_set": {},
+            "_finer": {},
+            "tables": OrderedDict(),
+        }
+        return {**self.__dict__, **fresh}
+
+    def keep(self, asked: bytes, run: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+        """Keep a run, and the last few of them: effects at the outputs share those of the FMU alone."""
+        self.tables[asked] = run
+        while len(self.tables) > KEPT:
+            self.tables.popitem(last=False)
 
     def finer(self, parts: int) -> Runner:
         """Return the runner of a part of the sample time, made once."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from time import process_time
 from typing import Any, NamedTuple, cast
@@ -20,6 +20,7 @@ import numpy.typing as npt
 from harness.blackbox.runner import Runner
 from harness.blackbox.sums import summed
 from harness.blackbox.system import FmuSystem
+from harness.effects.places import port_of
 from harness.errors import HarnessError
 from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.compiled.sampled import BySample, SampledBlocks
@@ -29,6 +30,21 @@ STEP = 1e-3  # Relative step of differences: where the motion reverses, a smalle
 BEND = 0.02  # Part of a difference between two sides that may be a bend: the derivative errs by about its square.
 SHORTEST = 1e-3  # Part of a step that the next one has at least: beyond that a bend is no parabola's.
 KEPT = 64  # Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps.
+ALIKE = 0.01  # Of itself: how far everything may have moved since derivatives were taken that are taken again.
+NEAR = 0.3  # Of a parameter, and of the spread of an output: how far a run may be off one that lends its derivatives.
+
+
+class Loan(NamedTuple):
+    """Derivatives (N, ny) of a record's outputs by what is an FMU's own, taken once for first steps about there."""
+
+    values: FloatArray  # Of the FMU's parameters
+    y: FloatArray  # (N, ny)
+    slopes: Mapping[str, FloatArray]  # By parameters and initial states
+
+    def holds(self, values: FloatArray, y: FloatArray) -> bool:
+        """Return whether a run is like that one: its parameters, and what it shows."""
+        near = np.abs(values - self.values) <= NEAR * np.abs(self.values)
+        return bool(near.all() and (np.std(y - self.y, axis=0) <= NEAR * np.std(self.y, axis=0)).all())
 
 
 class _Run(NamedTuple):
@@ -71,15 +87,29 @@ class FmuSimulator(BySample):
         self._runs: OrderedDict[bytes, tuple[FloatArray, FloatArray]] = OrderedDict()
         self.wanted: frozenset[int] | None = None
         """Columns of (p, x0) by which derivatives are computed, None for all; the others are 0."""
+        self._lent: list[Loan] | None = None
+        self._beside: OrderedDict[bytes, tuple[FloatArray, dict[int, FloatArray]]] = OrderedDict()
+        blocks = {parameter for _, _, parameter in self.sampled.output_blocks}
+        self._unknowns = [*(k for k in self._free if k not in blocks), *self.state_columns]
+        self._names = [*system.parameter_names, *(state.name for state in system.states)]
+        before = [placed for placed in system.effects if port_of(cast(Any, system), placed).kind != "output"]
+        self._drivers = repr([str(placed) for placed in before]).encode()
+        self._driving = [] if system.around is None else system.around.driving
 
     @contextmanager
-    def deriving(self, columns: Iterable[int]) -> Iterator[None]:
-        """Compute derivatives by these columns of (p, x0) only: each of them costs a run."""
-        before, self.wanted = self.wanted, frozenset(int(k) for k in columns)
+    def deriving(self, columns: Iterable[int], lent: list[Loan] | None = None) -> Iterator[None]:
+        """Compute derivatives by these columns of (p, x0) only: each of them costs a run, unless it is lent."""
+        before = self.wanted, self._lent
+        self.wanted, self._lent = frozenset(int(k) for k in columns), lent
         try:
             yield
         finally:
-            self.wanted = before
+            self.wanted, self._lent = before
+
+    def forget(self) -> None:
+        """Forget the derivatives that were taken: those of first steps are rough."""
+        self._memory.clear()
+        self._beside.clear()
 
     @property
     def state_columns(self) -> range:
@@ -196,10 +226,31 @@ class FmuSimulator(BySample):
     def _simulated(
         self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float, extra: FloatArray | None
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the FMU's variables, hidden states, rates of the coordinates and readings of one free run."""
+        """Return the FMU's variables, hidden states, rates of the coordinates and readings of one free run.
+
+        Where only the sensors change, the FMU is not run again.
+        """
+        system = self.system
+        u = self.sampled.begun(u, p, x0)
+        own = np.array(p[system.inner_count :], dtype=float)
+        asked = _key(np.concatenate([p[: system.inner_count], own[self._driving]]), x0, u, t0) + self._drivers
+        kept = self.runner.tables.get(asked) if extra is None else None
+        if kept is None:
+            kept = self._stepped(p, x0, u, t0, extra)
+            if extra is None:
+                self.runner.keep(asked, kept)
+        table, hidden, rates = kept
+        y = table[:, : system.ny].copy()
+        if system.around is not None and system.around.reads and np.isfinite(table).all():
+            y = self._readings(table, rates, own, t0)
+        return table, hidden, rates, y
+
+    def _stepped(
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float, extra: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the FMU's variables, hidden states and rates of the coordinates of one run of the FMU."""
         system = self.system
         parts = 1 if system.around is None else system.exchanges
-        u = self.sampled.begun(u, p, x0)
         n = (u.shape[0] - 1) * parts + 1
         if parts > 1:
             u, extra = np.repeat(u, parts, axis=0)[:n], None if extra is None else np.repeat(extra, parts, axis=0)[:n]
@@ -225,11 +276,7 @@ class FmuSimulator(BySample):
         except (HarnessError, ArithmeticError):
             table[1:] = np.nan
         runner.meter.add(n, process_time() - began)
-        table, hidden, rates = (np.ascontiguousarray(one[::parts]) for one in (table, hidden, rates))
-        y = table[:, : system.ny]
-        if system.around is not None and system.around.reads and np.isfinite(table).all():
-            y = self._readings(table, rates, own, t0)
-        return table, hidden, rates, y
+        return tuple(np.ascontiguousarray(one[::parts]) for one in (table, hidden, rates))  # type: ignore[return-value]
 
     # ---- the work ------------------------------------------------------------------------------------------------
 
@@ -238,39 +285,91 @@ class FmuSimulator(BySample):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return states, outputs and derivatives of one window; the last few are remembered."""
         wanted = frozenset(range(self.np + self.nx)) if self.wanted is None else self.wanted
-        key = repr(sorted(wanted)).encode() + _key(p, x0, u, t0)
+        key = repr((sorted(wanted), self._lent is None)).encode() + _key(p, x0, u, t0)
         if key in self._memory:
             x, y, s = self._memory[key]
             return x, y, s
         x, y = self.kept_run(p, x0, u, t0)
         s = np.zeros((*y.shape, self.np + self.nx))
         if np.isfinite(y).all():
-            blocks = {parameter for _, _, parameter in self.sampled.output_blocks}
-            for k in self._free:
-                if k not in wanted:
-                    continue
-                if k in self.sampled.delay_columns:
-                    if gradient is not None:
-                        h, moved = 0.01 * self.dt, p.copy()
-                        moved[k] += h
-                        later = u + h * gradient[..., self.sampled.delay_columns.index(k)]
-                        s[..., k] = (self.run(moved, x0, later, t0)[1] - y) / h
-                elif k not in blocks:
-                    s[..., k] = self._derivative(k, p, x0, u, y, t0)
-            sizes = np.sqrt(np.mean(x**2, axis=0))
-            for column, _, state in self.sampled.before:
-                sizes[state] = np.sqrt(np.mean(u[:, column] ** 2))
-            for k in range(self.nx):
-                if self.np + k not in wanted:
-                    continue
-                h = STEP * (float(sizes[k]) if np.isfinite(sizes[k]) and sizes[k] > 0 else 0.01)
-                begun = x0.copy()
-                begun[k] += h
-                s[..., self.np + k] = (self.run(p, begun, u, t0)[1] - y) / h
+            known = self._known_beside(p, x0, u, t0, x)
+            lent = self._borrowed(p, y)
+            for k in sorted(wanted.intersection(self._unknowns)):
+                if k in known:
+                    s[..., k] = known[k]
+                elif (name := self._names[k]) in lent:
+                    s[..., k] = lent[name]
+                elif k < self.np:
+                    s[..., k] = known[k] = self._by_parameter(k, p, x0, u, gradient, y, t0)
+                else:
+                    h, begun = STEP * self._size(k - self.np, x, u), x0.copy()
+                    begun[k - self.np] += h
+                    s[..., k] = known[k] = (self.run(p, begun, u, t0)[1] - y) / h
+            if self._lent is not None and not lent:
+                own = [k for k in known if k < self.system.inner_count or 0 <= k - self.np < len(self._states)]
+                slopes = {self._names[k]: known[k] for k in own}
+                if all(np.isfinite(slope).all() for slope in slopes.values()):
+                    self._lent.append(Loan(p[: self.system.inner_count].copy(), y, slopes))
         self._memory[key] = (x, y, s)
         while len(self._memory) > KEPT:
             self._memory.popitem(last=False)
         return x, y, s
+
+    def _borrowed(self, p: FloatArray, y: FloatArray) -> Mapping[str, FloatArray]:
+        """Return derivatives that are lent to a run with these outputs (N, ny), by name; none where none holds."""
+        inner = p[: self.system.inner_count]
+        return next((loan.slopes for loan in self._lent or () if loan.holds(inner, y)), {})
+
+    def _known_beside(
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float, x: FloatArray
+    ) -> dict[int, FloatArray]:
+        """Return what is known of the derivatives of a window, taken where everything was as good as here.
+
+        The last steps of a fit hardly move: what they are taken along stays, and so does their end.
+        """
+        where = _key(p[:0], x0[:0], u, t0)
+        then = self._beside.get(where)
+        sizes = np.concatenate([np.abs(p), [self._size(k, x, u) for k in range(self.nx)]])
+        now = np.concatenate([p, x0])
+        if then is None or not (np.abs(now - then[0]) <= ALIKE * sizes).all():
+            then = self._beside[where] = (now, {})
+            while len(self._beside) > KEPT:
+                self._beside.popitem(last=False)
+        return then[1]
+
+    def _size(self, row: int, x: FloatArray, u: FloatArray) -> float:
+        """Return the size of a state along a run; of what went in before the record, that of the input."""
+        column = next((column for column, _, state in self.sampled.before if state == row), None)
+        size = float(np.sqrt(np.mean((x[:, row] if column is None else u[:, column]) ** 2)))
+        return size if np.isfinite(size) and size > 0 else 0.01
+
+    def _by_parameter(
+        self,
+        k: int,
+        p: FloatArray,
+        x0: FloatArray,
+        u: FloatArray,
+        gradient: FloatArray | None,
+        y: FloatArray,
+        t0: float,
+    ) -> FloatArray:
+        """Return the derivative of the outputs by a parameter (N, ny); from one side of an effect's in first steps."""
+        moved = p.copy()
+        if k in self.sampled.delay_columns:
+            if gradient is None:
+                return np.zeros_like(y)
+            h = 0.01 * self.dt
+            moved[k] += h
+            u = u + h * gradient[..., self.sampled.delay_columns.index(k)]
+            return np.asarray((self.run(moved, x0, u, t0)[1] - y) / h)
+        if self._lent is not None and k >= self.system.inner_count:
+            parameter = self.system.parameters[k]
+            h = STEP * max(abs(p[k]), 0.1 * abs(parameter.value), 1e-6)
+            moved[k] += h if moved[k] + h < parameter.maximum else -h
+            there = self.run(moved, x0, u, t0)[1]
+            if np.isfinite(there).all():
+                return np.asarray((there - y) / (moved[k] - p[k]))
+        return self._derivative(k, p, x0, u, y, t0)
 
     def _derivative(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, t0: float) -> FloatArray:
         """Return the derivative of the outputs ``y`` by a parameter (N, ny); NaN if the FMU fails on every side.

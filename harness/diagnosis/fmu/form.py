@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.blackbox.effects import fits_fmu, surround
 from harness.blackbox.runner import Runner
-from harness.blackbox.simulator import FmuSimulator
+from harness.blackbox.simulator import FmuSimulator, Loan
 from harness.blackbox.system import FmuSystem
 from harness.diagnosis.directions.directions import Direction
 from harness.diagnosis.effort import EFFORT
@@ -18,10 +18,11 @@ from harness.diagnosis.fmu.passes import FreePass, Run
 from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_of
 from harness.diagnosis.fmu.pushes import Moved, as_measured, pushes, test_pushes
 from harness.diagnosis.forms.fit_records import likelihood_detail
-from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
+from harness.diagnosis.forms.likelihood_form import USES, FirstSteps, LikelihoodForm
 from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.policy import DATA_POLICY, POLICY
-from harness.diagnosis.search.fit import Column, Fit
+from harness.diagnosis.search.fit import Begun, Column, Fit
+from harness.diagnosis.systems import Starts
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
@@ -33,6 +34,11 @@ from harness.signals import Dataset, FloatArray, Trajectory
 
 PUSH = 1e-3
 """Size of a push in the difference quotients, over that of the inputs: well above what the solver rounds off."""
+
+MANY = 16
+"""Pushes from which on it is worth a few runs to learn whether a response to one tells those to all."""
+STEADY = 0.01
+"""Of a response: how far it may be off its convolution with that to a pulse. A score of a push errs by its square."""
 
 
 class FmuForm(LikelihoodForm[FmuSystem]):
@@ -49,7 +55,11 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         self.runner: Runner = Runner(system, dataset.spec.sample_time) if beside is None else beside.runner
         self._beside = beside
         self._left: dict[str, None] = {}
+        self._lent: dict[int, list[Loan]] = {}  # While first steps are taken
+        self._lender: Fit | None = None
+        self._lendings: dict[int, list[Loan]] = {}
         self._finished: set[frozenset[str]] = set() if beside is None else beside._finished
+        self._before: float | None = None if beside is None else beside._before  # CPU time [s] when the search began
         super().__init__(system, dataset, sizes, laws)
 
     def on(self, dataset: Dataset) -> FmuForm:
@@ -64,7 +74,9 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         """
         which = frozenset(map(str, effects))
         limit = EFFORT.ending if which in self._finished else seconds
-        if (base is None and self._beside is None) or self.runner.seconds <= limit:
+        if base is not None and self._before is None:
+            self._before = self.runner.seconds
+        if self._before is None or self.runner.seconds - self._before <= limit:
             if seconds == EFFORT.ending:
                 self._finished.add(which)
             return False
@@ -102,7 +114,50 @@ class FmuForm(LikelihoodForm[FmuSystem]):
 
     def passes(self, system: FmuSystem, substeps: int) -> Pass:
         """Return the free runs of a system."""
-        return FreePass(FmuSimulator(system, self.runner))
+        made = FreePass(FmuSimulator(system, self.runner))
+        made.lent = self._lent
+        return made
+
+    def begin(self, effects: Sequence[Placed], starts: Starts, base: Fit | None, hope: float = -np.inf) -> Begun | None:
+        """See :class:`harness.diagnosis.search.fit.Form`.
+
+        First steps beside a base, which only rank, take its derivatives by what is the FMU's own: each costs a run or
+        two. What is finished takes its own.
+        """
+        try:
+            if not self.spent(effects, base, EFFORT.seconds):
+                loans = {} if base is None else self._loans(base)
+                self._lent = {id(record): [*loans.get(id(record), ())] for record in self.records["estimation"]}
+            begun = super().begin(effects, starts, base, hope)
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        finally:
+            self._lent = {}
+        if begun is not None:
+            assert isinstance(begun.detail, FirstSteps)
+            assert isinstance(begun.detail.passes, FreePass)
+            begun.detail.passes.take_own()
+        return begun
+
+    def _loans(self, base: Fit) -> dict[int, list[Loan]]:
+        """Return the derivatives of a base's free runs, and of the declared model's, by the identity of a record."""
+        if self._lender is not base:
+            detail = likelihood_detail(base)
+            self._lender, self._lendings = base, {id(record): [] for record in self.records["estimation"]}
+            declared = self.nominal.vector()
+            passes = self.passes(self.nominal, 1)
+            begun = self._starts(self.nominal, passes, declared, "estimation", None)
+            places = [(detail.passes, detail.points["estimation"].p, detail.points["estimation"].x0)]
+            places += [(passes, declared, begun)] if self.astray(base) else []
+            for lender, p, starts in places:
+                simulator = lender.simulator
+                own = [*range(simulator.system.inner_count),
+                       *(simulator.np + k for k in range(len(simulator.system.inner_states)))]  # fmt: skip
+                for record, x0 in zip(self.records["estimation"], starts, strict=True):
+                    seen = simulator.sampled.inputs(record.u[None], p[None], False)[0]
+                    with simulator.deriving(own, self._lendings[id(record)]):
+                        simulator.windows(p[None], x0[None], seen, None, record.t[:1])
+        return self._lendings
 
     def first_state(self, system: FmuSystem, record: Trajectory, p: FloatArray) -> FloatArray:
         """Return the initial state that a record tells, (nx,)."""
@@ -221,10 +276,15 @@ class FmuForm(LikelihoodForm[FmuSystem]):
                 u = self.records[use][number].u
                 size = PUSH * max(float(np.sqrt(np.mean(u**2))) if u.size else 0.0, 1e-9)
                 still = run.pushed(np.zeros_like(u))
+                every = [direction.forces[use][number] for direction in found]
+                convolved = _convolution(run, still, u, size) if sum(f.shape[2] for f in every) > MANY else None
                 for direction, columns in zip(found, made, strict=True):
                     response = -direction.readings[use][number]
                     forces = direction.forces[use][number]
                     forces = 0.5 * (forces + np.concatenate([forces[1:], forces[-1:]]))
+                    if convolved is not None:
+                        columns[use].append(whitened(response - convolved(forces), run.s[..., None]))
+                        continue
                     for k in range(forces.shape[2]):
                         largest = float(np.sqrt(np.mean(forces[..., k] ** 2)))
                         if largest > 0:
@@ -237,3 +297,31 @@ class FmuForm(LikelihoodForm[FmuSystem]):
             for direction, columns in zip(found, made, strict=True)
             if all(np.isfinite(part).all() for parts in columns.values() for part in parts)
         ]  # fmt: skip
+
+
+def _convolution(run: Run, still: FloatArray, u: FloatArray, size: float) -> Callable[[FloatArray], FloatArray] | None:
+    """Return from pushes (K, nu, n) the responses (K, ny, n) of a run that answers alike whenever it is pushed.
+
+    The response to a pulse at the first sample is convolved with them; None if that is not what a push at all times
+    does, as where the model is not linear.
+
+    - ``still`` (K, ny), ``u`` (K, nu): outputs without a push, inputs of the record
+    - ``size``: of a push that is small, over the whole record
+    """
+    from scipy.signal import fftconvolve
+
+    n, nu = u.shape
+    pulses = np.zeros((n, still.shape[1], nu))
+    for row in range(nu):
+        pulse = np.zeros_like(u)
+        pulse[0, row] = size * np.sqrt(n)
+        pulses[..., row] = (run.pushed(pulse) - still) / pulse[0, row]
+
+    def convolved(forces: FloatArray) -> FloatArray:
+        answers = (fftconvolve(pulses[..., row, None], forces[:, None, row], axes=0)[:n] for row in range(nu))
+        return np.asarray(sum(answers, np.zeros((n, still.shape[1], forces.shape[2]))))
+
+    everywhere = size * np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], (MANY, nu)), n // MANY + 1, axis=0)[:n]
+    told = run.pushed(everywhere) - still
+    off = np.linalg.norm(told - convolved(everywhere[..., None])[..., 0], axis=0)
+    return convolved if (off <= STEADY * np.linalg.norm(told, axis=0)).all() else None

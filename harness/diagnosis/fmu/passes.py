@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from harness.blackbox.simulator import FmuSimulator
+from harness.blackbox.simulator import FmuSimulator, Loan
 from harness.physics.compiled.kalman_pass import Filtered, Noise
 from harness.physics.compiled.latent import LatentForce
 from harness.signals import FloatArray, Trajectory
@@ -41,6 +41,8 @@ class FreePass:
         self.dt, self.ny, self.parameter_count, self.start_size = simulator.dt, system.ny, system.np, system.nx
         self.state_names = tuple(channel.name for channel in system.states)
         self.parameter_names = system.parameter_names
+        self.lent: Mapping[int, list[Loan]] = {}
+        """Derivatives that first steps go without, by the identity of a record; they lend each other theirs."""
         self._period = np.array([channel.period or 0.0 for channel in system.outputs])
 
     def __call__(
@@ -64,7 +66,7 @@ class FreePass:
             x, y = self._run(record, p, x0)
         else:
             seen, gradient = self.simulator.sampled.inputs(record.u[None], p[None], True)
-            with self.simulator.deriving(columns):
+            with self.simulator.deriving(columns, self.lent.get(id(record))):
                 states, outputs, s = self.simulator.windows(p[None], x0[None], seen, gradient, record.t[:1])
             assert s is not None
             x, y, j = states[0], outputs[0], -s[0][..., columns]
@@ -85,6 +87,11 @@ class FreePass:
                 made.s_noise = np.broadcast_to(2 * np.eye(self.ny), made.e_noise.shape)
             return made
         return Run(e, variance, j, x=x, pushed=lambda extra: self._pushed(record, p, x0, extra))
+
+    def take_own(self) -> None:
+        """Take derivatives of its own from now on."""
+        self.lent = {}
+        self.simulator.forget()
 
     def _run(self, record: Trajectory, p: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return states and outputs of a free run; where only the noise changes nothing is simulated again."""
