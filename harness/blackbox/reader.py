@@ -62,15 +62,16 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
                 file=path,
             )
         described = plant.describe(file)
+        units, notes = _units_of_data(described, spec)
         found = _tunable(described, dict(parameters or {}), file)
         shown: dict[str, str] = {}
         states = _settable(plant, described)
         guessed = [] if plant.spec.states else _exact(described)
         if plant.spec.states and states:  # named states are kept, whether they move an output or not
             shown = {output: state for output, state in _moving(plant, states)[1].items() if output != state}
-        inputs = tuple(plant.spec.inputs)
+        inputs = tuple(replace(one, unit=units.get(one.name, one.unit)) for one in plant.spec.inputs)
         outputs = tuple(
-            replace(theirs, period=ours.period) if theirs.period is None else theirs
+            replace(theirs, unit=units.get(theirs.name, theirs.unit), period=theirs.period or ours.period)
             for ours, theirs in zip(spec.outputs, plant.spec.outputs, strict=True)
         )
     if guessed:
@@ -81,7 +82,7 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
     if looked := _unseen_positions(described, inputs, outputs, driven):
         asked = [*looked, *dict.fromkeys(name for positions in looked.values() for name in positions)]
         with registry.create("plants", "fmu", **options | {"outputs": asked}) as plant:
-            coordinates += _integrals(plant, inputs, looked, driven)
+            coordinates += _integrals(plant, inputs, outputs, looked, driven)
     digest = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
     return FmuSystem(
         path=file,
@@ -96,7 +97,19 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
             for coordinate in coordinates
         ),
         shown=shown,
+        notes=notes,
     )
+
+
+def _units_of_data(described: dict[str, Any], spec: PlantSpec) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Give what the FMU declares no unit for that of the data, also in its description; return units and notes."""
+    wanted = {one.name: one.unit for one in (*spec.inputs, *spec.outputs) if one.unit != "1"}
+    rows = {row["name"]: row for row in described["variables"] if row["name"] in wanted and row["unit"] is None}
+    for name, row in rows.items():
+        row["si_unit"] = wanted[name]
+    units = {name: wanted[name] for name in rows}
+    told = ", ".join(f"{name} [{unit}]" for name, unit in units.items())
+    return units, (f"the FMU declares no units of {told}: its numbers are taken as the data's",) if units else ()
 
 
 def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) -> tuple[Parameter, ...]:
@@ -262,9 +275,10 @@ def _unseen_positions(
         if not drives or len(speeds) != len(drives):
             continue
         rows = [variable for variable in described["variables"]
-                if variable["type"] in ("Real", "Float64", "Float32") and variable["si_unit"] == unit
-                and variable["causality"] in ("local", "output") and variable["variability"] == "continuous"
-                and not variable["shape"]]  # fmt: skip
+                if variable["type"] in ("Real", "Float64", "Float32") and not variable["shape"]
+                and (variable["si_unit"] == unit or variable["unit"] is None)
+                and variable["causality"] in ("local", "output")
+                and variable["variability"] == "continuous"]  # fmt: skip
         states = {variable["derivative_of"] for variable in described["variables"]}
         rows.sort(key=lambda variable: variable["name"] not in states)
         if rows:
@@ -273,11 +287,15 @@ def _unseen_positions(
 
 
 def _integrals(
-    plant: Any, inputs: Sequence[Channel], looked: Mapping[str, Sequence[str]], driven: set[int]
+    plant: Any,
+    inputs: Sequence[Channel],
+    outputs: Sequence[Channel],
+    looked: Mapping[str, Sequence[str]],
+    driven: set[int],
 ) -> tuple[FmuCoordinate, ...]:
     """Return coordinates whose position moves as the integral of a measured speed while the inputs push."""
     names = [channel.name for channel in plant.spec.outputs]
-    units = {channel.name: channel.unit for channel in plant.spec.outputs}
+    units = {channel.name: channel.unit for channel in outputs}
     free = [row for row in range(len(inputs)) if row not in driven]
     try:
         first = plant.reset(rng=np.random.default_rng(0), x0={})
@@ -311,7 +329,8 @@ def _rate(rows: Sequence[Mapping[str, Any]], position: str, unit: str, *, alone:
     rates = [
         variable
         for variable in rows
-        if variable["si_unit"] == f"{unit}/s" and variable["causality"] in ("output", "local")
+        if (variable["si_unit"] == f"{unit}/s" or (variable["unit"] is None and variable["derivative_of"] == position))
+        and variable["causality"] in ("output", "local")
     ]
     declared = [str(variable["name"]) for variable in rates if variable["derivative_of"] == position]
     states = [str(variable["name"]) for variable in rates if variable["derivative_of"] is None]

@@ -1,0 +1,123 @@
+"""How few runs of an FMU a search takes: what is known of one run is not asked of another."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness.blackbox.effects import surround
+from harness.blackbox.reader import fmu_system
+from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator, Loan
+from harness.diagnosis.fmu.form import _convolution
+from harness.diagnosis.fmu.passes import FreePass, Run
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.physics.compiled.kalman_pass import Noise
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from plants.mockups import mockup
+
+DT, N = 0.02, 400
+PENDULUM = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
+SPRING = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), DT)
+T: FloatArray = np.asarray(DT * np.arange(N), dtype=np.float64)
+U = (0.3 * np.sin(2.1 * T) + 0.2 * np.sin(5.3 * T))[:, None]
+
+
+def counted(name: str) -> tuple[FmuSimulator, list[int]]:
+    """Return a simulator of a mock-up and the list that grows with every run of its FMU."""
+    system = fmu_system(mockup(name), PENDULUM)
+    runner, steps = Runner(system, DT), []
+    add = runner.meter.add
+
+    def seen(count: int, seconds: float) -> None:
+        steps.append(count)
+        add(count, seconds)
+
+    runner.meter.add = seen  # type: ignore[assignment,method-assign]
+    return FmuSimulator(system, runner), steps
+
+
+def test_an_effect_on_a_sensor_does_not_run_the_fmu_again() -> None:
+    simulator, runs = counted("pendulum")
+    system, x0 = simulator.system, np.array([0.2, 0.0])
+    plain = simulator.run(system.vector(), x0, U)[1]
+    assert len(runs) == 1
+    for limit in (0.1, 0.15):
+        made = surround(system, [Placed(builtin()["sensor_saturation"], "theta", {"limit": limit})])
+        clipped = FmuSimulator(made, simulator.runner).run(made.vector(), x0, U)[1]
+        assert np.abs(clipped - np.clip(plain, -limit, limit)).max() < 0.02 * limit
+    assert len(runs) == 1, "what the sensor tells is made of the same run"
+    for width in (0.05, 0.1):
+        made = surround(system, [Placed(builtin()["dead_zone"], "u", {"width": width})])
+        FmuSimulator(made, simulator.runner).run(made.vector(), x0, U)
+    assert len(runs) == 3, "what drives it is another run each"
+
+
+def test_derivatives_are_taken_once_where_nothing_moved_and_borrowed_in_first_steps() -> None:
+    simulator, runs = counted("pendulum")
+    system, x0 = simulator.system, np.array([[0.2, 0.0]])
+    p, every = system.vector(), range(system.np + system.nx)
+
+    def slopes(values: FloatArray, lent: list[Loan] | None = None) -> tuple[FloatArray, int]:
+        before = len(runs)
+        with simulator.deriving(every, lent):
+            found = simulator.windows(values[None], x0, U[None], None, T[:1])[2]
+        assert found is not None
+        return found[0], len(runs) - before
+
+    own, cost = slopes(p)
+    near, once = slopes(p * 1.001)
+    assert once == 1 < cost, "only the run itself"
+    assert np.abs(near - own).max() < 0.02 * np.abs(own).max()
+    assert slopes(p * 1.1)[1] >= cost
+    simulator.forget()
+    loans: list[Loan] = []
+    assert slopes(p * 0.9, loans)[1] >= cost - 1, "the first steps take what later ones borrow"
+    lent, borrowed = slopes(p * 0.92, loans)
+    assert borrowed == 1
+    assert np.abs(lent[..., 0] - loans[0].slopes[system.parameter_names[0]]).max() == 0.0
+    assert slopes(p * 2.0, loans)[1] >= cost - 1, "elsewhere nothing is borrowed"
+
+
+@pytest.mark.parametrize(("name", "spec", "alike"), [("mass_spring", SPRING, True), ("pendulum", PENDULUM, False)])
+def test_pushes_are_convolved_with_one_response_where_that_is_what_they_do(
+    name: str, spec: PlantSpec, alike: bool
+) -> None:
+    system = fmu_system(mockup(name), spec)
+    passes = FreePass(FmuSimulator(system, Runner(system, DT)))
+    record = Trajectory(T, 5 * U, np.zeros((N, system.ny)), spec)
+    x0 = np.zeros(system.nx)
+    noise = Noise(np.ones(system.ny), np.zeros(0), np.zeros(0), np.zeros(0))
+    run = passes(record, system.vector(), x0, noise, keep=True)
+    assert isinstance(run, Run)
+    still = run.pushed(np.zeros_like(U))
+    found = _convolution(run, still, record.u, 1e-3)
+    assert (found is not None) == alike
+    if found is not None:
+        push = 1e-3 * np.cos(9.0 * T)[:, None]
+        told = run.pushed(push) - still
+        assert np.abs(found(push[..., None])[..., 0] - told).max() < 0.01 * np.abs(told).max()
+
+
+def test_variables_without_a_unit_take_that_of_the_data(tmp_path: Path) -> None:
+    """Most FMUs written by hand declare none; their numbers are taken as the data's, and that is said."""
+    path = tmp_path / "unitless.fmu"
+    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(path, "w") as new:
+        for entry in old.infolist():
+            text = old.read(entry)
+            if entry.filename == "modelDescription.xml":
+                text = re.sub(rb' (displayUnit="[^"]*"|unit="(N m|rad|rad/s)")', b"", text)
+            new.writestr(entry, text)
+    system = fmu_system(path, PENDULUM)
+    assert [str(one) for one in (*system.inputs, *system.outputs)] == ["u [N m]", "theta [rad]"]
+    assert [(one.name, one.force_unit, one.rate) for one in system.coordinates] == [("theta", "N m", "der(theta)")]
+    assert system.notes == ("the FMU declares no units of u [N m], theta [rad]: its numbers are taken as the data's",)
+    plain = fmu_system(path, PlantSpec((Channel("u", "1"),), (Channel("theta", "1"),), DT))
+    assert [one.unit for one in (*plain.inputs, *plain.outputs)] == ["1", "1"]
+    assert (plain.coordinates, plain.notes) == ((), ())
+    assert fmu_system(mockup("pendulum"), PENDULUM).notes == ()
