@@ -56,7 +56,7 @@ FAILING = 4  # Tests of a room that must not fail unharmed; fewer are left out.
 SECONDS = 30.0  # What the tests of one fault may take together, by the time that they took unharmed.
 PATIENCE = 10.0
 """With a fault they may take this many times as long, and start in :data:`SECONDS`; what takes longer is noticed."""
-ROUNDING = 1e-6  # Below it a number is there for rounding.
+ROUNDING = 1e-6  # Below it a number is there for rounding: another size of it is not to be met.
 SWAPS: Mapping[type[ast.AST], tuple[str, str]] = {
     ast.Lt: ("<", "<="), ast.LtE: ("<=", "<"), ast.Gt: (">", ">="), ast.GtE: (">=", ">"),
     ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.In: ("in", "not in"), ast.NotIn: ("not in", "in"),
@@ -64,7 +64,6 @@ SWAPS: Mapping[type[ast.AST], tuple[str, str]] = {
     ast.And: ("and", "or"), ast.Or: ("or", "and"),
 }  # fmt: skip
 """What stands between two operands, and what is planted instead."""
-TOLERANCES = ("rtol", "atol", "rcond")  # Arguments that let rounding pass where they are that small.
 LEFT_ALONE = ("annotation", "returns", "decorator_list", "op", "ops")
 """Parts of the syntax tree that hold no faults of their own."""
 TRACER = """
@@ -211,9 +210,7 @@ def mutations_of(file: str, text: str) -> Iterator[Mutation]:
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             start = at(node.lineno, node.col_offset)
             yield found(node, start, at(node.operand.lineno, node.operand.col_offset), "", inside)
-        elif isinstance(node, ast.keyword) and node.arg in TOLERANCES and _slack(node.value):
-            return
-        elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        elif isinstance(node, ast.Constant) and type(node.value) in (int, float) and not _slack(node):
             start, end = at(node.lineno, node.col_offset), at(node.end_lineno or 0, node.end_col_offset or 0)
             new = repr(node.value + 1) if isinstance(node.value, int) else repr(1.5 * node.value or 0.1)
             yield found(node, start, end, new, inside)

@@ -213,6 +213,7 @@ def test_a_sign_is_asked_of_what_the_law_is_about_and_the_data_tell() -> None:
             values = {one.name("Fc"): 0.5, one.name("w"): 0.5} | {one.name(name): -0.5}
             found = [(refusal.kind, refusal.subject) for refusal in wrong_signs(one, values)]
             assert found == [(Kind.SIGN, name)] * (refused and not fixed)
+            assert wrong_signs(one, dict.fromkeys(values, 0.0)) == [], "nothing has no sign"
 
 
 def test_a_value_on_its_bound_is_no_estimate() -> None:

@@ -59,6 +59,8 @@ def test_the_likelihood_is_the_density_of_the_readings_with_an_error_of_each_out
     for output in range(2):
         read = {use: errors[use][0][0][:, output] for use in USES}
         error = fitted_error([read["estimation"]], [Before.of(np.ones(80), 1)], 1, 1e-9)
+        white = error.whitened(read["estimation"], Before.of(np.ones(80), 1))
+        assert np.mean(white**2) == pytest.approx(1.0, rel=1e-9), "the likeliest size"
         whole = covariance(error.coefficients, error.deviation, 80)
         for use, values in read.items():
             there = np.isfinite(values)

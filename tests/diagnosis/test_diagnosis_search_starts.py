@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from linear_form import ALL, USES, LinearForm, accepted, found_in, linear_records, main, mixed, placed, table_of
-from made_fits import a_fit
+from made_fits import NoForm, a_fit
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import POLICY
@@ -24,10 +24,11 @@ from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.scores import ScoreTest, score_test
 from harness.diagnosis.search.search import search
 from harness.diagnosis.search.table import Accepted, Answer, Round
-from harness.diagnosis.search.ties import _typical, _usual, alike
+from harness.diagnosis.search.ties import _typical, _usual, alike, tie_set
 from harness.diagnosis.search.warm import as_good, polished
 from harness.effects import builtin
 from harness.effects.effect import Placed
+from harness.effects.parameter import par
 from harness.errors import FitError
 from harness.physics import Parameter
 
@@ -259,6 +260,7 @@ def test_a_rival_that_was_left_on_its_way_is_an_answer_where_its_end_passes(sign
 def test_rivals_of_a_law_are_refined_where_that_helps_the_law_itself(ahead: float) -> None:
     """By what is asked of an effect; of a rival it is then not asked any more."""
     helps = ahead > POLICY.evidence
+    worth: dict[str, float] = {}
     records = linear_records(23, {"linear_spring": 1.0, "quadratic_drag": 0.5}, alike={"cubic_spring": "linear_spring"})
     for refined, law in (("quadratic_spring", "linear_spring"), ("force_bias", "cubic_spring")):
         mixed(records, refined, **{law: 1.0, "quadratic_drag": 0.5})
@@ -267,21 +269,25 @@ def test_rivals_of_a_law_are_refined_where_that_helps_the_law_itself(ahead: floa
         def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit:
             fit = super().finish(begun, base)
             assert base is not None
+            worth[begun.effects[-1].effect.name] = least - base.log_likelihood("estimation")
             first = begun.effects[-1].effect.name == "quadratic_spring"
             more = base.penalised + (ahead if first else 1.0) - fit.penalised
             terms = {"estimation": [each + more / len(each) for each in fit.terms["estimation"]]}
-            return replace(fit, terms={**fit.terms, **terms})
+            every = {one.name(name): 1.0 for one in begun.effects for name in one.effect.parameter_names}
+            return replace(fit, terms={**fit.terms, **terms}, values={**every, **fit.values})
 
     form = Form(records)
     base = form.fit((), [], None)
     laws = [placed("linear_spring"), placed("cubic_spring")]
-    rich = [
-        Placed(replace(placed(name).effect, nests=(law.effect.name,), grows="drag"), "theta")
-        for name, law in zip(("quadratic_spring", "force_bias"), laws, strict=True)
-    ]
+    rich = []
+    for name, law in zip(("quadratic_spring", "force_bias"), laws, strict=True):
+        effect = placed(name).effect
+        more = {"nests": (law.effect.name,), "grows": "drag", "parameters": (*effect.parameters, par("tau"))}
+        rich.append(Placed(replace(effect, **more), "theta"))
     fits: dict[Placed, Fit | None] = {law: form.fit([law], [], base) for law in laws}
     generalise(table_of(form, base), base, fits, [*laws, *rich])
     assert set(fits) == {*laws, *(rich if helps else ())}
+    assert worth["quadratic_spring"] == pytest.approx(0.5 * np.log(1000) - POLICY.evidence), "what its parameter costs"
 
 
 # ---- what is left, and what is typical -------------------------------------------------------------------------------
@@ -304,6 +310,35 @@ def test_an_initial_state_of_the_validation_records_takes_nothing_from_a_free_fo
         assert axis is not None
         found.append((axis.name, axis.validation, axis.error))
     assert found[0] == (found[1][0], *map(pytest.approx, found[1][1:]))
+
+
+def test_a_function_that_the_motion_never_reaches_changes_no_free_force() -> None:
+    class Form(LinearForm):
+        def test_functions(self, fit: Fit) -> list[Column]:
+            return [
+                replace(one, estimation=np.column_stack([one.estimation, np.zeros(1000)]), names=(*one.names, "far"),
+                        validation=np.column_stack([one.validation, np.ones(1000)]))
+                for one in super().test_functions(fit)
+            ]  # fmt: skip
+
+    records = linear_records(6, {"cubic_spring": 0.3})
+    plain, wider = (left_over(form, form.fit((), [], None)).best for form in (LinearForm(records), Form(records)))
+    assert plain is not None
+    assert wider is not None
+    assert (wider.name, wider.evidence, wider.validation) == (
+        plain.name, pytest.approx(plain.evidence), pytest.approx(plain.validation),
+    )  # fmt: skip
+    assert wider.values.tolist() == [pytest.approx(plain.values[0]), 0.0]
+
+
+@pytest.mark.parametrize(("evidence", "validation", "ties"), [(0.5, 0.0, True), (-0.5, 2.0, False), (0.5, -1.0, False)])
+def test_a_rival_is_tied_where_it_pays_for_itself_and_helps(evidence: float, validation: float, ties: bool) -> None:
+    answer, rival = placed("linear_spring"), placed("quadratic_drag")
+    gains = np.full(400, 0.0)
+    best = Judged((answer,), a_fit((gains, gains), [answer]), Comparison(1.0, 1.0, 1.0, 1.0), ())
+    row = Judged((rival,), a_fit((gains, gains), [rival]), Comparison(evidence, validation, 1.0, 1.0), ())
+    found = tie_set(NoForm(), best, [best, row])  # type: ignore[arg-type]
+    assert found == ((answer,), *[(rival,)] * ties)
 
 
 def law_on_bound(bounds: Sequence[str], *, gap: float = 0.0, more: int = 0, **fields: Any) -> tuple[Fit, Judged]:

@@ -47,7 +47,7 @@ def may_tie(row: Judged, placed: Placed, laws: Dictionary) -> bool:
 def tied(best: Judged, other: Judged, policy: Policy = POLICY) -> bool:
     """Return True if the data do not tell two candidates apart."""
     assert best.fit is not None
-    if other.fit is None or other.comparison is None:
+    if other.fit is None:
         return False
     return close(best.fit, other.fit, total(best) - total(other), policy)
 
