@@ -228,10 +228,10 @@ def over_nothing(fit: Fit) -> list[str]:
 
 
 def another_day(fit: Fit) -> list[str]:
-    """Return warnings about dry friction that is another one on the day of the validation records."""
+    """Return warnings about friction and zeros of instruments that are others on the day of the validation records."""
     return [
-        f"dry friction differs between the records: {name} is {fit.values[name]:.3g} on the estimation records and "
-        f"about {level:.3g} on the validation records, whose figures use that"
+        f"{name} differs between the records, as from one day to another: it is {fit.values[name]:.3g} on the "
+        f"estimation records and about {level:.3g} on the validation records, whose figures use that"
         for name, level in fit.day.items()
     ]
 

@@ -11,7 +11,7 @@ import numpy as np
 from harness.effects.unit_templates import tokens
 
 Sign = Literal["+", "-", "any"]
-Role = Literal["", "phase", "frequency", "wave number", "instant", "step"]
+Role = Literal["", "phase", "frequency", "wave number", "instant", "step", "zero"]
 _USUAL = {"dt": 0.01, "T": 10.0}
 
 
@@ -49,10 +49,11 @@ class EffectParameter:
         Means something only on a coordinate in rad; fixed at its neutral value elsewhere.
     per_record : bool
         It belongs to a record, not to the plant (an instant, a phase of a line): refitted on every record.
-    role : {"", "phase", "frequency", "wave number", "instant", "step"}
+    role : {"", "phase", "frequency", "wave number", "instant", "step", "zero"}
         What it is to its law, where fits and tests treat it by that: the ``phase`` of a wave whose amplitude is the
         main parameter, with its ``frequency`` over time or its ``wave number`` along a coordinate or a reading; the
-        ``instant`` at which something happens once in a record; the ``step`` of a grid of readings.
+        ``instant`` at which something happens once in a record; the ``step`` of a grid of readings; the ``zero`` of an
+        instrument, which is set anew with every session.
     floor : str
         Lower bound that follows from the sizes of the data, written as ``scale`` is: what this motion could show.
     ceiling : str

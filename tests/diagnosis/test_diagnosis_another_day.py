@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,13 +28,32 @@ def test_friction_of_another_day_is_named_and_told_with_its_own_level(
     assert accepted == ["coulomb_friction"]
     assert found.final.values["coulomb_friction@theta.Fc"] == pytest.approx(level, rel=0.05)
     assert found.final.day["coulomb_friction@theta.Fc"] == pytest.approx(other, rel=0.1)
-    assert any("dry friction differs between the records" in words for words in found.warnings)
+    assert any("coulomb_friction@theta.Fc differs between the records" in words for words in found.warnings)
     assert not found.disagree  # the records want no other machine
     held = seen_values(found.runs.output, found.final.effects, found.final.values)
     assert found.runs.after is not None
     assert held is not None
     errors = [np.mean(np.concatenate(list(one.validation)) ** 2) for one in (found.runs.after, held)]
     assert errors[0] < 0.1 * errors[1]
+
+
+def test_a_zero_that_is_set_anew_each_day_is_named_with_both(foreign_pendulum: Callable[..., Dataset]) -> None:
+    """Nothing was missing, "explained": the two days deny each other's zero."""
+    data = foreign_pendulum(11)
+    runs = (
+        replace(run, trajectory=replace(run.trajectory, y=run.trajectory.y + zero))
+        for run, zero in zip(data.runs, (0.03, -0.02), strict=True)
+    )
+    found = diagnose(replace(data, runs=tuple(runs)), load_model("pendulum"))
+    assert [one.placed.effect.name for one in found.outcome.accepted] == ["sensor_offset"]
+    assert found.final.values["sensor_offset@theta.offset"] == pytest.approx(0.03, abs=1e-3)
+    assert found.final.day["sensor_offset@theta.offset"] == pytest.approx(-0.02, abs=1e-3)
+
+
+def test_a_law_that_only_one_day_has_is_no_nothing_missing(foreign_pendulum: Callable[..., Dataset]) -> None:
+    first, then = (foreign_pendulum(21, lambda q, v, u, t, k=k: -k * q**3) for k in (0.15, -0.02))
+    found = diagnose(Dataset("two days", (first.runs[0], then.runs[1])), load_model("pendulum"))
+    assert found.verdict == "unexplained"
 
 
 def test_a_sign_that_turns_is_no_other_day(foreign_pendulum: Callable[..., Dataset]) -> None:

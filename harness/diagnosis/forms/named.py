@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from harness.diagnosis.effort import EFFORT
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import DRY, Placed
 from harness.effects.parameter import Role
@@ -38,13 +39,18 @@ def per_record(effects: Sequence[Placed], role: Role = "") -> list[str]:
     ]
 
 
-def dry_levels(effects: Sequence[Placed]) -> list[list[str]]:
-    """Return for every law of dry friction the names of what its force is proportional to."""
-    return [
-        [placed.name(parameter.name) for parameter in placed.effect.parameters if parameter.linear]
+def of_a_day(effects: Sequence[Placed]) -> list[tuple[list[str], float]]:
+    """Return what may be another one on another day, names that go together, with the standard deviation of its share.
+
+    What the force of a law of dry friction is proportional to, and zeros of instruments, which may as well be none.
+    """
+    dry = [
+        ([placed.name(parameter.name) for parameter in placed.effect.parameters if parameter.linear], POLICY.day)
         for placed in effects
         if placed.effect.whole == DRY
     ]
+    zeros = [placed.name(zero.name) for placed in effects if (zero := placed.effect.parameter_of("zero")) is not None]
+    return [*dry, *(([name], 1.0) for name in zeros)]
 
 
 def nuisances(effects: Sequence[Placed], fit: LikelihoodFit) -> list[str]:

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from harness.diagnosis.forms.named import dry_levels
+from harness.diagnosis.forms.named import of_a_day
 from harness.diagnosis.policy import POLICY
+from harness.diagnosis.search.compare import wrong_signs
 from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.compiled.kalman_pass import Filtered
@@ -49,14 +50,16 @@ def spread_of(
 
     - ``best``: of the estimation records
     - ``own``: those among them that belong to a record, and are no knowledge about another one: rows of 0
-    - ``effects``: of the fit; dry friction is as large as it is that day, whatever the records of another one tell
+    - ``effects``: of the fit, where what is a day's own may differ from the estimation records
     """
-    days = [[best.parameters[name] if name in levels else 0.0 for name in free] for levels in dry_levels(effects)]
-    return np.hstack([_known(best, free, own), POLICY.day * np.reshape(days, (-1, len(free))).T])
+    days = [
+        [share * best.parameters[name] if name in names else 0.0 for name in free] for names, share in of_a_day(effects)
+    ]
+    return np.hstack([_known(best, free, own), np.reshape(days, (-1, len(free))).T])
 
 
 def of_its_day(effects: Sequence[Placed], values: Mapping[str, float], moved: FloatArray) -> dict[str, float]:
-    """Return the levels of dry friction that are farther from ``values`` than days usually are, as ``moved`` has them.
+    """Return what is farther from ``values`` than friction usually is on another day, as ``moved`` has it.
 
     Examples
     --------
@@ -67,12 +70,13 @@ def of_its_day(effects: Sequence[Placed], values: Mapping[str, float], moved: Fl
     >>> round(levels["coulomb_friction@theta.Fc"], 6)
     0.04
     """
-    levels = dry_levels(effects)
+    days = of_a_day(effects)
+    changes = [share * part for part, (_, share) in zip(moved[len(moved) - len(days) :], days, strict=True)]
     return {
-        name: float(values[name] * (1.0 + POLICY.day * part))
-        for part, names in zip(moved[len(moved) - len(levels) :], levels, strict=True)
+        name: float(values[name] * (1.0 + change))
+        for change, (names, _) in zip(changes, days, strict=True)
         for name in names
-        if abs(part) > 1.0
+        if abs(change) > POLICY.day
     }
 
 
@@ -99,16 +103,32 @@ def predicted(
     own: Sequence[str],
     effects: Sequence[Placed],
 ) -> Predictive:
-    """Return the density of records given those of the estimation, dry friction as large as it is that day.
+    """Return the density of records given those of the estimation, on the same day or another one: the larger of both.
 
-    What would drive there, and not brake, is no friction of another day: then its level is that of the estimation.
+    A friction that would drive on the other day, and not brake, is none of another day.
     """
-    expected = predictive(likelihood, start, free, spread_of(best, free, own, effects))
-    levels = of_its_day(effects, best.parameters, expected.moved)
-    if all(level * best.parameters[name] >= 0.0 for name, level in levels.items()):
-        return expected
-    expected = predictive(likelihood, start, free, spread_of(best, free, own))
-    return replace(expected, moved=np.append(expected.moved, np.zeros(len(dry_levels(effects)))))
+    same = predictive(likelihood, start, free, spread_of(best, free, own))
+    days = of_a_day(effects)
+    same = replace(same, moved=np.append(same.moved, np.zeros(len(days))))
+    if not days:
+        return same
+    spread = spread_of(best, free, own, effects)
+    other = predictive(likelihood, start, free, spread)
+    if _density(likelihood, other) > _density(likelihood, same):  # its noise was that of this day's friction
+        parameters = likelihood.system.parameter_names
+        belongs = [*(name for name in likelihood.names if name not in parameters), *own]
+        settled = likelihood.maximise(other.point, free=belongs, exact=False).point
+        shared = np.isin(parameters, [name for name in free if name not in own])
+        anew = replace(settled, p=np.where(shared, start.p, settled.p))
+        again = predictive(likelihood, anew, free, spread, other.moved)
+        other = max(other, again, key=lambda found: _density(likelihood, found))
+    levels = {**best.parameters, **of_its_day(effects, best.parameters, other.moved)}
+    drives = any(wrong_signs(placed, levels) for placed in effects)
+    return same if drives or _density(likelihood, same) >= _density(likelihood, other) else other
+
+
+def _density(likelihood: Likelihood, found: Predictive) -> float:
+    return -likelihood.nll(found.point) - found.price
 
 
 def predictive(
@@ -116,6 +136,7 @@ def predictive(
     start: Point,
     free: Sequence[str],
     spread: FloatArray,
+    moved: FloatArray | None = None,
 ) -> Predictive:
     """Return the density of records that parameters with a normal spread predict, by Laplace's approximation.
 
@@ -129,6 +150,7 @@ def predictive(
     - ``start``: estimates, and initial states of these records
     - ``free``: parameters (count of them)
     - ``spread`` (count, k): a square root of the covariance
+    - ``moved`` (k,): where along it the steps begin
     """
     system = likelihood.system
     places = np.array([system.parameter_names.index(name) for name in free], dtype=np.intp)
@@ -143,9 +165,9 @@ def predictive(
         p[places] = np.clip(first + spread @ moved, low, high)
         return replace(start, p=p, x0=x0)
 
-    moved = np.zeros(spread.shape[1])
-    point, price = start, 0.0
-    value = likelihood.nll(point)
+    moved = np.zeros(spread.shape[1]) if moved is None else moved
+    point, price = at(moved, start.x0), 0.0
+    value = likelihood.nll(point) + 0.5 * float(moved @ moved)
     for number in range(_MOST + 1):
         paths = likelihood.filtered(point, columns=columns)
         if paths is None:

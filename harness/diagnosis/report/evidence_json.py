@@ -462,6 +462,8 @@ def _cause(found: Diagnosis) -> str:
     if refused is not None and refused.comparison is not None:
         names = " and ".join(map(_words, refused.added))
         gain = f"{names} would bring {refused.comparison.evidence:.0f} in log-likelihood on the estimation records"
+        if refused.comparison.validation < 0.0:
+            return f"{gain}, but the validation records deny it: it changes between the records, or is another law"
         if refused.comparison.validation < refused.comparison.error:
             return f"{gain}, but the validation records show nothing of it; excite it in both"
         return f"{gain}, but {refusals_text(refused.refusals)}"

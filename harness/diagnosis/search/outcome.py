@@ -134,7 +134,7 @@ class Outcome:
 
 
 def _sure_where_fitted(row: Judged, policy: Policy) -> bool:
-    """Return True for a candidate beyond doubt where it was fitted, of which the validation records show nothing."""
+    """Return True for a candidate beyond doubt where it was fitted, and that only the validation records refuse."""
     if row.comparison is None or row.comparison.evidence < policy.misfit_gain:
         return False
-    return only(row.refusals, {Kind.VALIDATION}) and row.comparison.validation > 0.0
+    return only(row.refusals, {Kind.VALIDATION})

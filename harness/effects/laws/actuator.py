@@ -174,7 +174,7 @@ def propeller_thrust(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     ("coordinate", "input"),
-    [par("F0", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="constant force")],
+    [par("F0", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, role="zero", meaning="constant force")],
     formula="F = F0 (at an input: u' = u + F0)",
     family=("sensor_offset", "gravity_tilt", "eccentric_load", "asymmetric_friction", "quadratic_spring"),
     same_as={"parameter": "where the nominal has a constant force of its own"},

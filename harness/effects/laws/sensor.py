@@ -11,7 +11,7 @@ from harness.effects.laws.external import LINE
 
 @effect(
     "output",
-    [par("offset", "y", scale="0.05 y", neutral=0.0, main=True, linear=True, meaning="reading at zero")],
+    [par("offset", "y", scale="0.05 y", neutral=0.0, main=True, linear=True, role="zero", meaning="reading at zero")],
     formula="y' = y + offset",
     family=("gravity_tilt", "force_bias", "eccentric_load"),
     same_as={"gravity_tilt": "an angle on one joint", "eccentric_load": "an angle on one joint, gravity free"},

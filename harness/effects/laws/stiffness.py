@@ -136,7 +136,7 @@ def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 @effect(
     "coordinate",
     [
-        par("A", "F", scale="0.05 F", sign="+", neutral=0.0, main=True, linear=True, role="level",
+        par("A", "F", scale="0.05 F", sign="+", neutral=0.0, main=True, linear=True,
             meaning="weight of the load over its arm"),
         par("phi", "rad", scale="0.2", grid=(1.0, 8.854, 16.708, 24.562), role="phase",
             meaning="minus the angle at which the load hangs"),
