@@ -10,7 +10,7 @@ import pytest
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.equations_form import EquationsForm
-from harness.diagnosis.forms.first_steps import looked
+from harness.diagnosis.forms.first_steps import in_sight, looked
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.refusal import Kind, Refusal
@@ -87,6 +87,24 @@ def test_a_start_that_is_behind_goes_on_where_its_steps_may_bring_it_to_the_best
     tried = looked(slope, [best, behind, lost])  # type: ignore[arg-type, list-item]
     assert [fit.nll for fit in tried] == [200.0 - 5 * 30.0, 100.0 - 5 * 1.0, 200.0 - 2 * 5.0]
     assert slope.steps == 2 * EFFORT.first_steps + EFFORT.looks
+
+
+def test_what_is_near_the_best_start_or_may_come_to_it_is_in_sight() -> None:
+    best = Valley(100.0, (), pace=0.0)
+    near, far = Valley(99.9 + EFFORT.close, ()), Valley(100.1 + EFFORT.close, ())
+    ahead = EFFORT.close / EFFORT.first_steps
+    coming, late = replace(far, pace=ahead + 0.1), replace(far, pace=ahead - 0.1)
+    ended = replace(coming, converged=True)
+    tried: Any = [best, near, far, coming, late, ended]
+    assert in_sight(tried) == [best, near, coming]
+
+
+@pytest.mark.parametrize("spare", [True, False])
+@pytest.mark.parametrize("hope", [-np.inf, 10.0])
+def test_steps_are_spared_where_there_is_a_choice_or_a_hope(spare: bool, hope: float) -> None:
+    slope = Slope()
+    looked(slope, [Valley(500.0, (0.1,) * 30)], spare=spare, hope=hope)  # type: ignore[arg-type, list-item]
+    assert slope.steps == (EFFORT.looks if spare and hope > 0 else EFFORT.first_steps)
 
 
 def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -> None:

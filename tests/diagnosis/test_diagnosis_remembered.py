@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from made_fits import a_fit
 
 from harness import registry
+from harness.diagnosis.forms.fit_records import (
+    LikelihoodDetail,
+    latent_shares,
+    point_from_record,
+    point_record,
+    reading_noise,
+)
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.search.fit import Begun
 from harness.effects.effect import Placed
 from harness.fingerprint import files_named, fingerprint
 from harness.physics import Mechanism
+from harness.physics.compiled.kalman_pass import Noise
 from harness.physics.compiled.system import System
+from harness.physics.fitting.maximum import Point
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 
@@ -129,3 +140,15 @@ def test_a_plug_in_is_the_code_in_its_file(tmp_path: Path, monkeypatch: pytest.M
     assert codes[0] != codes[1] != ""
     assert registry.code_of("identifiers", "arx") == "", "ours is told by the version of the project"
     assert registry.code_of("identifiers", "no such thing") == ""
+
+
+def test_forces_that_nobody_measured_are_told_as_shares_of_the_typical_ones() -> None:
+    """What lasts and what is new with every sample together, each port over its own typical force."""
+    noise = Noise(np.array([0.1]), np.array([3.0, 0.0]), np.array([1.0, 1.0]), np.array([4.0, 2.0]))
+    point, nothing = Point(np.array([1.0, 2.0]), [np.array([0.5, -0.5])], noise), cast(Any, None)
+    fit = a_fit(detail=LikelihoodDetail({"estimation": point}, nothing, nothing, nothing))
+    assert latent_shares(fit, np.array([10.0, 4.0])).tolist() == [0.5, 0.5]
+    assert reading_noise(fit).tolist() == [0.1]
+    again = point_from_record(json.loads(json.dumps(point_record(point))))
+    assert (again.p.tolist(), again.x0[0].tolist()) == ([1.0, 2.0], [0.5, -0.5])
+    assert [getattr(again.noise, name).tolist() for name in "rsw"] == [[0.1], [3.0, 0.0], [4.0, 2.0]]
