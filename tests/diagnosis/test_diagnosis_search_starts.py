@@ -8,7 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from linear_form import ALL, USES, LinearForm, accepted, found_in, linear_records, main, mixed, placed, table_of
+from linear_form import (
+    ALL,
+    USES,
+    LinearForm,
+    accepted,
+    answer_of,
+    found_in,
+    linear_records,
+    main,
+    mixed,
+    placed,
+    table_of,
+)
 from made_fits import NoForm, a_fit
 
 from harness.diagnosis.effort import EFFORT
@@ -17,7 +29,7 @@ from harness.diagnosis.search.compare import Comparison, Judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised
 from harness.diagnosis.search.generalised import generalise, starts_of
 from harness.diagnosis.search.leftover import left_over
-from harness.diagnosis.search.moves import pair
+from harness.diagnosis.search.moves import best_of, pair, preferred
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.race import _best, _Race, _remembered
 from harness.diagnosis.search.refusal import Kind, Refusal
@@ -288,6 +300,58 @@ def test_rivals_of_a_law_are_refined_where_that_helps_the_law_itself(ahead: floa
     generalise(table_of(form, base), base, fits, [*laws, *rich])
     assert set(fits) == {*laws, *(rich if helps else ())}
     assert worth["quadratic_spring"] == pytest.approx(0.5 * np.log(1000) - POLICY.evidence), "what its parameter costs"
+
+
+# ---- what is preferred ----------------------------------------------------------------------------------------------
+
+
+def worth(ahead: float, names: Sequence[str], count: int) -> Answer:
+    """Return an answer whose value lies so far ahead of a model with none of its parameters."""
+    laws = [placed(name) for name in names]
+    gain = np.full(400, (ahead + 0.5 * count * np.log(400)) / 400)
+    return answer_of(a_fit((np.zeros(400), gain), laws, count=count), *laws)
+
+
+TIE, MORE = POLICY.tie, 2 * POLICY.evidence
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "counts", "asked"),
+    [
+        ("linear_spring", "linear_spring quadratic_drag", (4, 5), MORE),
+        ("linear_spring", "linear_spring quadratic_drag force_bias", (4, 6), 2 * MORE),
+        ("linear_spring", "quadratic_drag", (4, 7), TIE),
+        ("linear_spring quadratic_drag", "linear_spring", (5, 4), -TIE),
+        # what stood in for two: its special case and another law, with no more parameters
+        ("stribeck_friction", "coulomb_friction quadratic_drag", (6, 6), TIE),
+        ("stribeck_friction", "coulomb_friction quadratic_drag", (6, 7), MORE),
+        ("stribeck_friction", "viscous_friction quadratic_drag", (6, 6), MORE),
+    ],
+)
+@pytest.mark.parametrize("off", [-0.1, 0.1])
+def test_an_answer_takes_the_place_of_another_by_what_is_asked_of_its_effects(
+    old: str, new: str, counts: tuple[int, int], asked: float, off: float
+) -> None:
+    table = table_of(NoForm(), a_fit(count=0))  # type: ignore[arg-type]
+    before, after = worth(200.0, old.split(), counts[0]), worth(200.0 + asked + off, new.split(), counts[1])
+    assert preferred(table, after, before) is (off > 0)
+
+
+@pytest.mark.parametrize(("whole", "asked"), [(50.0, -TIE), (1000.0, -1000.0 * POLICY.second_share)])
+@pytest.mark.parametrize("off", [-0.1, 0.1])
+def test_a_special_case_may_lose_a_share_of_what_all_effects_bring(whole: float, asked: float, off: float) -> None:
+    table = table_of(NoForm(), a_fit(count=0))  # type: ignore[arg-type]
+    rich, simple = worth(whole, ["stribeck_friction"], 6), worth(whole + asked + off, ["coulomb_friction"], 4)
+    assert preferred(table, simple, rich, simpler=True) is (off > 0)
+    assert best_of(table, rich, [simple], simpler=True) is (simple if off > 0 else None)
+
+
+def test_of_answers_that_stand_the_likeliest_is_taken() -> None:
+    table = table_of(NoForm(), a_fit(count=0))  # type: ignore[arg-type]
+    old = worth(100.0, ["linear_spring"], 4)
+    trials = [worth(ahead, ["quadratic_drag"], 4) for ahead in (101.0, 110.0, 120.0, 115.0)]
+    assert best_of(table, old, trials) is trials[2]
+    assert best_of(table, old, trials[:1]) is None
 
 
 # ---- what is left, and what is typical -------------------------------------------------------------------------------
