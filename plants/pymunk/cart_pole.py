@@ -91,7 +91,7 @@ class PymunkCartPole(PymunkPlant):
     def truth(self) -> FloatArray:
         """Return x, theta, x_rate, theta_rate and, with slack, slip and slip_rate of the pin."""
         self._need_open()
-        cart, pole = self._cart, self._pole
+        cart, pole = self._bodies
         values = [cart.position.x, pole.angle, cart.velocity.x, pole.angular_velocity]
         if self._hidden["slack"]:
             arm = self._centre
@@ -99,13 +99,10 @@ class PymunkCartPole(PymunkPlant):
             values.append(pole.velocity.x - arm * math.cos(pole.angle) * pole.angular_velocity - values[2])
         return np.array(values)
 
-    def _advance(self, force: float) -> None:
-        """Hold a force for one sample; Chipmunk forgets forces after every step."""
-        self._push(self._cart, force)
-
     def _read(self) -> FloatArray:
         """Return x and theta."""
-        return np.array((self._cart.position[0], self._pole.angle))
+        cart, pole = self._bodies
+        return np.array((cart.position[0], pole.angle))
 
     def _bodies_at(self, values: Sequence[float]) -> State:
         """Return the state of cart and pole."""
@@ -153,4 +150,3 @@ class PymunkCartPole(PymunkPlant):
             joints.append(brake)
         space.add(cart, pole, *joints)
         self._space, self._bodies = space, (cart, pole)
-        self._cart, self._pole = cart, pole

@@ -119,10 +119,6 @@ class PymunkDoubleCartPole(PymunkPlant):
         space.add(cart, inner, outer, *joints)
         self._space, self._bodies = space, (cart, inner, outer)
 
-    def _advance(self, value: float) -> None:
-        """Hold a force on the cart for one sample."""
-        self._push(self._bodies[0], value)
-
     def _read(self) -> FloatArray:
         """Return x, theta1, theta2."""
         cart, inner, outer = self._bodies

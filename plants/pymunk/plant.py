@@ -22,7 +22,8 @@ class PymunkPlant(BasePlant, ABC):
     """A plant with one input in a pymunk space.
 
     Subclasses say how the space is built from the state of its bodies (``_place``), how the bodies stand in named
-    states (``_bodies_at``), what one sample of the input does (``_advance``) and what is read.
+    states (``_bodies_at``), what one sample of the input does (``_advance``, unless it pushes the first) and what is
+    read.
 
     Parameters
     ----------
@@ -125,13 +126,9 @@ class PymunkPlant(BasePlant, ABC):
     def _place(self, state: State) -> None:
         """Build ``_space`` and ``_bodies`` from a state."""
 
-    @abstractmethod
     def _advance(self, value: float) -> None:
-        """Hold an input for one sample; Chipmunk forgets forces after every step."""
-
-    def _push(self, body: Any, force: float) -> None:
-        """Hold a horizontal force on a body for one sample."""
-        step, dt, push = self._space.step, self._dt, (force, 0.0)
+        """Hold a horizontal force on the first body for one sample; Chipmunk forgets forces after every step."""
+        body, step, dt, push = self._bodies[0], self._space.step, self._dt, (value, 0.0)
         for _ in range(self._substeps):
             body.force = push
             step(dt)

@@ -89,10 +89,6 @@ class PymunkCartWall(PymunkPlant):
         space.add(cart, held, wall)
         self._space, self._bodies = space, (cart,)
 
-    def _advance(self, value: float) -> None:
-        """Hold a force for one sample."""
-        self._push(self._bodies[0], value)
-
     def _read(self) -> FloatArray:
         """Return x."""
         return np.array([self._bodies[0].position.x])
