@@ -59,8 +59,8 @@ class PredictionError(Excited):
     Without options a state-space model of all outputs together: ``x+ = A x + B u``, ``y = C x + v``, and the noise v of
     each output an autoregression. Plants of order 1 to 10, noises of up to 6 coefficients and dead times of the inputs
     are tried, each brought to the largest likelihood from several starts (long one-step models, reduced by balanced
-    truncation; the next larger order; a regression on filtered signals), and Schwarz's rule decides (Ljung 1999,
-    *System Identification*, sec. 7.4, 10.2 and 16.4; :mod:`identifiers.linear.statespace`).
+    truncation; larger orders without one of their modes; regressions on filtered signals), and Schwarz's rule decides
+    (Ljung 1999, *System Identification*, sec. 7.4, 10.2 and 16.4; :mod:`identifiers.linear.statespace`).
 
     The other structures are polynomials, of each output by itself: ``A y = sum B_i/F_i u_i + C/D e`` with ``"oe"``: F
     and B (white noise on the output; the model is fitted to free runs), ``"arx"``: A, B, ``"armax"``: A, B, C,

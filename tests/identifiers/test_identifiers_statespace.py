@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import runpy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from harness.errors import FitError
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.linear.prediction_error import PredictionError
-from identifiers.linear.statespace.ladder import ladder
+from identifiers.linear.statespace.ladder import Rung, finished, ladder
 from identifiers.linear.statespace.model import Piece, StateSpace, coordinates, errors_of, gradients_of
 from identifiers.linear.statespace.search import Freedom, search, settled_starts
 from identifiers.linear.statespace.starts import reduced
@@ -134,8 +136,8 @@ def test_a_search_without_hope_of_what_is_asked_ends_early_and_one_with_hope_whe
 def test_orders_that_cannot_win_are_not_searched_again_and_the_one_that_wins_is(monkeypatch):
     again: list[int] = []
 
-    def told(model: StateSpace, pieces: Any, direct: bool) -> None:
-        again.append(model.order)
+    def told(model: StateSpace, pieces: Any, direct: bool, lags: int) -> None:
+        again.append(lags)
 
     monkeypatch.setattr("identifiers.linear.statespace.ladder.filtered_model", told)
     data = oscillator(2, noise=0.2, colour=0.9)
@@ -145,6 +147,33 @@ def test_orders_that_cannot_win_are_not_searched_again_and_the_one_that_wins_is(
     assert 2 in again
     assert len(rungs) >= 6
     assert max(again) < max(rungs)
+
+
+@pytest.mark.parametrize("number", [6, 27])
+def test_no_order_is_less_likely_than_where_a_search_from_the_plant_ends(number):
+    """Reductions by size kept modes of the noise here and left modes of the plant out: 8 and 6 less likely."""
+    file = Path(__file__).parents[2] / "benchmarks" / "linear_against_peers.py"
+    made: dict[str, Any] = runpy.run_path(str(file))
+    case = made["case_of"](number, 2000)
+    pieces, free = [Piece(case.u / case.u.std(), case.y / case.y.std())], Freedom()
+    plant = case.plant
+    colour = -made["POLE"] if case.kind in made["REMEMBERED"] else None
+    noise = np.full((1, 0 if colour is None else 1), colour or 0.0)
+    parts = (plant.a, plant.b * case.u.std(), plant.c / case.y.std(), np.zeros((1, 1)), np.zeros(1), noise)
+    truth = Rung(search(settled_starts(StateSpace(*parts), pieces, free), pieces, free), np.inf)
+    climbed = ladder(pieces, free, list(range(1, 11)))
+    best = min(climbed.values(), key=lambda rung: rung.judged)
+    assert best.judged <= finished(truth, pieces, free).judged + 0.1
+
+
+def test_the_inputs_of_a_start_are_solved_for_at_once():
+    model, rng = drawn(5, lags=0), np.random.default_rng(5)
+    u = rng.normal(size=(300, 2))
+    zeros = np.zeros_like(model.b)
+    y = -errors_of(model, np.zeros((1, 3)), [Piece(u, np.zeros((300, 2)))])[0].left
+    found = settled_starts(replace(model, b=zeros, d=np.zeros((2, 2))), [Piece(u, y)], Freedom(direct=2)).model
+    assert found.b == pytest.approx(model.b, abs=1e-8)
+    assert found.d == pytest.approx(model.d, abs=1e-8)
 
 
 def test_a_reduction_to_all_states_keeps_the_response():

@@ -11,7 +11,7 @@ from harness.signals import FloatArray
 from identifiers.linear.statespace.model import Piece, StateSpace, errors_of
 from identifiers.linear.statespace.noise import MOST, noise_of
 from identifiers.linear.statespace.search import End, Freedom, loss_of, search, settled_starts
-from identifiers.linear.statespace.starts import filtered_model, long_models, reduced
+from identifiers.linear.statespace.starts import filtered_model, long_models, reduced, without_each_mode
 
 ORDERS = 10  # Largest order that is tried.
 ASKED = 6  # Orders that are tried in any case: a plant may need two states more before the next one helps.
@@ -49,8 +49,10 @@ def ladder(
 ) -> dict[int, Rung]:
     """Return the models of some orders.
 
-    Upwards each begins from reductions of long one-step models, then downwards from the reduction of the next larger
-    one, and from a regression on signals that its own poles have filtered; what has the larger likelihood stays.
+    Upwards each begins from reductions of long one-step models, then downwards from a larger one without one of its
+    modes, whichever the likelihood misses least (what a reduction by size leaves out may be what the plant does, and
+    what it keeps what the noise did), and from regressions on signals that its own poles, or those of the next smaller
+    order, have filtered; what has the larger likelihood stays.
 
     - ``pieces``: outputs and inputs of size 1
     - ``noise``: length of the noise's autoregression, at most; 0 keeps it white
@@ -70,11 +72,11 @@ def ladder(
     for n in sorted(climb.found, reverse=True):
         if not climb.hopeful(n):
             continue
-        own = climb.found[n].end.model
-        again = filtered_model(own, pieces, direct) if seen is None else None
-        starts = [] if again is None else list(reduced(again, [n]).values())
-        if n + 1 in climb.found:
-            starts += list(reduced(climb.found[n + 1].end.model, [n]).values())
+        larger = [climb.found[m].end.model for m in (n + 1, n + 2) if m in climb.found]
+        starts = [one for model in larger for one in without_each_mode(model) if one.order == n]
+        for near in (n, n - 1) if seen is None else ():
+            if near in climb.found and (again := filtered_model(climb.found[near].end.model, pieces, direct, n)):
+                starts += reduced(again, [n]).values()
         climb.try_all(n, starts, STARTS)
     return climb.found
 

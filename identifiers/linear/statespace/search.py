@@ -60,11 +60,11 @@ def loss_of(errors: Sequence[Errors], floor: float = EXACT) -> float:
 
 
 def settled_starts(model: StateSpace, pieces: Sequence[Piece], free: Freedom) -> End:
-    """Return the model with the initial states, and the levels, that suit it best."""
+    """Return the model with the initial states, levels, B and D that suit its A and C best: a linear problem."""
     starts = np.zeros((len(pieces), model.order))
     errors = errors_of(model, starts, pieces)
-    none = np.zeros((model.a.size + model.b.size + model.c.size, 0))
-    system = _System.of(model, errors, pieces, none, Freedom(0, free.offset), noise=False)
+    driven = np.eye(model.a.size + model.b.size + model.c.size)[:, model.a.size : model.a.size + model.b.size]
+    system = _System.of(model, errors, pieces, driven, free, noise=False)
     step, moves = system.solved(0.0)
     model, starts = model.moved(step), starts + moves
     errors = errors_of(model, starts, pieces)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,8 @@ EQUATIONS = 6  # Equations for each regressor, at least.
 FURTHEST = 0.9995  # Largest modulus of a pole of a model that is reduced: those beyond are moved inside, all together.
 NOTHING = 1e-9  # Hankel singular values below this share of the largest: directions that are not reached, or not seen.
 INSIDE = 0.98  # Largest modulus of the poles that signals are filtered with.
+
+SAME = 1e-9  # Poles so near to each other are those of one mode.
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +72,8 @@ def long_models(pieces: Sequence[Piece], direct: bool, *, predictor: bool = Fals
     return found
 
 
-def filtered_model(model: StateSpace, pieces: Sequence[Piece], direct: bool) -> StateSpace | None:
-    """Return the one-step model of as many lags as a plant has states, of signals that its poles have filtered.
+def filtered_model(model: StateSpace, pieces: Sequence[Piece], direct: bool, lags: int) -> StateSpace | None:
+    """Return the one-step model of some lags, of signals that a plant's poles have filtered.
 
     White noise on the outputs, whitened by the plant's own denominator in the regression, weighs a fast sampled plant
     where it does nothing; the filter takes that away (Steiglitz & McBride 1965, IEEE Trans. AC 10:461). None where the
@@ -83,16 +85,16 @@ def filtered_model(model: StateSpace, pieces: Sequence[Piece], direct: bool) -> 
     moduli = np.abs(poles)
     poles = np.where(moduli > INSIDE, poles * INSIDE / divisor(moduli), poles)
     both = sum(one.shape[1] for one in (pieces[0].u, pieces[0].y))
-    enough = sum(max(len(piece.u) - model.order, 0) for piece in pieces) > EQUATIONS * model.order * both
+    enough = sum(max(len(piece.u) - lags, 0) for piece in pieces) > EQUATIONS * lags * both
     if not enough or any(piece.read is not None for piece in pieces):
         return None
     sections = zpk2sos(np.zeros(len(poles)), poles, 1.0)
     through = [
         Piece(sosfilt(sections, piece.u, axis=0), sosfilt(sections, piece.y - model.level, axis=0)) for piece in pieces
     ]
-    rows = _rows(through, model.order, direct)
-    theta, _ = rows.fitted(model.order)
-    return _plant(theta[1:].T, model.order, rows.ny, rows.nu, direct) if np.isfinite(theta).all() else None
+    rows = _rows(through, lags, direct)
+    theta, _ = rows.fitted(lags)
+    return _plant(theta[1:].T, lags, rows.ny, rows.nu, direct) if np.isfinite(theta).all() else None
 
 
 def reduced(model: StateSpace, orders: Sequence[int]) -> dict[int, StateSpace]:
@@ -123,6 +125,33 @@ def reduced(model: StateSpace, orders: Sequence[int]) -> dict[int, StateSpace]:
         size = np.sqrt(values[:n])
         into, out = reached @ right[:n].T / size, (seen @ left[:, :n] / size).T
         found[n] = StateSpace(out @ a @ into, out @ b, c @ into, model.d, model.level, model.noise)
+    return found
+
+
+def without_each_mode(model: StateSpace) -> list[StateSpace]:
+    """Return the model without each of its modes, a real pole or a pair, the others as they are.
+
+    Examples
+    --------
+    >>> a, one = np.diag([0.9, 0.1]), np.ones((2, 1))
+    >>> plant = StateSpace(a, one, one.T, np.zeros((1, 1)), np.zeros(1), np.zeros((1, 0)))
+    >>> [round(one.radius, 2) for one in without_each_mode(plant)]
+    [0.1, 0.9]
+    """
+    from scipy.linalg import schur, solve_sylvester
+
+    found = []
+    poles: Any = np.linalg.eigvals(model.a)
+    for pole in poles[poles.imag >= 0]:
+
+        def others(real: float, imaginary: float, pole: complex = pole) -> bool:
+            return abs(complex(real, abs(imaginary)) - pole) > SAME
+
+        a, basis, n = schur(model.a, sort=others)
+        if 0 < n < model.order:
+            apart = solve_sylvester(a[:n, :n], -a[n:, n:], -a[:n, n:])
+            into = basis[:, :n].T - apart @ basis[:, n:].T
+            found.append(replace(model, a=a[:n, :n], b=into @ model.b, c=model.c @ basis[:, :n]))
     return found
 
 
