@@ -33,7 +33,7 @@ from planted_faults import AIM, ROOT, copied, known_results, run_tests
 COMMON = "tests/core/test_core_more_small_faults.py"
 UNITS = ("tests/core/test_core_unit_texts.py", "tests/core/test_core_unit_faults.py")
 LONG = ("arm", "fmu", "report", "machines", "mixed", "overwhelmed", "suspension", "wanted")
-"""Tests of the loop that reach its own rooms no better than the others do in less time."""
+"""Tests of the loop that take long, or are of other rooms of it; the others reach every line of the search."""
 LOOP = ("tests/diagnosis", *(f"--ignore-glob=*_{rest}*" for rest in LONG))
 ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "units": ("harness/units", (), (*UNITS, "tests/core/test_core_registry.py", COMMON)),
