@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.diagnosis.forms.named import of_a_day
-from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import wrong_signs
 from harness.effects.effect import Placed
 from harness.errors import FitError
@@ -59,7 +58,7 @@ def spread_of(
 
 
 def of_its_day(effects: Sequence[Placed], values: Mapping[str, float], moved: FloatArray) -> dict[str, float]:
-    """Return what is farther from ``values`` than friction usually is on another day, as ``moved`` has it.
+    """Return what is not as in ``values`` on the day of the validation records, as ``moved`` has it.
 
     Examples
     --------
@@ -76,7 +75,7 @@ def of_its_day(effects: Sequence[Placed], values: Mapping[str, float], moved: Fl
         name: float(values[name] * (1.0 + change))
         for change, (names, _) in zip(changes, days, strict=True)
         for name in names
-        if abs(change) > POLICY.day
+        if change
     }
 
 

@@ -59,7 +59,7 @@ class Fit:
     own : dict
         Parameters of the validation records themselves.
     day : dict
-        Levels of dry friction on the day of the validation records, where they are others than days usually bring.
+        Levels of dry friction and zeros of instruments on the day of the validation records, where it is another day.
     incoherence : dict
         By full name of an effect that repeats: the logarithm of the evidence for amplitude and phase that are drawn
         anew in every part of the records, against ones that stay.
