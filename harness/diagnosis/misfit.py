@@ -50,12 +50,12 @@ def misfit_reasons(
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
         if policy.further < runs.further < np.inf:
             reasons.append(
-                f"it errs {runs.further:.2g} times as far there as on the estimation records: another machine, another "
+                f"its error there is {runs.further:.2g} times that on the estimation records: another machine, another "
                 "load, or something that changes between records"
             )
     for port, size in overwhelmed(form, final, policy).items():
         least = "at least " if f"s@{port}" in final.on_bound else ""
-        reasons.append(f"a force that nobody measured would have to be {least}{100 * size:.0f} % of what moves {port}")
+        reasons.append(f"an unmeasured force would have to be {least}{100 * size:.0f} % of what moves {port}")
     bound = [name for name in final.on_bound if name in final.values]
     if bound and reasons:
         reasons.append(f"{', '.join(bound)} ended on a bound")
@@ -128,7 +128,7 @@ def _noisy(form: WholeForm, shares: FloatArray) -> str:
     outputs = {channel.name: float(share) for channel, share in pairs if share > POLICY.mostly}
     names = " and ".join(outputs)
     share = f"{100 * min(outputs.values()):.0f} % of the variance"
-    return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
+    return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: they show nothing"
 
 
 def _length(runs: FreeRuns) -> str:
@@ -153,7 +153,7 @@ def likely_mistakes(form: WholeForm, nominal: Fit, final: Fit, policy: Policy, f
             likelier.append((value, text))
     best = max((value for value, _ in likelier), default=0.0)
     words = " or ".join(text for value, text in likelier if value > best - policy.misfit_gain)
-    return [f"check {words}: with that repaired the model fits far better"] if words else []
+    return [f"check {words}: with that corrected the model fits far better"] if words else []
 
 
 def mistakes(dataset: Dataset) -> Iterator[tuple[str, Dataset, float]]:

@@ -337,10 +337,10 @@ def test_odd_readings_are_told_with_their_rows_sizes_and_units() -> None:
     t = 0.5 * np.arange(99.0)
     one, rows = np.array([7]), np.arange(3, 50, 4)
     assert _reads(THETA, False, one, np.array([2.5]), np.array([0.125]), t) == (
-        "theta reads 2.5 rad in row 7 (t = 3.5 s), where its neighbours foretell 0.125 rad"
+        "theta reads 2.5 rad in row 7 (t = 3.5 s), where its neighbours predict 0.125 rad"
     )
     assert _reads(Channel("n", "1"), True, one, np.array([9999.0]), np.array([0.125]), t) == (
-        "n reads 9999 in row 7, where its neighbours foretell 0.125"
+        "n reads 9999 in row 7, where its neighbours predict 0.125"
     )
     read, told = np.linspace(1.0, 2.0, 12), np.linspace(0.5, 0.25, 12)
     for count in (2, 12):

@@ -35,8 +35,8 @@ def test_sentences_and_pictures_tell_a_temperature_in_degc(oven: Path) -> None:
     assert fitted.in_own_unit(0.05, fitted.model.spec.outputs[0]) == "0.05 degC"
     data = api.load_dataset(oven, input="P", output=["T", "door"]).dataset
     (spike,) = (odd.words for odd in data.oddities or () if odd.kind == "spike")
-    assert spike.startswith("T reads 500 degC in row 200 (t = 1000 s), where its neighbours foretell")
-    assert float(spike.split("foretell ")[1].split(" degC")[0]) < 200.0
+    assert spike.startswith("T reads 500 degC in row 200 (t = 1000 s), where its neighbours predict")
+    assert float(spike.split("predict ")[1].split(" degC")[0]) < 200.0
     assert any("door never moves (3 mm)" in note for note in data.warnings)
     shown = compare({"a": fitted.model}, api.load_dataset(oven, input="P", output="T").dataset)
     for figure in (fitted.plot(), _time_figure(shown)):

@@ -56,7 +56,7 @@ def examined(dataset: Dataset) -> Dataset:
     >>> spec = PlantSpec((), (Channel("q", "m"),), 0.5)
     >>> found = examined(Dataset("x", (Run(Trajectory(np.arange(400) * 0.5, np.zeros((400, 0)), y[:, None], spec)),)))
     >>> print(found.oddities[0].words)
-    q reads 9999 m in row 200, where its neighbours foretell 0.91 m: counted as missing
+    q reads 9999 m in row 200, where its neighbours predict 0.91 m: counted as missing
     >>> bool(np.isnan(found.runs[0].trajectory.readings[200, 0]))
     True
     """
@@ -356,8 +356,8 @@ class _Look:
                 ("twice", f"{when} repeats the one before in every channel, and what follows goes on as if it were not "
                  "there: leave it out")
                 if slip.lost < 0
-                else ("leap", f"{rows} missing before {when}: with unknown ones there, what follows is foretold as "
-                      "elsewhere; close-loop takes it as a record of its own")
+                else ("leap", f"{rows} missing before {when}: with unknown ones there, the rest is predicted as well "
+                      "as elsewhere; close-loop takes it as a record of its own")
             )  # fmt: skip
             self._add(kind, self.spec.outputs[real[0]], np.array([slip.row]), words)
 
@@ -425,7 +425,7 @@ class _Look:
         if not found.rows.size:
             return
         rows, open_rows = unfelt(self.y, self.u, column, found)
-        self._said(channel, u, found, rows, "no output felt it, the row is read as its neighbours foretell", used=True)
+        self._said(channel, u, found, rows, "no output felt it; the row is read as its neighbours predict", used=True)
         self._said(channel, u, found, open_rows, "the outputs do not tell whether the plant felt it", fault=False)
         self.u[rows, column] = found.mended[rows]
 
@@ -464,7 +464,7 @@ def _reads(
     unit = behind(channel.unit)
     if len(rows) == 1:
         when = f"row {rows[0]}" + ("" if word else f" (t = {t[rows[0]]:g} s)")
-        near = f"where its neighbours foretell {foretold[0]:.3g}{unit}"
+        near = f"where its neighbours predict {foretold[0]:.3g}{unit}"
         return f"{channel.name} reads {read[0]:.6g}{unit} in {when}, {near}"
     named = _listed(rows)
     if word:

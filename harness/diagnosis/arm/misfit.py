@@ -87,7 +87,7 @@ def likely_mistake(
         value, left = _explained(pairs, joints)
         if value > best and left <= policy.misfit_nrmse**2:  # torques that belong to no motion are mended by nothing
             best, words = value, text
-    return (f"check {words}: with that repaired the model fits far better",) if words else ()
+    return (f"check {words}: with that corrected the model fits far better",) if words else ()
 
 
 def _mistakes(
