@@ -32,9 +32,13 @@ from planted_faults import AIM, ROOT, copied, known_results, run_tests
 
 COMMON = "tests/core/test_core_more_small_faults.py"
 UNITS = ("tests/core/test_core_unit_texts.py", "tests/core/test_core_unit_faults.py")
-LONG = ("arm", "fmu", "report", "machines", "mixed", "overwhelmed", "suspension", "wanted")
-"""Tests of the loop that take long, or are of other rooms of it; the others reach every line of the search."""
-LOOP = ("tests/diagnosis", *(f"--ignore-glob=*_{rest}*" for rest in LONG))
+
+
+def _of_the_loop(*names: str) -> tuple[str, ...]:
+    """Return tests of the closed loop: those that take long reach its rooms no better."""
+    return tuple(f"tests/diagnosis/test_diagnosis_{name}.py" for name in names)
+
+
 ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "units": ("harness/units", (), (*UNITS, "tests/core/test_core_registry.py", COMMON)),
     "scoring": ("harness/scoring", (), ("tests/scoring", "tests/cli/test_cli_acceptance.py", COMMON)),
@@ -46,12 +50,21 @@ ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
         ("plots.py", "overlays.py", "report.py", "public"),
         ("tests/benchmark", COMMON, "--ignore-glob=*public*"),
     ),
-    "search": ("harness/diagnosis/search", (), (*LOOP, "tests/core/test_core_small_faults.py")),
-    "forms": ("harness/diagnosis/forms", (), LOOP),
-    "runs": ("harness/diagnosis/runs", (), LOOP),
+    "search": ("harness/diagnosis/search", (), (*_of_the_loop(
+        "acceptance", "coherence", "faint", "first_steps", "lasting_errors", "search", "search_moves", "search_starts",
+        "stand_in",
+    ), "tests/core/test_core_small_faults.py")),
+    "forms": ("harness/diagnosis/forms", (), _of_the_loop(
+        "ends", "first_steps", "intervals", "lost_noise", "predictive", "remembered", "simple_fits", "starts", "trust",
+        "verdict",
+    )),
+    "runs": ("harness/diagnosis/runs", (), _of_the_loop(
+        "astray", "ends", "equation", "intervals", "reliability", "simple_fits", "statistics", "told", "trust",
+        "verdict", "wide_signs", "worse",
+    )),
     "effects": ("harness/effects", (), ("tests/effects",)),
     "vetting": ("harness/vetting", (), ("tests/vetting",)),
-}
+}  # fmt: skip
 """By room its folder, what only has a look (or is being built) in it, and the tests that are to notice beside its own
 examples, in pytest's words."""
 FAILING = 4  # Tests of a room that must not fail unharmed; fewer are left out.

@@ -381,7 +381,7 @@ def test_a_run_from_a_measured_state_starts_with_bristles_as_the_motion_bent_the
     record = Trajectory(t, u, y, PlantSpec(nominal.inputs, nominal.outputs, dt))
     data = Dataset("drive", (Run(record, "estimation"), Run(record, "validation")))
     form = FreeRunForm(nominal, data, sizes=sizes_of(nominal, known, data), horizon=0.5, weights=np.array([2e-8]))
-    fitted = seen(form, SimpleNamespace(effects=(friction,), values={**known, **named}, own={}, converged=True))  # type: ignore[arg-type]
+    fitted = seen(form, SimpleNamespace(effects=(friction,), values={**known, **named}, own={}, day={}, converged=True))  # type: ignore[arg-type]
     assert fitted is not None
     errors, states, _ = form.simulated(fitted, "validation", 2 * dt, start="data")
     assert np.sqrt(np.mean(errors[0][101::2] ** 2)) < 5e-8, "two noises of the sensor and a smoothed speed"

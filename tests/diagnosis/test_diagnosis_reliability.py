@@ -62,7 +62,7 @@ def bias_of(plant_id: str, model: str, scenario: str, seed: int, *, dither: floa
     sizes, weights = sizes_of(system, values, data), np.full(system.ny, 1e-3)
     form = FreeRunForm(system, data, sizes=sizes, horizon=horizon, weights=weights)
     found = fit_output_error(system, list(data.estimation), start=values, horizon=horizon or 20.0, continuation=())
-    fitted = seen(form, SimpleNamespace(effects=(), values=dict(found.parameters), own={}, converged=True))
+    fitted = seen(form, SimpleNamespace(effects=(), values=dict(found.parameters), own={}, day={}, converged=True))
     assert fitted is not None
     return closed_loop_bias(form, fitted, list(data.estimation), [{"excitation": outside}])
 
