@@ -368,5 +368,5 @@ def order(
         )
     else:
         say(f"judged on {found.judged}")
-        print_rows(found.rows())
+        print_rows(found.printed())
         print_paths(out)

@@ -109,6 +109,17 @@ class OrderSelection:
             for trial in self.tried
         ]
 
+    def printed(self) -> list[dict[str, Any]]:
+        """Return the rows as people read them: orders in a row that are refused for one reason stand in one."""
+        found: list[dict[str, Any]] = []
+        refused = [trial.refused for trial in self.tried]
+        for row, reason, before in zip(self.rows(), refused, ["", *refused], strict=False):
+            if reason and reason == before and row["identifier"] == found[-1]["identifier"]:
+                found[-1]["order"] = f"{str(found[-1]['order']).split(' ')[0]} to {row['order']}"
+            else:
+                found.append(row)
+        return found
+
     def __repr__(self) -> str:
         told = ", ".join(f"{name} {order}" for name, order in self.suggested().items())
         return f"<OrderSelection of {self.name}: enough one step ahead: {told or 'none'}>"
@@ -119,7 +130,7 @@ class OrderSelection:
             titles,
             [
                 tuple("" if v is None else f"{v:.4g}" if isinstance(v, float) else v for v in row.values())
-                for row in self.rows()
+                for row in self.printed()
             ],
         )
 

@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 
 from harness import api
 from harness.comparison import order_selection
+from harness.comparison.orders import OrderError, OrderSelection
 from harness.errors import InputError
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
@@ -58,6 +59,17 @@ def test_without_validation_the_last_third_judges_and_what_cannot_be_fitted_says
     assert ("n4sid", 20) in refused
     (note,) = [row["note"] for row in found.rows() if row["identifier"] == "n4sid" and row["order"] == 20]
     assert "expected" in note
+
+
+def test_orders_that_one_reason_refuses_are_one_row_to_read() -> None:
+    refusal: Any = {"one_step": np.nan, "free_run": np.nan, "blocks": {}}
+    tried = [OrderError("era", k, refused="no excitation", **refusal) for k in (1, 2, 3)]
+    tried += [OrderError("era", 4, refused="too few rows", **refusal)]
+    tried += [OrderError("arx", 2, refused="no excitation", **refusal)]
+    found = OrderSelection("x", "validation", tuple(tried), {})
+    shown = [(row["identifier"], row["order"], row["note"]) for row in found.printed()]
+    assert shown == [("era", "1 to 3", "no excitation"), ("era", 4, "too few rows"), ("arx", 2, "no excitation")]
+    assert len(found.rows()) == 5
 
 
 def test_what_has_no_order_is_refused() -> None:
