@@ -154,14 +154,10 @@ class Simulator:
 
     # ---- public --------------------------------------------------------------------------------------------------
 
-    def prepare(self, *, sensitivities: bool = True, wait: bool = False) -> None:
-        """Start compiling in the background (or wait for it), whatever the backend's patience."""
-        if self.backend == "casadi":
-            return
-        compilation = self._compiled(sensitivities)
-        compilation.start()
-        if wait:
-            compilation.library()
+    def prepare(self) -> None:
+        """Start compiling the sensitivities in the background, whatever the backend's patience."""
+        if self.backend != "casadi":
+            self._compiled(True).start()
 
     def library(self, *, sensitivities: bool = False) -> ctypes.CDLL | None:
         """Return the compiled rollout, compiling it if needed; None where that is impossible."""

@@ -62,9 +62,7 @@ class System(Equations):
         states: Sequence[Hidden] = (),
         parameters: Sequence[tuple[Parameter, Any]] = (),
         sampled: Sequence[SampledBlock] = (),
-        effects: Sequence[Any] = (),
         switches: Sequence[tuple[int, str]] = (),
-        name: str | None = None,
         remarks: Sequence[str] = (),
     ) -> System:
         """Return a system in which something was changed.
@@ -91,12 +89,8 @@ class System(Equations):
             New parameters.
         sampled : sequence of SampledBlock
             New delays or quantisers.
-        effects : sequence
-            Appended to ``effects``.
         switches : sequence of (int, str)
             Appended to ``switches``.
-        name : str, optional
-            New name.
         remarks : sequence of str
             Appended to ``remarks``.
 
@@ -126,7 +120,6 @@ class System(Equations):
         )
         return replace(
             self,
-            name=self.name if name is None else name,
             states=(*self.states, *(state.channel for state in states)),
             parameters=(*self.parameters, *(parameter for parameter, _ in parameters)),
             x=ca.vertcat(self.x, *(state.symbol for state in states)),
@@ -139,7 +132,6 @@ class System(Equations):
             bodies=bodies,
             sampled=(*self.sampled, *sampled),
             initial=ca.vertcat(swapped(start), *added),
-            effects=(*self.effects, *effects),
             hidden_count=self.hidden_count + len(states),
             switches=(*self.switches, *switches),
             remarks=(*self.remarks, *remarks),
