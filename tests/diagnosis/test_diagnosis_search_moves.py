@@ -535,10 +535,10 @@ def test_a_rival_takes_the_place_of_an_earlier_effect_from_its_own_nominal_param
 
 
 @pytest.mark.parametrize(
-    ("evidence", "validation", "sure"), [(830.0, 1.0, True), (30.0, 1.0, False), (830.0, -1.0, False)]
+    ("evidence", "validation", "sure"), [(830.0, 1.0, True), (30.0, 1.0, False), (830.0, -1.0, True)]
 )
 def test_what_the_estimation_records_alone_are_sure_of_is_told(evidence: float, validation: float, sure: bool) -> None:
-    """An end stop that the validation records do not touch: nothing can be named, and something is missing."""
+    """An end stop that the validation records do not touch, or deny: nothing can be named, and something is missing."""
 
     class Form(LinearForm):
         def change(self, fit: Fit, placed: Placed) -> float:
