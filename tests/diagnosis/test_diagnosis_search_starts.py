@@ -246,6 +246,14 @@ def test_a_base_is_fitted_again_from_where_its_rival_ended(behind: float, again:
     assert (found.penalised == pytest.approx(whole.penalised)) if again else found is base
     assert polished(table_of(form, nominal), base, []) is base
     assert polished(table_of(form, nominal), base, [nominal]) is base, "no rival is better"
+    if again:
+        for short, goes_on in ((EFFORT.margin - 1.0, True), (EFFORT.margin + 1.0, False)):
+            first = Begun((drag,), base.log_likelihood("estimation") - short, {}, whole)
+            form.begin = lambda *given, first=first: first  # type: ignore[method-assign]
+            assert (polished(table_of(form, nominal), base, [better]) is whole) is goes_on, "its first steps fell short"
+        form.begin = lambda *given: None  # type: ignore[method-assign, return-value, assignment]
+        assert polished(table_of(form, nominal), base, [better]) is base, "it cannot be simulated from there"
+        del form.begin
     stuck = replace(whole, converged=False)
     form.finish = lambda *given: stuck  # type: ignore[method-assign]
     assert polished(table_of(form, nominal), base, [better]) is base, "what came to its end stays"
