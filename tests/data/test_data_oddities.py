@@ -333,7 +333,7 @@ def test_a_number_that_no_sensor_reads_is_left_out(value: float, column: str) ->
 
 
 def test_rows_that_were_lost_are_counted_and_clean_records_have_none() -> None:
-    """Without a trace in the clock; a pendulum cut in two places was given two springs, with confidence."""
+    """Without a trace in the clock; a pendulum cut in two places got two springs, a cart written twice no friction."""
     for seed in range(2):
         u = 0.2 * multisine(seed)
         y = swing(u, seed, 2e-4)
@@ -343,7 +343,7 @@ def test_rows_that_were_lost_are_counted_and_clean_records_have_none() -> None:
         lost = found(np.delete(u, row), np.delete(y, row))[1]
         assert [odd.rows for odd in lost if odd.kind == "leap"] == [(row,)]
         twice = found(np.insert(u, row, u[row - 1]), np.insert(y, row, y[row - 1]))[1]
-        assert [(odd.kind, odd.rows) for odd in twice] == [("twice", (row,))]
+        assert [(odd.kind, odd.rows) for odd in twice] == [("leap", (row,))]
 
 
 def test_a_reading_that_falls_to_zero_and_stays_there_is_none_from_its_first_row_on() -> None:

@@ -8,8 +8,7 @@
 ``filled``      readings on straight lines between others: a log that was filled in, or brought to a faster clock
 ``filtered``    readings that went through a filter: a mean over some rows, a digital low-pass
 ``rail``        readings that rest at their largest or smallest value
-``leap``        rows that were lost, of which the clock shows nothing; a sensor that slipped
-``twice``       a row that was written twice, of which the clock shows nothing
+``leap``        rows that were lost, or one written twice, of which the clock shows nothing; a sensor that slipped
 ``dropout``     a stretch of an input that holds a word for nothing, and that no output felt
 ``hum``         a line above the motion that no input has
 ``burst``       a stretch in which a sensor scatters more than elsewhere

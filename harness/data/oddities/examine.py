@@ -352,14 +352,13 @@ class _Look:
                 continue
             when = f"row {slip.row} (t = {self.record.t[slip.row]:g} s)"
             rows = "a row is" if slip.lost == 1 else f"{slip.lost} rows are"
-            kind, words = (
-                ("twice", f"{when} repeats the one before in every channel, and what follows goes on as if it were not "
-                 "there: leave it out")
+            words = (
+                f"{when} repeats the one before in every channel, and what follows goes on as if it were not there"
                 if slip.lost < 0
-                else ("leap", f"{rows} missing before {when}: with unknown ones there, the rest is predicted as well "
-                      "as elsewhere; close-loop takes it as a record of its own")
-            )  # fmt: skip
-            self._add(kind, self.spec.outputs[real[0]], np.array([slip.row]), words)
+                else f"{rows} missing before {when}: with unknown ones, the rest is predicted as well as elsewhere"
+            )
+            words += "; close-loop takes what follows as a record of its own"
+            self._add("leap", self.spec.outputs[real[0]], np.array([slip.row]), words)
 
     def _leave(self, column: int, fresh: npt.NDArray[np.bool_], plain: FloatArray) -> None:
         """Count readings as missing, with what those beside them foretell in their place."""
