@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.equations_form import EquationsForm
 from harness.diagnosis.forms.first_steps import in_sight, looked
+from harness.diagnosis.forms.likelihood_form import LikelihoodForm
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.refusal import Kind, Refusal
@@ -18,6 +20,7 @@ from harness.diagnosis.search.table import Table
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
+from harness.physics.fitting.maximum import Point
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
 
@@ -105,6 +108,28 @@ def test_steps_are_spared_where_there_is_a_choice_or_a_hope(spare: bool, hope: f
     slope = Slope()
     looked(slope, [Valley(500.0, (0.1,) * 30)], spare=spare, hope=hope)  # type: ignore[arg-type, list-item]
     assert slope.steps == (EFFORT.looks if spare and hope > 0 else EFFORT.first_steps)
+
+
+@pytest.mark.parametrize(("share", "before", "found"), [(0.25, 1e3, 0.25), (0.1, 1e3, 0.1), (0.25, -1e3, 1.0)])
+def test_a_start_that_went_too_far_is_taken_back_towards_its_base(share: float, before: float, found: float) -> None:
+    """Parameters and initial states together; one that is likelier than its base stays."""
+    system = load_model("oscillator")
+    names = list(system.parameter_names)
+    base, start = (system.vector({**system.values(), "k": k}) for k in (1.0, 9.0))
+    nothing: Any = None
+
+    def nll(point: Point) -> float:
+        off = np.append(point.p - base - share * (start - base), point.x0[0] - share * np.array([4.0, 0.0]))
+        return float(off @ off)
+
+    form: Any = SimpleNamespace(_starts=lambda *_: [np.zeros(2)])
+    fit: Any = SimpleNamespace(log_likelihood=lambda use: before)
+    gone = {"k": 1.0}
+    point = Point(start, [np.array([4.0, 0.0])], nothing)
+    likelihood: Any = SimpleNamespace(nll=nll)
+    best = LikelihoodForm._back(form, system, nothing, likelihood, point, gone, fit)
+    assert best.p[names.index("k")] == pytest.approx(1.0 + found * 8.0)
+    assert best.x0[0] == pytest.approx([found * 4.0, 0.0])
 
 
 def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness import api
-from harness.diagnosis.forms.predictive import predictive, spread_of
+from harness.diagnosis.forms.predictive import _outside_starts, predictive, spread_of
 from harness.physics import load_model
 from harness.physics.compiled.kalman_pass import KalmanPass, Noise
 from harness.physics.compiled.latent import without_latent_forces
@@ -112,3 +114,22 @@ def test_from_the_top_of_the_swing_the_truth_is_not_likelier_than_what_is_found(
     off = np.linalg.solve(spread, truth.p - estimate)
     best = likelihood.nll(found.point) + 0.5 * float(found.moved @ found.moved)
     assert best <= likelihood.nll(truth) + 0.5 * float(off @ off) + 1e-3
+
+
+def test_a_step_along_the_spread_takes_the_initial_state_along() -> None:
+    """Of what is left, and of the step, no more is seen than the initial state cannot do; an idle one stays."""
+    rng = np.random.default_rng(0)
+    e, s, j = rng.standard_normal((30, 2)), rng.uniform(0.5, 2.0, (30, 2)), rng.standard_normal((30, 2, 5))
+    e[7, 1], j[:, :, 4] = np.nan, 0.0
+    j[7, 1] = np.nan  # two parameters, two states that move something, and one that moves nothing
+    spread, step = np.array([[0.5, 0.1], [0.0, 2.0]]), np.array([0.3, -0.7])
+    passed: Any = SimpleNamespace(e=e, s=s, j=j)
+    part = _outside_starts(passed, 2, spread)
+    read = np.isfinite(e)
+    residual, rows = e[read] / np.sqrt(s[read]), j[read] / np.sqrt(s[read])[:, None]
+    moved, starts = residual + rows[:, :2] @ spread @ step, rows[:, 2:4]
+    move = -np.linalg.lstsq(starts, moved, rcond=None)[0]
+    assert part.start(step) == pytest.approx(np.append(move, 0.0))
+    left = moved + starts @ move
+    assert np.sum((part.left + part.along @ step) ** 2) == pytest.approx(left @ left)
+    assert part.taken == pytest.approx(residual @ residual - part.left @ part.left)
