@@ -30,7 +30,6 @@ STEP = 1e-3  # Relative step of differences: where the motion reverses, a smalle
 BEND = 0.02  # Part of a difference between two sides that may be a bend: the derivative errs by about its square.
 SHORTEST = 1e-3  # Part of a step that the next one has at least: beyond that a bend is no parabola's.
 KEPT = 64  # Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps.
-ALIKE = 0.01  # Of itself: how far everything may have moved since derivatives were taken that are taken again.
 NEAR = 0.3  # Of a parameter, and of the spread of an output: how far a run may be off one that lends its derivatives.
 
 
@@ -88,7 +87,6 @@ class FmuSimulator(BySample):
         self.wanted: frozenset[int] | None = None
         """Columns of (p, x0) by which derivatives are computed, None for all; the others are 0."""
         self._lent: list[Loan] | None = None
-        self._beside: OrderedDict[bytes, tuple[FloatArray, dict[int, FloatArray]]] = OrderedDict()
         blocks = {parameter for _, _, parameter in self.sampled.output_blocks}
         self._unknowns = [*(k for k in self._free if k not in blocks), *self.state_columns]
         self._names = [*system.parameter_names, *(state.name for state in system.states)]
@@ -109,7 +107,6 @@ class FmuSimulator(BySample):
     def forget(self) -> None:
         """Forget the derivatives that were taken: those of first steps are rough."""
         self._memory.clear()
-        self._beside.clear()
 
     @property
     def state_columns(self) -> range:
@@ -292,24 +289,22 @@ class FmuSimulator(BySample):
         x, y = self.kept_run(p, x0, u, t0)
         s = np.zeros((*y.shape, self.np + self.nx))
         if np.isfinite(y).all():
-            known = self._known_beside(p, x0, u, t0, x)
-            lent = self._borrowed(p, y)
-            for k in sorted(wanted.intersection(self._unknowns)):
-                if k in known:
-                    s[..., k] = known[k]
-                elif (name := self._names[k]) in lent:
+            lent, slopes = self._borrowed(p, y), {}
+            without = self.sampled.delay_columns if gradient is None else ()
+            for k in sorted(wanted.intersection(self._unknowns).difference(without)):
+                if (name := self._names[k]) in lent:
                     s[..., k] = lent[name]
-                elif k < self.np:
-                    s[..., k] = known[k] = self._by_parameter(k, p, x0, u, gradient, y, t0)
+                    continue
+                if k < self.np:
+                    s[..., k] = self._by_parameter(k, p, x0, u, gradient, y, t0)
                 else:
                     h, begun = STEP * self._size(k - self.np, x, u), x0.copy()
                     begun[k - self.np] += h
-                    s[..., k] = known[k] = (self.run(p, begun, u, t0)[1] - y) / h
-            if self._lent is not None and not lent:
-                own = [k for k in known if k < self.system.inner_count or 0 <= k - self.np < len(self._states)]
-                slopes = {self._names[k]: known[k] for k in own}
-                if all(np.isfinite(slope).all() for slope in slopes.values()):
-                    self._lent.append(Loan(p[: self.system.inner_count].copy(), y, slopes))
+                    s[..., k] = (self.run(p, begun, u, t0)[1] - y) / h
+                if k < self.system.inner_count or 0 <= k - self.np < len(self._states):
+                    slopes[name] = s[..., k]
+            if self._lent is not None and not lent and np.isfinite(s).all():
+                self._lent.append(Loan(p[: self.system.inner_count].copy(), y, slopes))
         self._memory[key] = (x, y, s)
         while len(self._memory) > KEPT:
             self._memory.popitem(last=False)
@@ -319,23 +314,6 @@ class FmuSimulator(BySample):
         """Return derivatives that are lent to a run with these outputs (N, ny), by name; none where none holds."""
         inner = p[: self.system.inner_count]
         return next((loan.slopes for loan in self._lent or () if loan.holds(inner, y)), {})
-
-    def _known_beside(
-        self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float, x: FloatArray
-    ) -> dict[int, FloatArray]:
-        """Return what is known of the derivatives of a window, taken where everything was as good as here.
-
-        The last steps of a fit hardly move: what they are taken along stays, and so does their end.
-        """
-        where = _key(p[:0], x0[:0], u, t0)
-        then = self._beside.get(where)
-        sizes = np.concatenate([np.abs(p), [self._size(k, x, u) for k in range(self.nx)]])
-        now = np.concatenate([p, x0])
-        if then is None or not (np.abs(now - then[0]) <= ALIKE * sizes).all():
-            then = self._beside[where] = (now, {})
-            while len(self._beside) > KEPT:
-                self._beside.popitem(last=False)
-        return then[1]
 
     def _size(self, row: int, x: FloatArray, u: FloatArray) -> float:
         """Return the size of a state along a run; of what went in before the record, that of the input."""
@@ -356,8 +334,7 @@ class FmuSimulator(BySample):
         """Return the derivative of the outputs by a parameter (N, ny); from one side of an effect's in first steps."""
         moved = p.copy()
         if k in self.sampled.delay_columns:
-            if gradient is None:
-                return np.zeros_like(y)
+            assert gradient is not None
             h = 0.01 * self.dt
             moved[k] += h
             u = u + h * gradient[..., self.sampled.delay_columns.index(k)]
