@@ -79,6 +79,7 @@ class Runner:
         self._set: dict[str, float] = {}
         self._finer: dict[int, Runner] = {}
         self.meter = Meter()
+        self.before: float | None = None  # CPU time [s] that was spent when a search around the FMU began
         self.steps: dict[tuple[str, int], float] = {}  # Relative steps of differences by parameter and length of a run
         self._rng = np.random.default_rng(0)  # an FMU draws nothing
         self.tables: OrderedDict[bytes, tuple[FloatArray, FloatArray, FloatArray]] = OrderedDict()  # The last runs

@@ -59,7 +59,6 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         self._lender: Fit | None = None
         self._lendings: dict[int, list[Loan]] = {}
         self._finished: set[frozenset[str]] = set() if beside is None else beside._finished
-        self._before: float | None = None if beside is None else beside._before  # CPU time [s] when the search began
         super().__init__(system, dataset, sizes, laws)
 
     def on(self, dataset: Dataset) -> FmuForm:
@@ -74,9 +73,10 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         """
         which = frozenset(map(str, effects))
         limit = EFFORT.ending if which in self._finished else seconds
-        if base is not None and self._before is None:
-            self._before = self.runner.seconds
-        if self._before is None or self.runner.seconds - self._before <= limit:
+        if base is not None and self.runner.before is None:
+            self.runner.before = self.runner.seconds
+        cost = 0.0 if self.runner.before is None else self.runner.seconds - self.runner.before
+        if (base is None and self._beside is None) or cost <= limit:
             if seconds == EFFORT.ending:
                 self._finished.add(which)
             return False
