@@ -76,9 +76,9 @@ def _regressed(dataset: Dataset, system: System, choose: Callable[[NormalEquatio
     free = [k for k, parameter in enumerate(system.parameters) if not parameter.fixed]
     plain = form.equations(())
     for _ in range(_ROUNDS):
-        left, known = _stacked([plain.residual(motion, p, "weak", free) for motion in motions])
+        left, known = _stacked([plain.weak_residual(motion, p, free) for motion in motions])
         p[free] -= np.linalg.lstsq(known, left, rcond=None)[0]
-    left, known = _stacked([plain.residual(motion, p, "weak", free) for motion in motions])
+    left, known = _stacked([plain.weak_residual(motion, p, free) for motion in motions])
     basis = np.linalg.qr(known)[0]
     target, kept = -(left - basis @ (basis.T @ left)), dict[str, FloatArray]()
     for name, column in _columns(form, system, p):
@@ -106,7 +106,7 @@ def _columns(form: EquationForm, system: System, p: FloatArray) -> Iterator[tupl
             values = dict(zip(system.parameter_names, map(float, p), strict=True))
             at = made.system.vector(values | {one.name(parameter.name): 0.0 for parameter in linear})
             where = [made.system.parameter_names.index(one.name(parameter.name)) for parameter in linear]
-            found = _stacked([made.residual(motion, at, "weak", where) for motion in form.motions["estimation"]])[1]
+            found = _stacked([made.weak_residual(motion, at, where) for motion in form.motions["estimation"]])[1]
         except (HarnessError, ArithmeticError):
             continue
         yield from ((str(one), column) for column in found.T[np.isfinite(found).all(axis=0)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,26 +26,23 @@ def swing(n: int = 2000, factor: int = 1, counts: FloatArray | None = None) -> M
     return Motion(t, *columns, slice(0, n), factor, DT, counts)
 
 
-@pytest.mark.parametrize("form", ["strong", "weak"])
-def test_on_exact_motion_the_equation_leaves_what_parameters_are_off_by(form: Literal["strong", "weak"]) -> None:
-    system, along = load_model("pendulum"), swing(factor=1 if form == "strong" else 8)  # sums for integrals
+def test_on_exact_motion_the_equation_leaves_what_parameters_are_off_by() -> None:
+    system, along = load_model("pendulum"), swing()
     equations = equations_of(system)
-    true = {"J": 0.1, "b": 0.05, "mgl": 1.0}
-    r, j = equations.residual(along, system.vector(true), form)
-    assert np.abs(r).max() < 1e-3
-    off, _ = equations.residual(along, system.vector({"J": 0.12, "b": 0.02, "mgl": 1.1}), form)
+    true, other = (
+        system.vector(dict(zip(("J", "b", "mgl"), p, strict=True))) for p in ((0.1, 0.05, 1), (0.12, 0.02, 1.1))
+    )
+    assert np.abs(equations.residual(along, true)).max() < 1e-9
     more = 0.02 * along.a - 0.03 * along.v + 0.1 * np.sin(along.q)
-    expected = more if form == "strong" else weak_rows(more, along)
-    assert off == pytest.approx(expected, abs=1e-3)
-    names = list(system.parameter_names)
-    parts = {"J": along.a, "b": along.v, "mgl": np.sin(along.q)}
-    for name, part in parts.items():
-        wanted = part if form == "strong" else weak_rows(part, along)
-        assert j[:, :, names.index(name)] == pytest.approx(wanted, abs=5e-3)
-    chosen = [names.index("mgl"), names.index("J")]
-    assert equations.residual(along, system.vector(true), form, chosen)[1] == pytest.approx(j[:, :, chosen])
-    assert equations.residual(along, system.vector(true), form, [])[1].shape == (*r.shape, 0)
-    assert equations.input_size(along, system.vector(true)) == pytest.approx(np.sqrt(np.mean(along.u**2)))
+    assert equations.residual(along, other) == pytest.approx(more)
+    assert equations.force_of(along, true) == pytest.approx(along.u)
+    slower = replace(along, factor=8)
+    assert equations.residual(slower, other) == pytest.approx(decimated(more, slower), abs=1e-9)
+    parts = {"J": along.a, "mgl": np.sin(along.q)}
+    r, j = equations.weak_residual(slower, other, [system.parameter_names.index(name) for name in parts])
+    assert r == pytest.approx(weak_rows(more, slower), abs=1e-3)  # sums for integrals
+    for k, part in enumerate(parts.values()):
+        assert j[:, :, k] == pytest.approx(weak_rows(part, slower), abs=5e-3)
 
 
 @pytest.mark.parametrize(("n", "factor", "width"), [(2000, 1, 8), (2000, 4, 20), (60, 4, 15)])

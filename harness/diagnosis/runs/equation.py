@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -20,15 +20,13 @@ from harness.effects.effect import Placed
 from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
-Form = Literal["strong", "weak"]
-
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Residual force of a system on measured motion, with its derivatives to the parameters."""
+    """Residual force of a system on measured motion."""
 
     system: System
-    strong: Any  # (q, v, a, u, p, t) -> M a - Q (n,), its Jacobian (n, np)
+    strong: Any  # (q, v, a, u, p, t) -> M a - Q (n,)
     weak: Any  # (q, v, u, p, t) -> momentum M v, force Q + M' v, and their Jacobians
     drive: Any  # (q, v, u, p, t) -> force of the inputs (n,)
 
@@ -41,49 +39,29 @@ class Equations:
             known[name] = OnRecords(getattr(self, name))
         return known[name](*arguments)
 
-    def input_size(self, motion: Motion, p: FloatArray) -> float:
-        """Return the rms force of the inputs as the model passes them on; 0 without inputs."""
-        return float(np.sqrt(np.mean(self.force_of(motion, motion.u, p) ** 2)))
+    def force_of(self, motion: Motion, p: FloatArray) -> FloatArray:
+        """Return the force (N, n) of the inputs along a motion."""
+        return self._values("drive", motion.q, motion.v, motion.u, np.asarray(p, dtype=float), motion.t[:, None])[0]
 
-    def force_of(self, motion: Motion, u: FloatArray, p: FloatArray) -> FloatArray:
-        """Return the force (N, n) of inputs u (N, nu) along a motion."""
-        return self._values("drive", motion.q, motion.v, u, np.asarray(p, dtype=float), motion.t[:, None])[0]
-
-    def residual(
-        self, motion: Motion, p: FloatArray, form: Form = "strong", columns: Sequence[int] | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the residual force (rows, n) [force units] and its derivative (rows, n, np).
-
-        Parameters
-        ----------
-        motion : Motion
-            Of one record.
-        p : array (np,)
-            Parameters in the order of the system's.
-        form : {"strong", "weak"}
-            Rows are decimated samples, or test functions (half overlapping) with the mean force over each.
-        columns : sequence of int, optional
-            Parameters whose derivatives are wanted; all if not given.
-        """
-        n, npar, rows = motion.q.shape[1], p.size, motion.q.shape[0]
-        wanted = list(range(npar)) if columns is None else list(columns)
-        k = len(wanted)
+    def residual(self, motion: Motion, p: FloatArray) -> FloatArray:
+        """Return the residual force (rows, n) [force units] of one record, decimated."""
         p, t = np.asarray(p, dtype=float), motion.t[:, None]
-        if form == "strong":
-            out = self._values("strong", motion.q, motion.v, motion.a, motion.u, p, t)
-            r, j = _unpack(out, n, npar, rows)
-            slim = decimated(r, motion)
-            if k == 0:
-                return slim, np.zeros((*slim.shape, 0))
-            return slim, decimated(j[:, :, wanted].reshape(rows, n * k), motion).reshape(-1, n, k)
+        return decimated(self._values("strong", motion.q, motion.v, motion.a, motion.u, p, t)[0], motion)
+
+    def weak_residual(self, motion: Motion, p: FloatArray, columns: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the mean residual force (rows, n) over half overlapping test functions, and its derivatives.
+
+        - ``p`` (np,): parameters in the order of the system's
+        - ``columns``: parameters whose derivatives (rows, n, k) are wanted
+        """
+        n, npar, rows, k = motion.q.shape[1], p.size, motion.q.shape[0], len(columns)
+        p, t = np.asarray(p, dtype=float), motion.t[:, None]
         momentum, force, dm, df = self._values("weak", motion.q, motion.v, motion.u, p, t)
-        (m, jm), (f, jf) = _unpack((momentum, dm), n, npar, rows), _unpack((force, df), n, npar, rows)
-        shape = (rows, n * k)
-        jm, jf = jm[:, :, wanted], jf[:, :, wanted]
-        r = weak_rows(m, motion, derivative=True) - weak_rows(f, motion)
-        if k == 0:
-            return r, np.zeros((*r.shape, 0))
-        j = weak_rows(jm.reshape(shape), motion, derivative=True) - weak_rows(jf.reshape(shape), motion)
+        jm, jf = (
+            one.reshape(rows, npar, n).transpose(0, 2, 1)[:, :, list(columns)].reshape(rows, n * k) for one in (dm, df)
+        )
+        r = weak_rows(momentum, motion, derivative=True) - weak_rows(force, motion)
+        j = weak_rows(jm, motion, derivative=True) - weak_rows(jf, motion)
         return r, j.reshape(-1, n, k)
 
 
@@ -112,7 +90,7 @@ def equations_of(system: System) -> Equations:
     momentum = matrix @ v
     drift = force + ca.jtimes(momentum, q, v)  # Q + M'(q) v, so that d(M v)/dt equals it
     left_over = matrix @ a - force
-    strong = ca.Function("strong", [q, v, a, u, p, t], [left_over, ca.jacobian(left_over, p)])
+    strong = ca.Function("strong", [q, v, a, u, p, t], [left_over])
     weak = ca.Function("weak", [q, v, u, p, t], [momentum, drift, ca.jacobian(momentum, p), ca.jacobian(drift, p)])
     driving = ca.substitute(system.input_forces, *swap)
     return Equations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [driving]))
@@ -164,10 +142,3 @@ def weak_rows(rows: FloatArray, motion: Motion, *, derivative: bool = False) -> 
     starts = np.arange(0, rows.shape[0] - width + 1, max(width // 2, 1))
     windows = np.lib.stride_tricks.sliding_window_view(rows, width, axis=0)[starts]
     return np.asarray(windows @ (weights / norm))
-
-
-def _unpack(values: Sequence[FloatArray], n: int, npar: int, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Return results by column as (rows, n) and (rows, n, npar)."""
-    r = values[0]
-    j = values[1].reshape(rows, npar, n).transpose(0, 2, 1) if npar else np.zeros((rows, n, 0))
-    return r, j

@@ -97,8 +97,8 @@ def equation_error(
         equations = strong.equations(fitted.effects)
         p = equations.system.vector(fitted.values)
         for use in USES:
-            parts = [equations.residual(motion, p, "strong", ())[0] for motion in strong.motions[use]]
-            pushes = [equations.force_of(motion, motion.u, p) for motion in strong.motions[use]]
+            parts = [equations.residual(motion, p) for motion in strong.motions[use]]
+            pushes = [equations.force_of(motion, p) for motion in strong.motions[use]]
             result[use] = figures(parts, pushes, strong.columns)
         result["meaning"] = "residual force on measured motion, low-passed and decimated"
         return result

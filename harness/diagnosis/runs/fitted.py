@@ -89,8 +89,3 @@ class Fitted:
 def stacked(parts: Sequence[FloatArray]) -> FloatArray:
     """Return columns (N_i, ny, k) as one matrix (sum N_i * ny, k)."""
     return np.concatenate([part.reshape(-1, part.shape[2]) for part in parts])
-
-
-def rms(parts: Sequence[FloatArray]) -> FloatArray:
-    """Return the root mean square of each column (ny,)."""
-    return np.asarray(np.sqrt(np.mean(np.concatenate(list(parts)) ** 2, axis=0)))
