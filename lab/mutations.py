@@ -60,7 +60,7 @@ ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     )),
     "runs": ("harness/diagnosis/runs", (), _of_the_loop(
         "astray", "ends", "equation", "intervals", "reliability", "simple_fits", "statistics", "told", "trust",
-        "verdict", "wide_signs", "worse",
+        "unfold", "verdict", "wide_signs", "worse",
     )),
     "effects": ("harness/effects", (), ("tests/effects",)),
     "vetting": ("harness/vetting", (), ("tests/vetting",)),

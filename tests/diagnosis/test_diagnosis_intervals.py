@@ -87,6 +87,14 @@ def test_a_slow_part_far_below_white_noise_is_seen() -> None:
     assert held >= 0.90 * 2 * SEEDS
 
 
+@pytest.mark.parametrize(("times", "seen"), [(2.2, True), (1.0, False)])
+def test_a_slow_part_is_seen_where_means_vary_twice_as_much_as_of_white_noise(times: float, seen: bool) -> None:
+    """A hundredth of the noise's power: over 128 samples it is as much as the noise."""
+    rng, n = np.random.default_rng(0), 20_000
+    slow = np.sqrt(2.0 * (times - 1.0) / 128.0) * np.sin(np.arange(n) / 700.0)
+    assert (correlation_samples([(rng.standard_normal(n) + slow)[:, None]]) > 1.0) is seen
+
+
 def test_white_residuals_keep_narrow_intervals() -> None:
     held, widths, right = 0, [], []
     for seed in range(SEEDS):

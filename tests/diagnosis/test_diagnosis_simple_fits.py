@@ -186,3 +186,18 @@ def test_a_parameter_far_from_its_declared_value_is_told_where_the_data_determin
     values, logs = {**system.values(), "J": inertia}, frozenset(names)
     fit = Fit((), system, values, names, 3, {}, dict.fromkeys(names, deviation), logs, True, ())
     assert ["J = " in text for text in sizes_off(system, fit)] == ([True] if told else [])
+
+
+def test_errors_of_free_runs_are_told_in_units_of_the_outputs_and_not_of_runs_that_diverge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nominal = SimpleNamespace(parameter_names=("a",))
+    fits: Any = SimpleNamespace(_form=SimpleNamespace(nominal=nominal, weights=np.array([2.0, 10.0])))
+    parts = np.array([[3.0, 1.0], [4.0, -1.0]]), np.array([[0.0, 1.0], [0.0, 1.0]])
+    for shown in (None, SimpleNamespace(finite=False), SimpleNamespace(finite=True, estimation=parts)):
+        monkeypatch.setattr("harness.diagnosis.runs.simple_fits.seen_values", lambda *_, shown=shown: shown)
+        found = SimpleFits.errors(fits, {"a": 1.0, "of an effect": 2.0})
+        if shown is None or not shown.finite:
+            assert found is None
+        else:
+            assert found == pytest.approx([2.5 * 2.0, 10.0])
