@@ -137,6 +137,7 @@ def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -
     form = _oscillating(600, 0)
     nominal = form.fit((), form.first_starts(), None)
     assert nominal is not None
+    assert nominal.logarithmic == {"m", "c", "k"} == set(nominal.free), "what cannot be negative, and no state"
     law = Placed(builtin()["cubic_spring"], "q")
     begun = form.begin([law], [{**nominal.values, law.name("k3"): 0.1}], nominal)
     assert begun is not None
