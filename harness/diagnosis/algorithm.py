@@ -36,6 +36,7 @@ from harness.diagnosis.steps import (
     candidates_of,
     form_of,
     nominal_fit,
+    on_its_day,
     over_nothing,
     run_freely,
     sizes_off,
@@ -136,7 +137,7 @@ def diagnose(
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         share = np.array(thinned.noise)
         whole = None if wrong else all_readings(kind, form, thinned, dataset, policy, folder)
-        outcome = at_full_rate(whole, outcome)
+        outcome = at_full_rate(whole, on_its_day(form, outcome))
         # grade what is left
         outcome, runs, leftover = what_free_runs_say(
             kind, form, outcome, dataset, policy, say, simple, share=share, whole=whole
@@ -145,7 +146,7 @@ def diagnose(
             remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
         )
         if rounded is not outcome:  # named last: a rounded prediction errs by its own rounding, which denies nothing
-            rounded = at_full_rate(whole, rounded)
+            rounded = at_full_rate(whole, on_its_day(form, rounded))
             outcome, finer = rounded, run_freely(kind, form, rounded, dataset, simple, share)
             runs = runs if finer.worse(policy) else finer
         outcome = widened(form, outcome)

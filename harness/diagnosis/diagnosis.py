@@ -153,7 +153,7 @@ class Diagnosis:
 
     @property
     def disagree(self) -> bool:
-        """True where the validation records want other parameters than the estimation records."""
+        """True where records want other parameters than those that the estimation records tell together."""
         return self.apart is not None and self.apart.matters(self.policy)
 
     @property

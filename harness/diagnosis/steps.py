@@ -174,6 +174,12 @@ def what_is_left(form: WholeForm, whole: Remembered | None, outcome: Outcome, po
     return left_over(form, outcome.model, policy)
 
 
+def on_its_day(form: WholeForm, outcome: Outcome) -> Outcome:
+    """Return an outcome whose model has the friction and the zeros of the day of the validation records there."""
+    model = form.on_its_day(outcome.model)
+    return outcome if model is outcome.model else replace(outcome, model=model)
+
+
 def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
     """Return an outcome whose model has the values that all readings tell, as sure as these make them.
 
@@ -190,7 +196,7 @@ def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
     if any(impossible(whole, one, found) for one in fit.effects):
         return outcome
     # the system has their bounds
-    told = "system", "values", "deviations", "beside", "logarithmic", "on_bound", "own", "day"
+    told = "system", "values", "deviations", "beside", "logarithmic", "on_bound", "own"
     model = replace(fit, **{name: getattr(found, name) for name in told})
     return replace(outcome, nominal=model if fit is outcome.nominal else outcome.nominal, model=model)
 

@@ -56,6 +56,23 @@ def test_a_law_that_only_one_day_has_is_no_nothing_missing(foreign_pendulum: Cal
     assert found.verdict == "unexplained"
 
 
+def test_estimation_records_of_machines_that_differ_are_not_explained(foreign_pendulum: Callable[..., Dataset]) -> None:
+    """Their mean was told, and that nothing is missing: a damper that was changed between two of three records."""
+    first, then, last = (
+        foreign_pendulum(seed, lambda q, v, u, t, b=b: -b * v) for seed, b in ((1, 0), (2, 0.03), (3, 0))
+    )
+    data = Dataset("two dampers", (first.runs[0], then.runs[0], last.runs[1]))
+    found = diagnose(data, load_model("pendulum"))
+    assert found.grade == "proxy_or_incomplete"
+    assert found.verdict == "unexplained"
+    assert any(
+        "estimation record 2 of 2 wants other parameters" in words and ", b " in words for words in found.warnings
+    )
+    alike = diagnose(Dataset("one damper", (first.runs[0], last.runs[0], last.runs[1])), load_model("pendulum"))
+    assert alike.verdict == "nothing_missing"
+    assert alike.grade == "explained"
+
+
 def test_a_sign_that_turns_is_no_other_day(foreign_pendulum: Callable[..., Dataset]) -> None:
     """What brakes in one record and drives in the other is no friction: its level differs by more than days do."""
     first, then = (

@@ -1,8 +1,8 @@
-"""Do estimation and validation records agree on the parameters? If not, one model cannot be that of both."""
+"""Do all records agree on the parameters? If not, one model cannot be that of all of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,18 +13,19 @@ from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError
 from harness.physics.fitting.likelihood import Likelihood
-from harness.physics.fitting.maximum import LikelihoodFit
-from harness.signals import FloatArray
+from harness.physics.fitting.maximum import LikelihoodFit, Point
+from harness.signals import FloatArray, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """The validation records with parameters of their own, against those that the estimation records leave them."""
+    """Records with parameters of their own, against those that the estimation records leave them."""
 
     gain: float  # Log-likelihood that they gain
     terms: Sequence[FloatArray] = field(repr=False)  # sequence of array (K,): The same by record and sample
     name: str  # The parameter that moves farthest, in standard deviations; empty if none does
-    value: float  # What the validation records want it to be
+    value: float  # What these records want it to be
+    alone: str = ""  # Which of the estimation records this is; empty for the validation records
 
     def matters(self, policy: Policy) -> bool:
         """Return True if the records disagree by evidence, and not in a few places only.
@@ -47,20 +48,28 @@ class Apart:
         """Return what to tell a user; ``values`` are those of the estimation records."""
         moved = f", {self.name} {values[self.name]:.4g} -> {self.value:.4g}" if self.name else ""
         return (
-            "the validation records want other parameters than the estimation records (log-likelihood "
-            f"{self.gain:.0f} higher{moved}): another machine, another load, or something that changes between records"
+            f"{self.which} (log-likelihood {self.gain:.0f} higher{moved}): another machine, another load, or something "
+            "that changes between records"
         )
 
+    @property
+    def which(self) -> str:
+        """Who wants other parameters than whom."""
+        if self.alone:
+            return f"{self.alone} wants other parameters than all of them together"
+        return "the validation records want other parameters than the estimation records"
 
-def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
-    """Return how much likelier the validation records are with parameters of their own; None if that diverges.
+
+def apart(likelihood: Likelihood, fit: Fit, point: Point, alone: str = "") -> Apart | None:
+    """Return how much likelier records are with parameters of their own; None if that diverges.
 
     Noise, initial states and phases are their own in either case, and at their maximum, and shared parameters are as
     uncertain as the estimation records leave them: a noise that fits better is no other machine.
 
-    - ``likelihood``: of the validation records
+    - ``likelihood``: of these records
+    - ``point``: where they are likeliest with the parameters of the fit
+    - ``alone``: which estimation record this is
     """
-    point = likelihood_detail(fit).points["validation"]
     own = [name for name in likelihood.names if name not in fit.free or name in fit.own]
     try:
         before = likelihood.maximise(point, free=own, exact=False)
@@ -75,7 +84,25 @@ def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
     gains = [mine - free for mine, free in zip(shared, after.terms, strict=True)]
     moved = _moved(fit, after)
     farthest = max(moved, key=lambda name: moved[name], default="")
-    return Apart(float(sum(gain.sum() for gain in gains)), gains, farthest, after.parameters.get(farthest, np.nan))
+    return Apart(
+        float(sum(gain.sum() for gain in gains)), gains, farthest, after.parameters.get(farthest, np.nan), alone
+    )
+
+
+def most_apart(
+    likelihood: Callable[[str, Sequence[Trajectory]], Likelihood], fit: Fit, records: Mapping[str, Sequence[Trajectory]]
+) -> Apart | None:
+    """Return :func:`apart` of the validation records or of one of several estimation records, whichever gains most.
+
+    - ``likelihood``: of records of a use
+    - ``records``: by use
+    """
+    points, runs = likelihood_detail(fit).points, records["estimation"]
+    found = [apart(likelihood("validation", records["validation"]), fit, points["validation"])]
+    for k, run in enumerate(runs if len(runs) > 1 else ()):
+        point = replace(points["estimation"], x0=[points["estimation"].x0[k]])
+        found.append(apart(likelihood("estimation", [run]), fit, point, f"estimation record {k + 1} of {len(runs)}"))
+    return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
 
 
 def _within_spread(likelihood: Likelihood, fit: Fit, after: LikelihoodFit) -> list[FloatArray]:

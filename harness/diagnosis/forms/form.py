@@ -80,8 +80,12 @@ class WholeForm(Form, Protocol):
         """Return the pass of a fit over every record of a use, and the smoothed states."""
         ...
 
+    def on_its_day(self, fit: Fit) -> Fit:
+        """Return a fit whose validation records have the friction and the zeros of their day."""
+        ...
+
     def apart(self, fit: Fit) -> Apart | None:
-        """Return how much likelier the validation records are with parameters of their own; None if nothing tells."""
+        """Return how much likelier some of the records are with parameters of their own; None if nothing tells."""
         ...
 
     def with_deviations(self, fit: Fit) -> Fit:

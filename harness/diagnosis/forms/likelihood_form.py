@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, cast
 import numpy as np
 
 from harness.diagnosis.effort import EFFORT
-from harness.diagnosis.forms.apart import Apart, apart
+from harness.diagnosis.forms.apart import Apart, most_apart
 from harness.diagnosis.forms.first_steps import from_instants, hopeful, in_sight, looked, stepped
 from harness.diagnosis.forms.fit_records import (
     LikelihoodDetail,
@@ -26,6 +26,7 @@ from harness.diagnosis.forms.named import (
     beside,
     known,
     nuisances,
+    of_a_day,
     per_record,
     state_name,
     state_values,
@@ -53,10 +54,8 @@ if TYPE_CHECKING:
 
 NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
-ROUNDING = np.sqrt(12.0)
-"""Step of a grid over the deviation of what is rounded to it."""
-_LONG = 60
-"""Iterations of a fit that is to come to its end."""
+ROUNDING = np.sqrt(12.0)  # Step of a grid over the deviation of what is rounded to it.
+_LONG = 60  # Iterations of a fit that is to come to its end.
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,16 +349,27 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             return fit
         return replace(fit, incoherence={str(placed): self.incoherence_of(fit, placed) for placed in repeating})
 
-    def apart(self, fit: Fit) -> Apart | None:
-        """Return how much likelier the validation records are with parameters of their own; None without latent forces.
+    def on_its_day(self, fit: Fit) -> Fit:
+        """See :class:`harness.diagnosis.forms.form.WholeForm`."""
+        if not of_a_day(fit.effects):
+            return fit
+        detail, system = likelihood_detail(fit), cast("SystemT", fit.system)
+        start = replace(detail.points["validation"], p=system.vector({**fit.values, **fit.own}))
+        likelihood = self._likelihood(fit.model, "validation", detail.passes)
+        try:
+            expected = predicted(likelihood, start, detail.best, fit.free, list(fit.own), fit.effects)
+        except (FitError, ArithmeticError, np.linalg.LinAlgError):
+            return fit
+        outside = self._outside(system, detail.passes, expected.point, detail.told)
+        rest = detail.best, fit.own, outside or [], expected, detail.told
+        return fit if outside is None else self._fitted(fit.effects, system, detail.passes, *rest)
 
-        Free runs of processes have coloured errors: their evidence is overstated.
-        """
-        return (
-            apart(self._likelihood(fit.model, "validation", likelihood_detail(fit).passes), fit)
-            if self.latent
-            else None
-        )
+    def apart(self, fit: Fit) -> Apart | None:
+        """See :class:`harness.diagnosis.forms.form.WholeForm`; coloured errors of free runs overstate evidence."""
+        if not self.latent:
+            return None
+        passes = likelihood_detail(fit).passes
+        return most_apart(lambda use, runs: self._likelihood(fit.model, use, passes, runs), fit, self.records)
 
     def with_deviations(self, fit: Fit) -> Fit:
         """Return a fit with deviations for a coloured error of its free runs; one with latent forces as it is."""
@@ -408,7 +418,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             chosen = likelihood.maximise(chosen, free=free, exact=False)
         chosen = from_instants(likelihood, chosen, free=free)
         shared = [name for name in best.names if name in system.parameter_names]
-        expected = predicted(likelihood, chosen.point, best, shared, own, system.effects)
+        expected = predicted(likelihood, chosen.point, best, shared, own, system.effects, before)
         phases = [name for name in own if name in turning]
         told = self._told_by_halves(system, passes, expected.point, phases) if phases else []
         return {name: chosen.parameters[name] for name in own}, told, expected

@@ -101,15 +101,17 @@ def predicted(
     free: Sequence[str],
     own: Sequence[str],
     effects: Sequence[Placed],
+    enough: float = np.inf,
 ) -> Predictive:
     """Return the density of records given those of the estimation, on the same day or another one: the larger of both.
 
-    A friction that would drive on the other day, and not brake, is none of another day.
+    Another day is asked only where the log-density on the same one is below ``enough``: it makes wrong laws likelier,
+    too. A friction that would drive there, and not brake, is none of another day.
     """
     same = predictive(likelihood, start, free, spread_of(best, free, own))
     days = of_a_day(effects)
     same = replace(same, moved=np.append(same.moved, np.zeros(len(days))))
-    if not days:
+    if not days or _density(likelihood, same) >= enough:
         return same
     spread = spread_of(best, free, own, effects)
     other = predictive(likelihood, start, free, spread)

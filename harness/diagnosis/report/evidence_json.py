@@ -469,8 +469,8 @@ def _cause(found: Diagnosis) -> str:
         return f"{gain}, but {refusals_text(refused.refusals)}"
     if found.rival:
         return f"{found.rival.replace('_', ' ').replace('@', ' at ')} alone helps free runs more, but is not accepted"
-    if found.disagree:
-        return "the validation records want other parameters than the estimation records"
+    if found.apart is not None and found.disagree:
+        return found.apart.which
     if found.shaken:
         return _happened(found)
     if found.astray:
