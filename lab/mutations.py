@@ -55,8 +55,8 @@ ROOMS: Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
         "stand_in",
     ), "tests/core/test_core_small_faults.py")),
     "forms": ("harness/diagnosis/forms", (), _of_the_loop(
-        "ends", "first_steps", "intervals", "lost_noise", "predictive", "remembered", "simple_fits", "starts", "trust",
-        "verdict",
+        "another_day", "ends", "first_steps", "fmu_states", "intervals", "lost_noise", "predictive", "remembered",
+        "simple_fits", "starts", "thinning", "trust", "verdict",
     )),
     "runs": ("harness/diagnosis/runs", (), _of_the_loop(
         "astray", "ends", "equation", "intervals", "reliability", "simple_fits", "statistics", "told", "trust",

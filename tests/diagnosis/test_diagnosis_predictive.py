@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness import api
+from harness.diagnosis.forms.halves import judged_by_halves, told_by_halves
 from harness.diagnosis.forms.predictive import _outside_starts, predictive, spread_of
 from harness.physics import load_model
 from harness.physics.compiled.kalman_pass import KalmanPass, Noise
@@ -133,3 +135,40 @@ def test_a_step_along_the_spread_takes_the_initial_state_along() -> None:
     left = moved + starts @ move
     assert np.sum((part.left + part.along @ step) ** 2) == pytest.approx(left @ left)
     assert part.taken == pytest.approx(residual @ residual - part.left @ part.left)
+
+
+def test_each_half_of_a_record_is_judged_by_the_phases_that_the_other_half_tells() -> None:
+    """Fitted where it is judged, a phase would let any line of a spectrum pass for something periodic."""
+    records: Any = [np.arange(7.0), np.arange(4.0)]
+    noise: Any = None
+    point = Point(np.array([0.0]), [np.array([1.0]), np.array([2.0])], noise)
+    asked: list[tuple[float, ...]] = []
+
+    class Half:
+        start_names = ("x0[q]",)
+
+        def __init__(self, part: np.ndarray) -> None:
+            self.part = part
+
+        def maximise(self, start: Point, *, free: list[str], **_: Any) -> Any:
+            assert free == ["phi", "x0[q]"]
+            asked.append((*self.part, float(start.x0[0][0])))
+            return SimpleNamespace(point=SimpleNamespace(p=np.array([self.part[0]])))
+
+    half: Any = Half
+    told = told_by_halves(records, point, ["phi"], half, lambda part: np.array([-part[0]]))
+    assert asked == [(0, 1, 2, 1), (3, 4, 5, 6, -3), (0, 1, 2), (2, 3, -2)], (
+        "the record's own start, then what it reads"
+    )
+
+    def passes(record: np.ndarray, p: np.ndarray, x0: np.ndarray, noise: Any) -> Any:
+        return SimpleNamespace(e=p[0] + 0.0 * record, s=10.0 * p[0] + 0.0 * record)
+
+    paths: Any = [SimpleNamespace(e=np.full(len(one), np.nan), s=np.full(len(one), np.nan)) for one in records]
+    run: Any = passes
+    found = judged_by_halves(paths, run, records, point, told)
+    assert found is not None
+    assert [path.e.tolist() for path in found] == [[3, 3, 3, 0, 0, 0, 0], [2, 2, 0, 0]]
+    assert [path.s.tolist() for path in found] == [[30, 30, 30, 0, 0, 0, 0], [20, 20, 0, 0]]
+    run = Mock(return_value=None)
+    assert judged_by_halves(paths, run, records, point, told) is None

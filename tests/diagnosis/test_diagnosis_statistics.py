@@ -86,6 +86,17 @@ def test_correlations_are_the_sums_that_their_formulas_say() -> None:
     assert found.p == pytest.approx(kolmogorov(np.abs(sums).max() * np.sqrt(40) / spread))
 
 
+def test_units_of_residual_and_input_change_no_test() -> None:
+    rng = np.random.default_rng(6)
+    u, r = coloured(300, rng), rng.standard_normal(300)
+    plain, small = (
+        [tests.ljung_box(a * r).p, tests.input_correlation(a * u, a * r).p, tests.cusum_of_squares(a * r)[2].p,
+         tests.effective_samples(a * r), *tests.autocorrelation(a * r, 3), *tests.cross_correlation(a * u, a * r, 3)]
+        for a in (1.0, 1e-6)
+    )  # fmt: skip
+    assert small == pytest.approx(plain)
+
+
 def test_of_a_residual_that_is_nothing_no_test_says_anything() -> None:
     nothing, u = np.zeros(50), np.random.default_rng(0).standard_normal(50)
     assert tests.autocorrelation(nothing, 3).tolist() == [1.0, 0.0, 0.0, 0.0]
