@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +15,9 @@ import pytest
 from harness.errors import InputError, PlantError
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.vetting import inside
+from harness.vetting.described import _experiment
 from harness.vetting.findings import Finding, Vetting
-from harness.vetting.reference import _channel, _step
+from harness.vetting.reference import _channel, _Drive, _held, _step, _stepped
 from harness.vetting.runs import CHANGES, CHECKS, FEWEST, LEAK, RETURNS, Subject, excited
 from harness.vetting.tubes import Tube
 
@@ -218,3 +220,80 @@ def test_a_run_covers_its_reference_but_for_a_step_at_either_end(begin: float, e
     one = _channel("y", Tube(0.1), reference, t, 2.0 * t)
     assert one.passed is covers
     assert ("the run covers" in one.text) is not covers
+
+
+def test_an_input_is_held_from_its_own_instant_on_and_a_continuous_one_is_as_half_way() -> None:
+    drive = _Drive(np.array([0.0, 0.2, 0.4]), {"u": np.array([1.0, 2.0, 4.0])}, True)
+    at = 0.1 * np.arange(5)
+    smooth, held = {"variability": "continuous", "type": "Real"}, {"variability": "discrete", "type": "Real"}
+    assert _held(drive, "u", at, 0.1, smooth) == pytest.approx([1.25, 1.75, 2.5, 3.5, 4.0])
+    for row in (held, {"variability": "continuous", "type": "Int32"}):
+        assert _held(drive, "u", at, 0.1, row).tolist() == [1.0, 1.0, 2.0, 2.0, 4.0]
+    assert _held(replace(drive, between=False), "u", at, 0.1, smooth).tolist() == [1.0, 1.0, 2.0, 2.0, 4.0]
+
+
+@pytest.mark.parametrize("through", [False, True])
+@pytest.mark.parametrize("ends", [9, 2])
+def test_a_run_is_told_as_far_as_it_comes_and_why_it_ends(through: bool, ends: int) -> None:
+    """A sum of its inputs; with feedthrough a reading shows the input of its own instant too."""
+
+    class Sum:
+        spec = SimpleNamespace(feedthrough=through)
+
+        def reset(self, **_: Any) -> np.ndarray:
+            self.x, self.steps = 0.0, 0
+            return np.array([0.0])
+
+        def step(self, u: np.ndarray) -> np.ndarray:
+            self.steps += 1
+            if self.steps > ends:
+                raise PlantError("it ends")
+            self.x += float(u[0])
+            return np.array([self.x])
+
+        def output(self, u: np.ndarray) -> np.ndarray:
+            return np.array([self.x + 100.0 * u[0]])
+
+        def rollout(self, u: np.ndarray) -> np.ndarray:
+            return np.array([self.step(one) for one in u])
+
+    u = np.array([[1.0], [2.0], [3.0], [4.0]])
+    seen, why = _stepped(Sum(), u)
+    whole = [100.0, 201.0, 303.0, 406.0] if through else [0.0, 1.0, 3.0, 6.0]
+    assert seen[:, 0].tolist() == whole[: ends + 1]
+    assert why == ("it ends" if ends == 2 else "")
+
+
+@pytest.mark.parametrize(
+    ("given", "passed"),
+    [
+        ({}, None),
+        ({"stopTime": 2.0}, True),
+        ({"startTime": 2.0, "stopTime": 2.0}, False),
+        ({"startTime": 1.0, "stopTime": 2.0, "stepSize": 1.0}, True),
+        ({"startTime": 1.0, "stopTime": 2.0, "stepSize": 1.1}, False),
+        ({"stepSize": 0.1}, True),
+        ({"stepSize": 0.0}, False),
+        ({"stepSize": np.inf}, False),
+    ],
+)
+def test_a_default_experiment_ends_after_it_begins_and_has_a_step_within(given: dict[str, float], passed: bool) -> None:
+    empty = dict.fromkeys(("startTime", "stopTime", "stepSize", "tolerance"))
+    assert _experiment({"experiment": {**empty, **given}}).passed is passed
+
+
+def test_the_time_of_a_sample_is_told_over_real_time() -> None:
+    told = {
+        "make": 0.2,
+        "initialise": 0.01,
+        "sample": 1e-3,
+        "threads": 2.0,
+        "said": 0.0,
+        "written": (),
+        "sample_time": 0.1,
+    }
+    came = found("timing", speed=told).came
+    assert came == (
+        "200 ms to load and instantiate, 10.0 ms to initialise, 1000.0 us a sample: 100 times real time; "
+        "2 threads of its own"
+    )
