@@ -13,10 +13,12 @@ from harness.blackbox.effects import surround
 from harness.blackbox.reader import fmu_system
 from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator, Loan
+from harness.data import load_dataset
 from harness.diagnosis.fmu.form import _convolution
 from harness.diagnosis.fmu.passes import FreePass, Run
 from harness.effects import builtin
 from harness.effects.effect import Placed
+from harness.errors import InputError
 from harness.physics.compiled.kalman_pass import Noise
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from plants.mockups import mockup
@@ -119,3 +121,11 @@ def test_variables_without_a_unit_take_that_of_the_data(tmp_path: Path) -> None:
     assert [one.unit for one in (*plain.inputs, *plain.outputs)] == ["1", "1"]
     assert (plain.coordinates, plain.notes) == ((), ())
     assert fmu_system(mockup("pendulum"), PENDULUM).notes == ()
+    data = tmp_path / "log.csv"
+    lines = [f"{t:.2f},{u:.6f},{57.3 * y:.6f}" for t, u, y in zip(T, U[:, 0], 0.1 * np.sin(3 * T), strict=True)]
+    data.write_text("time [s],u [N m],theta [deg]\n" + "\n".join(lines))
+    read = load_dataset(data, model=str(path)).dataset
+    assert [str(one) for one in (*read.spec.inputs, *read.spec.outputs)] == ["u [N m]", "theta [rad]"]
+    assert np.abs(read.runs[0].trajectory.y).max() == pytest.approx(0.1, rel=0.01)
+    with pytest.raises(InputError, match="unit does not fit"):  # what declares one still has to be given it
+        load_dataset(data, model=str(mockup("pendulum")), unit={"theta": "m"})

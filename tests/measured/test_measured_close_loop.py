@@ -30,7 +30,6 @@ def test_emps_lacks_friction_that_no_single_law_of_the_dictionary_describes(reco
     found = {(one["name"], one["at"]) for one in data["effects"]}
     assert any(name in FRICTION and place == "q" for name, place in found)
     assert ("asymmetric_damping", "q") in found
-    assert data["adequacy"] == "proxy_or_incomplete"
     assert validation_error(report, "before", "q") == pytest.approx(1.92e-3, rel=0.05)
     assert validation_error(report, "after", "q") <= 0.53e-3
     assert data["errors"]["after"]["simulation_error"]["horizon_s"] == 1.0

@@ -14,7 +14,7 @@ from harness.data.recipe.chosen import Chosen, Signals
 from harness.data.recipe.description import read_description
 from harness.data.recipe.in_memory import are_records, of_records
 from harness.data.recipe.loaded import LoadedDataset
-from harness.data.recipe.ports import ANY_PORTS
+from harness.data.recipe.ports import ANY_PORTS, Ports
 from harness.data.recipe.reading import DATA_FOLDER, Reader
 from harness.data.tables.bags import is_bag_folder
 from harness.data.tables.memory import in_memory
@@ -120,11 +120,12 @@ def _load(
     suffix = suffix_of(path)
     described = suffix in FORMATS or is_bag_folder(path)
     notes: list[str] = []
+    at = None if ports is None else Ports(tuple(ports[0]), tuple(ports[1]))
     if suffix in BARE or path in tables or (described and chosen.anything):
         description, known = describe_bare(
             path, model=model, validation=validation, ports=ports, notes=notes, tables=tables, chosen=chosen
         )
-        ports = None if known is None else (known.inputs, known.outputs)
+        at = None if known is None else Ports(known.inputs, known.outputs, untold=known.untold)
     elif described and path.exists():
         raise InputError(
             "a file that needs a description",
@@ -152,7 +153,7 @@ def _load(
         description = read_description(path)
     description = msgspec.structs.replace(description, undriven=tuple({*description.undriven, *undriven}))
     try:
-        reader = Reader(path, description, notes, tables, model=model, ports=ports)
+        reader = Reader(path, description, notes, tables, model=model, ports=at)
         return reader.load(fitted=not chosen.whole)
     except InputError as error:
         raise error.located(file=path) from error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +28,7 @@ class Plan:
     description : Description
     model : str or None
         Nominal model in place of the declared one.
-    ports : (inputs, outputs) or None
+    ports : Ports or None
         Channels of the model, where the caller knows them.
     header_unit : callable
         Returns the unit that the files state for a signal, or None; its second argument is a unit of what the signal
@@ -57,7 +57,7 @@ class Plan:
         description: Description,
         *,
         model: str | None,
-        ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
+        ports: Ports | None,
         header_unit: Callable[[str, str | None], str | None],
     ) -> None:
         self.path, self.description = path, description
@@ -96,12 +96,10 @@ class Plan:
         }
         return Nominal(located_model(section.model, self.path.parent), section.options, parameters, section.analogy)
 
-    def _ports(self, ports: tuple[Sequence[Channel], Sequence[Channel]] | None) -> Ports | None:
+    def _ports(self, ports: Ports | None) -> Ports | None:
         """Return the ports that signals may sit on; None where any will do."""
-        if ports is not None:
-            return Ports(tuple(ports[0]), tuple(ports[1]))
-        if self.nominal is None:
-            return None
+        if ports is not None or self.nominal is None:
+            return ports
         try:
             return ports_of(self.nominal.model, self.nominal.options, analogy=self.nominal.analogy)
         except InputError as error:
@@ -206,7 +204,7 @@ class Plan:
             return Channel(label, _si(unit, place))
         port = self.ports.find(self.port(name), signal.role)
         target = rate_unit(port.unit, signal.derivative)
-        if not self.ports.units_fixed:
+        if not self.ports.units_fixed or port.name in self.ports.untold:
             return Channel(label, _si(unit, place))
         if not _fits(unit, target, place):
             raise InputError(

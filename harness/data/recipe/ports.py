@@ -30,6 +30,8 @@ class Ports:
     units_fixed: bool = True  # False where the model takes over the units of the data
     joints: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Input and output port of each joint by the name that the robot's file gives it."""
+    untold: frozenset[str] = frozenset()
+    """Ports of which a model does not tell the unit, as an FMU may: they take over that of the data as it stands."""
     rates: bool = True
     """False where the rates of the outputs cannot be measured too: a fitted model has the outputs that it has."""
 
@@ -171,16 +173,22 @@ def _fmu_ports(path: str, *, analogy: bool) -> Ports:
             file=path,
         ) from error
 
+    untold: set[str] = set()
+
     def channel(variable: Any) -> Channel:
         declared = getattr(variable, "declaredType", None)
-        unit = variable.unit or (getattr(declared, "unit", None) if declared is not None else None) or "1"
-        return Channel(str(variable.name), str(unit))
+        unit = variable.unit or (getattr(declared, "unit", None) if declared is not None else None)
+        if unit is None and variable.type in ("Real", "Float64", "Float32"):
+            untold.add(str(variable.name))
+        return Channel(str(variable.name), str(unit or "1"))
 
     groups = {
         kind: tuple(channel(v) for v in description.modelVariables if v.causality == kind and v.type != "String")
         for kind in ("input", "output", "local")
     }
-    return Ports(groups["input"], (*groups["output"], *groups["local"]), Path(path).name, units_fixed=not analogy)
+    return Ports(
+        groups["input"], (*groups["output"], *groups["local"]), Path(path).name, not analogy, untold=frozenset(untold)
+    )
 
 
 def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:

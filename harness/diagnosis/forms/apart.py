@@ -11,6 +11,7 @@ from harness.diagnosis.forms.fit_records import likelihood_detail
 from harness.diagnosis.forms.predictive import predicted
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.fit import Fit
+from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit, Point
@@ -76,7 +77,7 @@ def apart(likelihood: Likelihood, fit: Fit, point: Point, alone: str = "") -> Ap
         after = likelihood.past_forces(likelihood.maximise(before, exact=False))
         shared = min(
             before.terms,
-            _within_spread(likelihood, fit, after),
+            _within_spread(likelihood, fit, after, fit.effects if alone or fit.day else ()),
             key=lambda terms: sum(float(part.sum()) for part in terms),
         )
     except (FitError, ArithmeticError, np.linalg.LinAlgError):
@@ -105,19 +106,19 @@ def most_apart(
     return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
 
 
-def _within_spread(likelihood: Likelihood, fit: Fit, after: LikelihoodFit) -> list[FloatArray]:
+def _within_spread(likelihood: Likelihood, fit: Fit, after: LikelihoodFit, days: Sequence[Placed]) -> list[FloatArray]:
     """Return minus the log-density of every sample beside the noise that other parameters want.
 
     Parameters are where they are likeliest within what the estimation records leave open; how far that is costs, spread
-    evenly. Noise has several maxima: what it is beside other parameters it may be beside these.
+    evenly. Noise has several maxima: what it is beside other parameters it may be beside these. Of these effects
+    (``days``) friction and zeros may be those of another day.
     """
     start = likelihood_detail(fit).best.point.p.copy()
     for name in fit.own:
         k = likelihood.system.parameter_names.index(name)
         start[k] = after.point.p[k]
-    expected = predicted(
-        likelihood, replace(after.point, p=start), likelihood_detail(fit).best, fit.free, list(fit.own), fit.effects
-    )
+    best = likelihood_detail(fit).best
+    expected = predicted(likelihood, replace(after.point, p=start), best, fit.free, list(fit.own), days)
     paths = likelihood.filtered(expected.point)
     if paths is None:
         raise FitError("validation", expected="a finite state", got="divergence", remedy="refit the model")
