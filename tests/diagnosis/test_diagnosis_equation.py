@@ -62,7 +62,7 @@ def test_means_over_test_functions_keep_a_constant_and_give_the_slope_of_a_line(
 @pytest.mark.parametrize(("n", "cut"), [(4000, 10), (804, 10), (800, 2)])
 def test_decimated_rows_are_where_they_were_but_for_ends_and_what_does_not_count(n: int, cut: int) -> None:
     along = swing(n, 4)
-    slow, fast = np.sin(along.t), np.cos(0.7 * np.pi / DT * along.t)
+    slow, fast = np.sin(along.t), np.cos(0.28 * np.pi / DT * along.t)
     found = decimated(np.column_stack([slow, fast, slow, fast]), along)
     kept = slow[::4][cut:-cut]
     assert found[:, 0] == pytest.approx(kept, abs=0.012)  # the ripple of the filter, twice
