@@ -11,7 +11,7 @@ from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.number import described
 from harness.diagnosis.policy import DATA_POLICY, POLICY, RUN_POLICY
 from harness.diagnosis.runs import residual_tests as tests
-from harness.diagnosis.runs.closed_loop_bias import _autoregression, _spread
+from harness.diagnosis.runs.closed_loop_bias import Shift, _autoregression, _spread, laguerre
 
 REPEATS = 400
 
@@ -155,3 +155,21 @@ def test_the_spread_of_weighted_sums_is_that_of_coloured_noise(windows: int) -> 
     assert np.abs(off / np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))).max() < 0.3
     free = {second for _, second in many}
     assert free == {58} if windows == 60 else 100 < min(free) <= max(free) < 1000
+
+
+def test_the_first_of_laguerres_filters_is_a_lag_of_the_time_constant() -> None:
+    out = laguerre(np.r_[1.0, np.zeros(300)], 0.1, 2.0, 4)
+    assert out[1:, 0] / out[:-1, 0] == pytest.approx(np.exp(-0.1 / 2.0))
+    assert out.T @ out == pytest.approx(np.eye(4), abs=1e-5)
+    nine = laguerre(np.ones(800), 0.1, 2.0, 2)[-1]
+    assert nine == pytest.approx(np.sqrt((1 + np.exp(-0.05)) / (1 - np.exp(-0.05))) * np.ones(2))
+
+
+def test_a_shift_is_told_over_both_errors() -> None:
+    told = Shift(2.0, 3.0, 0.5, 0.25).to_dict("kg")
+    assert (told["shift_in_standard_errors"], told["shift_over_its_own_error"]) == (2.0, 4.0)
+    assert (told["value"], told["instrumented"], told["unit"]) == (2.0, 3.0, "kg")
+    untold = Shift(2.0, np.nan, 0.0, 0.0).to_dict("kg")
+    assert [untold[name] for name in ("instrumented", "shift_in_standard_errors", "shift_over_its_own_error")] == [
+        None
+    ] * 3
