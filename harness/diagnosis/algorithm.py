@@ -163,7 +163,7 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*alarms, *cut, *beaten(rival), *over_nothing(outcome.model), *another_day(outcome.model), *faults],
+        [*alarms, *cut, *beaten(rival), *over_nothing(outcome.model), *another_day(outcome.model, runs), *faults],
         time.monotonic() - began,
         apart,
         doubtful=bool(doubts or far),

@@ -233,12 +233,13 @@ def over_nothing(fit: Fit) -> list[str]:
     return warnings
 
 
-def another_day(fit: Fit) -> list[str]:
+def another_day(fit: Fit, runs: FreeRuns) -> list[str]:
     """Return warnings about friction and zeros of instruments that are others on the day of the validation records."""
     return [
         f"{name} differs between the records, as from one day to another: it is {fit.values[name]:.3g} on the "
         f"estimation records and about {level:.3g} on the validation records, whose figures use that"
-        for name, level in fit.day.items()
+        for name, level in ({} if runs.after is None else runs.after.refitted).items()
+        if name in fit.day
     ]
 
 

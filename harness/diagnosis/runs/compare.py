@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -199,7 +198,7 @@ def _motion(records: Sequence[Trajectory], horizon: Horizon, degree: int) -> Flo
 
 def seen(output: FreeRunForm, fit: Fit) -> Fitted | None:
     """Return a fit as free runs show it, its parameters held; None where the simulation diverges."""
-    return seen_values(output, fit.effects, fit.values, fit.own, fit.day, converged=fit.converged)
+    return seen_values(output, fit.effects, fit.values, {**fit.own, **fit.day}, converged=fit.converged)
 
 
 def seen_values(
@@ -207,14 +206,13 @@ def seen_values(
     effects: Sequence[Placed],
     values: Mapping[str, float],
     own: Mapping[str, float] | None = None,
-    day: Mapping[str, float] = MappingProxyType({}),
     *,
     converged: bool = True,
 ) -> Fitted | None:
     """Return a model with effects as free runs show it, its parameters held; None where the simulation diverges.
 
     ``own`` is where the search for what belongs to the validation records starts: by default where the estimation
-    records have it. ``day`` are values that the validation records have instead.
+    records have it.
     """
     system = output.system(effects)
     p = system.vector({name: values[name] for name in system.parameter_names})
@@ -232,7 +230,7 @@ def seen_values(
             record: dict[str, Any] = {
                 "values": dict(values), "x0": x0.tolist(), "converged": converged, "message": "",
             }  # fmt: skip
-            record.update(on_validation(output, system, record, per_record if own is None else own, day))
+            record.update(on_validation(output, system, record, per_record if own is None else own))
             return output.evaluate(effects, record)
     except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
         return None

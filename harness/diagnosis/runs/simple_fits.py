@@ -160,7 +160,7 @@ class SimpleFits:
 
     def seen(self, fit: Fit) -> Fitted | None:
         """Return a fit of the likelihood as the same free runs show it."""
-        return seen_values(self._form, fit.effects, fit.values, fit.own, fit.day)
+        return seen_values(self._form, fit.effects, fit.values, {**fit.own, **fit.day})
 
     def errors(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return the rms error of every output (ny,) of the estimation records with values of the nominal model."""

@@ -6,7 +6,6 @@ They are fitted on every use of the data alike, parameters held; ``form`` is the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,17 +26,16 @@ def on_validation(
     system: AnySystem,
     record: Mapping[str, Any],
     own: Mapping[str, float],
-    day: Mapping[str, float] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Return the initial states of the validation windows, and what belongs to the record refitted there.
 
     ``own`` is where the likelihood has that: a free run has other maxima beside it, and a grid ended in one (an
-    instant three seconds too early, with everything else right to four digits). ``day`` are values that hold there.
+    instant three seconds too early, with everything else right to four digits).
     """
     records = form.records["validation"]
     if not records:
         return {"x0_validation": [], "refitted": {}}
-    p = system.vector({**record["values"], **day, **own})
+    p = system.vector({**record["values"], **own})
     windows = form.windows(system, p, "validation")
     x0 = windows.starts_from([form.from_data(windows.simulator, run, p)[0] for run in records])
     x0 = settled_states(form, system, p, "validation", windows, x0)
@@ -46,7 +44,7 @@ def on_validation(
         solution = minimise(windows, p, x0, free, 25, decrease=form.decrease)
         if np.isfinite(solution.evaluation.cost):
             p, x0 = solution.p, solution.x0
-    refitted = {name: float(p[system.parameter_names.index(name)]) for name in sorted({*own, *day})}
+    refitted = {name: float(p[system.parameter_names.index(name)]) for name in sorted(own)}
     return {"x0_validation": x0.tolist(), "refitted": refitted}
 
 
