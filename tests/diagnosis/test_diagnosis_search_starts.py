@@ -35,9 +35,9 @@ from harness.diagnosis.search.race import _best, _Race, _remembered
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.scores import ScoreTest, score_test
 from harness.diagnosis.search.search import search
-from harness.diagnosis.search.table import Accepted, Answer, Round
-from harness.diagnosis.search.ties import _typical, _usual, alike, tie_set
-from harness.diagnosis.search.warm import as_good, polished
+from harness.diagnosis.search.table import Accepted, Answer, Round, value
+from harness.diagnosis.search.ties import _typical, _usual, alike, refines, tie_set
+from harness.diagnosis.search.warm import as_good, polished, share_ends
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.effects.parameter import par
@@ -78,6 +78,22 @@ def test_a_whole_effect_that_counts_some_times_starts_as_many_times_as_large(sha
     lag = Placed(builtin()["actuator_lag"], "u")
     start = started(lag, {"tau": 0.02}, ("effect",), (share,))
     assert start[lag.name("tau")] == pytest.approx(times * 0.02, rel=0.1 if times == share else 1e-9)
+
+
+def test_an_effect_that_is_there_or_not_starts_as_it_is_and_one_without_a_column_promises_nothing() -> None:
+    """Rectification has no parameter; of a lag whose column says no value, none starts."""
+    for law in (Placed(builtin()["sensor_rectification"], "theta"), Placed(builtin()["actuator_lag"], "u")):
+        start = started(law, {}, ("effect",), (0.5,))
+        assert not any(name.startswith(str(law)) for name in start)
+
+    class Idle(LinearForm):
+        def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+            return [replace(one, estimation=0.0 * one.estimation) for one in super().columns(fit, candidates)]
+
+    form = Idle(linear_records(3, {"cubic_spring": 0.4}))
+    test = score_test(form, form.fit((), [], None), ALL)
+    assert not test.leads
+    assert {(lead.gain, lead.share) for lead in test.hidden} == {(0.0, 0.0)}
 
 
 def test_a_law_starts_from_the_one_that_it_refines_and_from_what_its_place_knows() -> None:
@@ -183,6 +199,35 @@ def test_an_end_is_as_good_as_another_within_one_of_the_likelihood(
     """A law that contains the other may lose more of it, of the validation records alone."""
     other = a_fit((np.full(400, estimation / 400), np.full(400, validation / 400)))
     assert as_good(a_fit(), other, contains=contains) is good
+
+
+@pytest.mark.parametrize(("behind", "upward", "again"), [(5.0, False, True), (0.5, False, False), (5.0, True, False)])
+def test_a_law_that_ended_badly_is_fitted_again_from_the_end_of_what_it_is_a_case_of(
+    behind: float, upward: bool, again: bool
+) -> None:
+    form = LinearForm(linear_records(3, {"linear_spring": 0.4}, alike={"cubic_spring": "linear_spring"}))
+    base, simple = form.fit((), [], None), placed("linear_spring")
+    rich = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")
+    good = form.fit([rich], [], base)
+    whole = form.fit([simple], [], base)
+    off = (behind + value(whole) - value(good)) / 2000
+    stuck = replace(whole, terms={use: [each - off for each in whole.terms[use]] for use in USES})
+    fits: dict[Placed, Fit | None] = {rich: good, simple: stuck}
+    share_ends(table_of(form, base), base, fits, lambda placed: None, upward=upward)
+    assert fits[rich] is good, "it contains the other, and is no worse"
+    assert (fits[simple] is not stuck) is again
+    lost: dict[Placed, Fit | None] = {rich: good, simple: None}
+    share_ends(table_of(form, base), base, lost, lambda placed: None, upward=upward)
+    assert (lost[simple] is not None) is not upward
+
+
+def test_a_pair_refines_no_law_and_a_richer_law_does() -> None:
+    laws = LinearForm(linear_records(3, {})).laws
+    coulomb, stribeck = placed("coulomb_friction"), placed("stribeck_friction")
+    assert refines([stribeck], coulomb, laws)
+    assert not refines([coulomb], stribeck, laws)
+    assert not refines([stribeck, placed("linear_spring")], coulomb, laws)
+    assert not refines([replace(stribeck, at="x")], coulomb, laws)
 
 
 def test_the_rival_that_ends_a_fit_is_another_one_that_passes() -> None:
