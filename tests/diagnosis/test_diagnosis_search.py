@@ -152,9 +152,13 @@ def test_a_free_force_has_as_many_coefficients_as_the_innovations_tell() -> None
     unit = column.estimation[:, 0] / np.linalg.norm(column.estimation[:, 0])
     left = unit - basis @ (basis.T @ unit)
     size, along = float(left @ left), float(left @ residual)
-    gains = {v: 0.5 * (v * along**2 / (1 + v * size) - np.log1p(v * size)) for v in np.geomspace(1e-2, 1e6, 17)}
-    prior = max(gains, key=lambda one: gains[one])
+    prior = max(np.geomspace(1e-2, 1e6, 17), key=lambda v: v * along**2 / (1 + v * size) - np.log1p(v * size))
     assert found.count == pytest.approx(prior * size / (1 + prior * size), rel=1e-6)
+    errors = {use: [(part[:, None], np.ones((len(part), 1)))] for use, part in form.linearised(fit).residual.items()}
+    read = replace(fit, innovations=errors)
+    gains = [replace(found, count=count).beside_memory(read, 2) for count in (2.0, 5.0)]
+    assert gains[0][0] - gains[1][0] == pytest.approx(1.5 * np.log(1000)), "they are paid, where the force was fitted"
+    assert gains[0][1] == gains[1][1]
 
 
 def test_parameters_move_where_their_spread_and_the_validation_records_want_them() -> None:
