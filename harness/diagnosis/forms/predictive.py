@@ -54,7 +54,7 @@ def spread_of(
     days = [
         [share * best.parameters[name] if name in names else 0.0 for name in free] for names, share in of_a_day(effects)
     ]
-    return np.hstack([_known(best, free, own), np.reshape(days, (-1, len(free))).T])
+    return np.hstack([_known(best, free, own), np.reshape(days, (len(days), len(free))).T])
 
 
 def of_its_day(effects: Sequence[Placed], values: Mapping[str, float], moved: FloatArray) -> dict[str, float]:
