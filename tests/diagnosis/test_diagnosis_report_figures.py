@@ -5,8 +5,10 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from harness.diagnosis.forms.apart import Apart
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report import candidates, evidence_json
 from harness.diagnosis.report.estimates import effect_data
@@ -201,6 +203,7 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
         ({"rival": (60.0, 40.0)}, "60 in log-likelihood on the estimation records, but its fit did not converge"),
         ({"beaten": "elastic_load@q"}, "elastic load at q alone helps free runs more, but is not accepted"),
         ({"disagree": True}, "the validation records want other parameters"),
+        ({"disagree": True, "alone": "estimation record 2 of 3"}, "estimation record 2 of 3 wants other parameters"),
         (
             {"jumps": (("estimation", 8.0), ("validation", 12.0))},
             "jumps at 8 s of the estimation records and at 12 s of the validation records: something happens there",
@@ -223,6 +226,7 @@ def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict
         policy=POLICY,
         rival=more.get("beaten", ""),
         disagree=more.get("disagree", False),
+        apart=Apart(60.0, [np.full(1000, 0.06)], "J", 0.05, more.get("alone", "")),
         shaken="jumps" in more,
         jumps=tuple(Jump("theta", use, 0, time, 20.0, 0.2) for use, time in more.get("jumps", ())),
         astray="further" in more,
