@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 import os
 import statistics
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from harness.blackbox.system import FmuSystem
+from harness.recent import Recent
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
-KEPT = 64  # Runs that are kept: those of a fit's last steps, over some records.
+KEPT = 64  # Runs that are kept, also with their derivatives: records alternate while a fit steps.
 MEASURED = 8
 """Runs of a length that tell what one costs; the first, which loads the library, takes several times as long."""
 
@@ -82,7 +82,8 @@ class Runner:
         self.before: float | None = None  # CPU time [s] that was spent when a search around the FMU began
         self.steps: dict[tuple[str, int], float] = {}  # Relative steps of differences by parameter and length of a run
         self._rng = np.random.default_rng(0)  # an FMU draws nothing
-        self.tables: OrderedDict[bytes, tuple[FloatArray, FloatArray, FloatArray]] = OrderedDict()  # The last runs
+        self.tables: Recent[bytes, tuple[FloatArray, FloatArray, FloatArray]] = Recent(KEPT)
+        """The last runs of the FMU: effects at the outputs share those of the FMU alone."""
 
     @property
     def seconds(self) -> float:
@@ -96,15 +97,9 @@ class Runner:
             "_owner": 0,
             "_set": {},
             "_finer": {},
-            "tables": OrderedDict(),
+            "tables": Recent(KEPT),
         }
         return {**self.__dict__, **fresh}
-
-    def keep(self, asked: bytes, run: tuple[FloatArray, FloatArray, FloatArray]) -> None:
-        """Keep a run, and the last few of them: effects at the outputs share those of the FMU alone."""
-        self.tables[asked] = run
-        while len(self.tables) > KEPT:
-            self.tables.popitem(last=False)
 
     def finer(self, parts: int) -> Runner:
         """Return the runner of a part of the sample time, made once."""

@@ -8,7 +8,6 @@ share one minimiser.
 from __future__ import annotations
 
 import ctypes
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from time import process_time
@@ -17,19 +16,19 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from harness.blackbox.runner import Runner
+from harness.blackbox.runner import KEPT, Runner
 from harness.blackbox.sums import summed
 from harness.blackbox.system import FmuSystem
 from harness.effects.places import port_of
 from harness.errors import HarnessError
 from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.compiled.sampled import BySample, SampledBlocks
+from harness.recent import Recent
 from harness.signals import FloatArray, PlantSpec
 
 STEP = 1e-3  # Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration.
 BEND = 0.02  # Part of a difference between two sides that may be a bend: the derivative errs by about its square.
 SHORTEST = 1e-3  # Part of a step that the next one has at least: beyond that a bend is no parabola's.
-KEPT = 64  # Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps.
 NEAR = 0.3  # Of a parameter, and of the spread of an output: how far a run may be off one that lends its derivatives.
 
 
@@ -82,8 +81,8 @@ class FmuSimulator(BySample):
         self._free = [k for k, parameter in enumerate(system.parameters) if not parameter.fixed]
         self._compilation: Any = None
         self._library: Any = None
-        self._memory: OrderedDict[bytes, tuple[FloatArray, FloatArray, FloatArray]] = OrderedDict()
-        self._runs: OrderedDict[bytes, tuple[FloatArray, FloatArray]] = OrderedDict()
+        self._memory: Recent[bytes, tuple[FloatArray, FloatArray, FloatArray]] = Recent(KEPT)
+        self._runs: Recent[bytes, tuple[FloatArray, FloatArray]] = Recent(KEPT)
         self.wanted: frozenset[int] | None = None
         """Columns of (p, x0) by which derivatives are computed, None for all; the others are 0."""
         self._lent: list[Loan] | None = None
@@ -204,8 +203,6 @@ class FmuSimulator(BySample):
         key = _key(p, x0, u, t0)
         if key not in self._runs:
             self._runs[key] = self.run(p, x0, u, t0)
-            while len(self._runs) > KEPT:
-                self._runs.popitem(last=False)
         return self._runs[key]
 
     def motion(
@@ -235,7 +232,7 @@ class FmuSimulator(BySample):
         if kept is None:
             kept = self._stepped(p, x0, u, t0, extra)
             if extra is None:
-                self.runner.keep(asked, kept)
+                self.runner.tables[asked] = kept
         table, hidden, rates = kept
         y = table[:, : system.ny].copy()
         if system.around is not None and system.around.reads and np.isfinite(table).all():
@@ -306,8 +303,6 @@ class FmuSimulator(BySample):
             if self._lent is not None and not lent and np.isfinite(s).all():
                 self._lent.append(Loan(p[: self.system.inner_count].copy(), y, slopes))
         self._memory[key] = (x, y, s)
-        while len(self._memory) > KEPT:
-            self._memory.popitem(last=False)
         return x, y, s
 
     def _borrowed(self, p: FloatArray, y: FloatArray) -> Mapping[str, FloatArray]:

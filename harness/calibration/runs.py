@@ -5,7 +5,6 @@ A plant that breaks at some parameters gives NaN there: the search turns back, a
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
@@ -21,6 +20,7 @@ from harness.physics.compiled.sampled import BySample, SampledBlocks
 from harness.physics.definition.dimensions import Dimensions
 from harness.physics.definition.parameters import Parameter
 from harness.protocols import Feedthrough, Plant
+from harness.recent import Recent
 from harness.signals import Channel, FloatArray, PlantSpec
 from harness.supervision.guarded import alive
 
@@ -81,8 +81,8 @@ class FreeRuns(BySample):
         self._outputs = [_place(plant.spec.outputs, channel, "output") for channel in model.outputs]
         self._inputs = [_place(plant.spec.inputs, channel, "input") for channel in model.inputs]
         self._rest = np.array([held.get(channel.name, 0.0) for channel in plant.spec.inputs], dtype=float)
-        self._memory: OrderedDict[bytes, FloatArray] = OrderedDict()
-        self._derived: OrderedDict[bytes, tuple[frozenset[int], FloatArray]] = OrderedDict()
+        self._memory: Recent[bytes, FloatArray] = Recent(KEPT)
+        self._derived: Recent[bytes, tuple[frozenset[int], FloatArray]] = Recent(KEPT)
         self.broken: HarnessError | None = None
         self.own: OwnSlopes | None = None
         """Where it is set, the columns that it is trusted with cost no runs of their own."""
@@ -94,8 +94,6 @@ class FreeRuns(BySample):
             return self._memory[key]
         start = {channel.name: float(value) for channel, value in zip(self.system.states, x0, strict=True)}
         y = self._memory[key] = self.simulate(p, start, u)
-        while len(self._memory) > KEPT:
-            self._memory.popitem(last=False)
         return y
 
     def simulate(self, p: FloatArray, start: Mapping[str, float], u: FloatArray) -> FloatArray:
@@ -203,8 +201,6 @@ class FreeRuns(BySample):
         for k in sorted(lacking):
             s[..., k] = self.differences(k, p, x0, u)
         self._derived[key] = (known | wanted, s)
-        while len(self._derived) > KEPT:
-            self._derived.popitem(last=False)
         if wanted >= known:
             return s
         only = np.zeros_like(s)

@@ -30,19 +30,19 @@ from harness.diagnosis.steps import (
     Progress,
     again_by_free_runs,
     all_readings,
-    another_day,
     at_full_rate,
     beaten,
     candidates_of,
+    day_warnings,
     form_of,
     nominal_fit,
-    on_its_day,
     over_nothing,
     run_freely,
     sizes_off,
     teller,
     what_free_runs_say,
     widened,
+    with_day,
 )
 from harness.diagnosis.systems import AnySystem
 from harness.diagnosis.wanted import Wanted
@@ -137,7 +137,7 @@ def diagnose(
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         share = np.array(thinned.noise)
         whole = None if wrong else all_readings(kind, form, thinned, dataset, policy, folder)
-        outcome = at_full_rate(whole, on_its_day(form, outcome))
+        outcome = at_full_rate(whole, with_day(form, outcome))
         # grade what is left
         outcome, runs, leftover = what_free_runs_say(
             kind, form, outcome, dataset, policy, say, simple, share=share, whole=whole
@@ -146,7 +146,7 @@ def diagnose(
             remembered, outcome, dataset, candidates, policy, noise_of=lambda fit: reading_noise(fit) / share
         )
         if rounded is not outcome:  # named last: a rounded prediction errs by its own rounding, which denies nothing
-            rounded = at_full_rate(whole, on_its_day(form, rounded))
+            rounded = at_full_rate(whole, with_day(form, rounded))
             outcome, finer = rounded, run_freely(kind, form, rounded, dataset, simple, share)
             runs = runs if finer.worse(policy) else finer
         outcome = widened(form, outcome)
@@ -163,7 +163,7 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*alarms, *cut, *beaten(rival), *over_nothing(outcome.model), *another_day(outcome.model, runs), *faults],
+        [*alarms, *cut, *beaten(rival), *over_nothing(outcome.model), *day_warnings(outcome.model, runs), *faults],
         time.monotonic() - began,
         apart,
         doubtful=bool(doubts or far),

@@ -152,6 +152,16 @@ class Effort:
         "latent force over the typical force below which play and hidden resonances have nothing to explain",
         "a fiftieth of an effect worth finding",
     )
+    pushes: int = number(
+        16,
+        "pushes of an FMU from which on a few runs are spent to learn whether one response tells those to all",
+        "cost; the push that asks changes its sign so often",
+    )
+    steady: float = number(
+        0.01,
+        "how far a response may be off its convolution with that to a pulse, over its size",
+        "a score errs by its square",
+    )
     pile: float = number(
         0.004,
         "share of the readings at the largest value from which saturation is tried, however little the score test says",

@@ -38,9 +38,10 @@ class Policy:
     day: float = number(
         0.3,
         "standard deviation of the level of dry friction from one day to another, over the level",
-        "Bittencourt & Gunnarsson 2012, J. Dyn. Sys. Meas. Control 134:051013: by temperature alone tens of percent",
+        "Bittencourt & Gunnarsson 2012, J. Dyn. Sys. Meas. Control 134:051013: load and temperature change a joint's",
         "four free swings of one pendulum: .075, .083, .087 and .14",
     )
+    zero: float = number(1.0, "the same of an instrument's zero", "set anew each day, it may as well have been none")
     sized: float = number(
         0.5,
         "share of the gain that the size of an effect promises of the validation records, below which, by more than "

@@ -174,9 +174,9 @@ def what_is_left(form: WholeForm, whole: Remembered | None, outcome: Outcome, po
     return left_over(form, outcome.model, policy)
 
 
-def on_its_day(form: WholeForm, outcome: Outcome) -> Outcome:
+def with_day(form: WholeForm, outcome: Outcome) -> Outcome:
     """Return an outcome whose model has the friction and the zeros of the day of the validation records there."""
-    model = form.on_its_day(outcome.model)
+    model = form.with_day(outcome.model)
     return outcome if model is outcome.model else replace(outcome, model=model)
 
 
@@ -233,7 +233,7 @@ def over_nothing(fit: Fit) -> list[str]:
     return warnings
 
 
-def another_day(fit: Fit, runs: FreeRuns) -> list[str]:
+def day_warnings(fit: Fit, runs: FreeRuns) -> list[str]:
     """Return warnings about friction and zeros of instruments that are others on the day of the validation records."""
     return [
         f"{name} differs between the records, as from one day to another: it is {fit.values[name]:.3g} on the "

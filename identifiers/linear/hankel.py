@@ -95,8 +95,8 @@ def leading_triplets(matrix: Hankel, count: int) -> tuple[FloatArray, FloatArray
     - ``count``: number of triplets
 
     - returns (U (rows ny, count), s (count,), V' (count, columns nu)), or None where a dense decomposition is the
-      better way: the
-    - returns matrix is small beside ``count``, or the iteration does not settle (no gap after the leading values).
+      better way: the matrix is small beside ``count``, or the iteration does not settle (no gap after the leading
+      values)
 
     Examples
     --------

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmu_files import redescribed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -100,11 +101,8 @@ def test_an_fmu_that_hangs_is_waited_for_once(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_description_that_breaks_the_standard_is_read_as_it_is_for_a_run(tmp_path: Path) -> None:
-    path = tmp_path / "odd.fmu"
-    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(path, "w") as new:
-        for entry in old.infolist():
-            text = old.read(entry)
-            new.writestr(entry, text.replace(b"<ModelVariables>", b'<ModelVariables order="1">'))
+    odd = '<ModelVariables order="1">'
+    path = redescribed(tmp_path / "odd.fmu", lambda text: text.replace("<ModelVariables>", odd))
     found = here(rig(), model=path, free=["J", "b", "mgl"], starts=1)
     assert found.parameters["J"] == pytest.approx(0.08, rel=0.02)
 
@@ -178,16 +176,13 @@ def test_the_copy_runs_as_the_model_with_these_parameters(tmp_path: Path) -> Non
 
 def test_a_start_in_the_units_of_the_fmu(tmp_path: Path) -> None:
     """A mass in g is fitted in kg and written in g."""
-    source = tmp_path / "gram.fmu"
-    with zipfile.ZipFile(mockup("mass_spring")) as old, zipfile.ZipFile(source, "w") as new:
-        for entry in old.infolist():
-            content = old.read(entry)
-            if entry.filename == "modelDescription.xml":
-                text = content.decode().replace('"kg"', '"g"')
-                text, count = re.subn(r'<BaseUnit kg="1" ?/>', '<BaseUnit kg="1" factor="0.001"/>', text)
-                assert count == 1
-                content = text.encode()
-            new.writestr(entry, content)
+
+    def in_grams(text: str) -> str:
+        text, count = re.subn(r'<BaseUnit kg="1" ?/>', '<BaseUnit kg="1" factor="0.001"/>', text.replace('"kg"', '"g"'))
+        assert count == 1
+        return text
+
+    source = redescribed(tmp_path / "gram.fmu", in_grams, "mass_spring")
     with FmuPlant(source, sample_time=0.05, outputs=["q"], parameters={"m": 1.5e-3}) as plant:
         u = np.repeat(np.random.default_rng(0).normal(size=(10, 1)), 20, axis=0)
         y = np.vstack([plant.reset(rng=np.random.default_rng(0)), plant.rollout(u[:-1])])

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pickle
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fmu_files import redescribed
 
 from harness import registry
 from harness.blackbox.effects import surround
@@ -33,14 +33,7 @@ SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
 def fixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The pendulum as other tools export it: no parameter is tunable."""
     path = tmp_path_factory.mktemp("foreign") / "pendulum.fmu"
-    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(path, "w") as new:
-        for entry in old.infolist():
-            text = old.read(entry)
-            if entry.filename == "modelDescription.xml":
-                assert b'variability="tunable"' in text
-                text = text.replace(b'variability="tunable"', b'variability="fixed"')
-            new.writestr(entry, text)
-    return path
+    return redescribed(path, lambda text: text.replace('variability="tunable"', 'variability="fixed"'))
 
 
 def swung(path: Path, values: dict[str, float]) -> FloatArray:
@@ -65,15 +58,15 @@ SPEED = PlantSpec((Channel("u", "N m"),), (Channel("omega", "rad/s"),), DT)
 
 
 def rewritten(path: Path, *changes: tuple[bytes, bytes]) -> Path:
-    """Write the pendulum with another description."""
-    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(path, "w") as new:
-        for entry in old.infolist():
-            text = old.read(entry)
-            for before, after in changes if entry.filename == "modelDescription.xml" else ():
-                assert before in text
-                text = text.replace(before, after)
-            new.writestr(entry, text)
-    return path
+    """Write the pendulum with these changes of its description."""
+
+    def changed(text: str) -> str:
+        for before, after in changes:
+            assert before.decode() in text
+            text = text.replace(before.decode(), after.decode())
+        return text
+
+    return redescribed(path, changed)
 
 
 def test_a_measured_speed_tells_of_the_position_that_no_output_shows(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from fmu_files import in_degrees
 
 from harness import api, registry
 from harness.blackbox.effects import surround
@@ -221,17 +222,7 @@ def test_the_package_states_its_units(dry, tmp_path):
 
 
 def test_a_package_around_an_fmu_in_degrees_leaves_the_conversion_to_the_units(tmp_path):
-    turned = tmp_path / "degrees.fmu"
-    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(turned, "w") as new:
-        for entry in old.infolist():
-            text = old.read(entry)
-            if entry.filename == "modelDescription.xml":
-                assert text.count(b'unit="rad"') >= 1
-                text = text.replace(b'unit="rad"', b'unit="deg"').replace(
-                    b"<UnitDefinitions>",
-                    b'<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.017453292519943295"/></Unit>',
-                )
-            new.writestr(entry, text)
+    turned = in_degrees(tmp_path / "degrees.fmu")
     spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
     system = surround(fmu_system(turned, spec, {"J": 0.06}), [Placed(EFFECTS["force_bias"], "theta", {"F0": 0.1})])
     content = {

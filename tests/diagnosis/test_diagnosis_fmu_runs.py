@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fmu_files import redescribed
 
 from harness.blackbox.effects import surround
 from harness.blackbox.reader import fmu_system
@@ -106,13 +106,8 @@ def test_pushes_are_convolved_with_one_response_where_that_is_what_they_do(
 
 def test_variables_without_a_unit_take_that_of_the_data(tmp_path: Path) -> None:
     """Most FMUs written by hand declare none; their numbers are taken as the data's, and that is said."""
-    path = tmp_path / "unitless.fmu"
-    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(path, "w") as new:
-        for entry in old.infolist():
-            text = old.read(entry)
-            if entry.filename == "modelDescription.xml":
-                text = re.sub(rb' (displayUnit="[^"]*"|unit="(N m|rad|rad/s)")', b"", text)
-            new.writestr(entry, text)
+    units = r' (displayUnit="[^"]*"|unit="(N m|rad|rad/s)")'
+    path = redescribed(tmp_path / "unitless.fmu", lambda text: re.sub(units, "", text))
     system = fmu_system(path, PENDULUM)
     assert [str(one) for one in (*system.inputs, *system.outputs)] == ["u [N m]", "theta [rad]"]
     assert [(one.name, one.force_unit, one.rate) for one in system.coordinates] == [("theta", "N m", "der(theta)")]

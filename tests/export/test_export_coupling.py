@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmu_files import in_degrees
 
 from harness import api
 from harness.errors import InputError
 from harness.export.system_structure import OPEN_ENDS
 from harness.signals import FloatArray
-from plants.mockups import mockup
 
 PAIR = """
 sample_time = 0.01
@@ -45,19 +45,6 @@ def coupling(folder: Path, a: str = 'mockup = "pendulum"', more: str = "", input
     path = folder / "pair.toml"
     path.write_text(PAIR.format(a=a, more=more, inputs=inputs))
     return path
-
-
-def in_degrees(folder: Path) -> Path:
-    """Write the pendulum with angles in degrees: another description of the same numbers."""
-    turned = folder / "degrees.fmu"
-    unit = b'<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.017453292519943295"/></Unit>'
-    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(turned, "w") as new:
-        for entry in old.infolist():
-            text = old.read(entry)
-            if entry.filename == "modelDescription.xml":
-                text = text.replace(b'unit="rad"', b'unit="deg"').replace(b"<UnitDefinitions>", unit)
-            new.writestr(entry, text)
-    return turned
 
 
 def by_libcosim(
@@ -124,7 +111,7 @@ def run(path: Path) -> FloatArray:
 def test_the_package_repeats_the_coupling_here_and_in_libcosim(tmp_path: Path, degrees: bool) -> None:
     from harness.trust import trusting
 
-    a = f'fmu = "{in_degrees(tmp_path).name}"' if degrees else 'mockup = "pendulum"'
+    a = f'fmu = "{in_degrees(tmp_path / "degrees.fmu").name}"' if degrees else 'mockup = "pendulum"'
     path = coupling(tmp_path, a)
     with trusting(tmp_path):
         package = exported(path)
@@ -141,7 +128,7 @@ def test_a_calibrated_copy_begins_with_its_values_in_libcosim_too(tmp_path: Path
     from harness.calibration.written import write_model
     from harness.trust import trusting
 
-    turned = in_degrees(tmp_path)
+    turned = in_degrees(tmp_path / "degrees.fmu")
     path = coupling(tmp_path, f'fmu = "{turned.name}"')
     with trusting(tmp_path):
         package = exported(path)

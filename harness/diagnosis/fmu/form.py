@@ -35,11 +35,6 @@ from harness.signals import Dataset, FloatArray, Trajectory
 PUSH = 1e-3
 """Size of a push in the difference quotients, over that of the inputs: well above what the solver rounds off."""
 
-MANY = 16
-"""Pushes from which on it is worth a few runs to learn whether a response to one tells those to all."""
-STEADY = 0.01
-"""Of a response: how far it may be off its convolution with that to a pulse. A score of a push errs by its square."""
-
 
 class FmuForm(LikelihoodForm[FmuSystem]):
     """Fits an FMU with effects around it; see :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm`."""
@@ -277,7 +272,8 @@ class FmuForm(LikelihoodForm[FmuSystem]):
                 size = PUSH * max(float(np.sqrt(np.mean(u**2))) if u.size else 0.0, 1e-9)
                 still = run.pushed(np.zeros_like(u))
                 every = [direction.forces[use][number] for direction in found]
-                convolved = _convolution(run, still, u, size) if sum(f.shape[2] for f in every) > MANY else None
+                many = sum(forces.shape[2] for forces in every) > EFFORT.pushes
+                convolved = _convolution(run, still, u, size) if many else None
                 for direction, columns in zip(found, made, strict=True):
                     response = -direction.readings[use][number]
                     forces = direction.forces[use][number]
@@ -321,7 +317,8 @@ def _convolution(run: Run, still: FloatArray, u: FloatArray, size: float) -> Cal
         answers = (fftconvolve(pulses[..., row, None], forces[:, None, row], axes=0)[:n] for row in range(nu))
         return np.asarray(sum(answers, np.zeros((n, still.shape[1], forces.shape[2]))))
 
-    everywhere = size * np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], (MANY, nu)), n // MANY + 1, axis=0)[:n]
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (EFFORT.pushes, nu))
+    everywhere = size * np.repeat(signs, n // EFFORT.pushes + 1, axis=0)[:n]
     told = run.pushed(everywhere) - still
     off = np.linalg.norm(told - convolved(everywhere[..., None])[..., 0], axis=0)
-    return convolved if (off <= STEADY * np.linalg.norm(told, axis=0)).all() else None
+    return convolved if (off <= EFFORT.steady * np.linalg.norm(told, axis=0)).all() else None

@@ -80,7 +80,7 @@ class WholeForm(Form, Protocol):
         """Return the pass of a fit over every record of a use, and the smoothed states."""
         ...
 
-    def on_its_day(self, fit: Fit) -> Fit:
+    def with_day(self, fit: Fit) -> Fit:
         """Return a fit whose validation records have the friction and the zeros of their day."""
         ...
 

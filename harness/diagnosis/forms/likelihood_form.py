@@ -24,15 +24,15 @@ from harness.diagnosis.forms.innovations import linearised
 from harness.diagnosis.forms.named import (
     awake,
     beside,
+    day_groups,
     known,
     nuisances,
-    of_a_day,
     per_record,
     state_name,
     state_values,
     within,
 )
-from harness.diagnosis.forms.predictive import Predictive, of_its_day, predicted, spread_of
+from harness.diagnosis.forms.predictive import Predictive, day_values, predicted, spread_of
 from harness.diagnosis.forms.robust import coloured_deviations
 from harness.diagnosis.forms.suspects import lost_signs, piled_up
 from harness.diagnosis.forms.system_form import SystemForm
@@ -331,7 +331,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             best.converged,
             best.on_bound,
             own=own,
-            day=of_its_day(effects, best.parameters, expected.moved),
+            day=day_values(effects, best.parameters, expected.moved),
             innovations={
                 "estimation": [(passed.e, passed.s) for passed in best.filtered],
                 "validation": [(passed.e, passed.s) for passed in outside],
@@ -349,9 +349,9 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             return fit
         return replace(fit, incoherence={str(placed): self.incoherence_of(fit, placed) for placed in repeating})
 
-    def on_its_day(self, fit: Fit) -> Fit:
+    def with_day(self, fit: Fit) -> Fit:
         """See :class:`harness.diagnosis.forms.form.WholeForm`."""
-        if not of_a_day(fit.effects):
+        if not day_groups(fit.effects):
             return fit
         detail, system = likelihood_detail(fit), cast("SystemT", fit.system)
         start = replace(detail.points["validation"], p=system.vector({**fit.values, **fit.own}))

@@ -39,7 +39,7 @@ def per_record(effects: Sequence[Placed], role: Role = "") -> list[str]:
     ]
 
 
-def of_a_day(effects: Sequence[Placed]) -> list[tuple[list[str], float]]:
+def day_groups(effects: Sequence[Placed]) -> list[tuple[list[str], float]]:
     """Return what may be another one on another day, names that go together, with the standard deviation of its share.
 
     What the force of a law of dry friction is proportional to, and zeros of instruments, which may as well be none.
@@ -50,7 +50,7 @@ def of_a_day(effects: Sequence[Placed]) -> list[tuple[list[str], float]]:
         if placed.effect.whole == DRY
     ]
     zeros = [placed.name(zero.name) for placed in effects if (zero := placed.effect.parameter_of("zero")) is not None]
-    return [*dry, *(([name], 1.0) for name in zeros)]
+    return [*dry, *(([name], POLICY.zero) for name in zeros)]
 
 
 def nuisances(effects: Sequence[Placed], fit: LikelihoodFit) -> list[str]:

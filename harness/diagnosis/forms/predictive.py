@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from harness.diagnosis.forms.named import of_a_day
+from harness.diagnosis.forms.named import day_groups
 from harness.diagnosis.search.compare import wrong_signs
 from harness.effects.effect import Placed
 from harness.errors import FitError
@@ -38,6 +38,7 @@ class Predictive:
     """(k,): How far the parameters went from those of the estimation records, along their spread, in standard
     deviations."""
     price: float  # To be taken from the log-likelihood of the validation records at ``point``
+    density: float = np.nan  # The logarithm of what is left; not kept with a fit
 
 
 def spread_of(
@@ -51,13 +52,12 @@ def spread_of(
     - ``own``: those among them that belong to a record, and are no knowledge about another one: rows of 0
     - ``effects``: of the fit, where what is a day's own may differ from the estimation records
     """
-    days = [
-        [share * best.parameters[name] if name in names else 0.0 for name in free] for names, share in of_a_day(effects)
-    ]
+    groups = day_groups(effects)
+    days = [[share * best.parameters[name] if name in names else 0.0 for name in free] for names, share in groups]
     return np.hstack([_known(best, free, own), np.reshape(days, (len(days), len(free))).T])
 
 
-def of_its_day(effects: Sequence[Placed], values: Mapping[str, float], moved: FloatArray) -> dict[str, float]:
+def day_values(effects: Sequence[Placed], values: Mapping[str, float], moved: FloatArray) -> dict[str, float]:
     """Return what is not as in ``values`` on the day of the validation records, as ``moved`` has it.
 
     Examples
@@ -65,11 +65,11 @@ def of_its_day(effects: Sequence[Placed], values: Mapping[str, float], moved: Fl
     >>> from harness.effects.dictionary import builtin
     >>> from harness.effects.effect import Placed
     >>> friction = Placed(builtin()["coulomb_friction"], "theta")
-    >>> levels = of_its_day([friction], {"coulomb_friction@theta.Fc": 0.1}, np.array([0.3, -2.0]))
+    >>> levels = day_values([friction], {"coulomb_friction@theta.Fc": 0.1}, np.array([0.3, -2.0]))
     >>> round(levels["coulomb_friction@theta.Fc"], 6)
     0.04
     """
-    days = of_a_day(effects)
+    days = day_groups(effects)
     changes = [share * part for part, (_, share) in zip(moved[len(moved) - len(days) :], days, strict=True)]
     return {
         name: float(values[name] * (1.0 + change))
@@ -109,27 +109,23 @@ def predicted(
     too. A friction that would drive there, and not brake, is none of another day.
     """
     same = predictive(likelihood, start, free, spread_of(best, free, own))
-    days = of_a_day(effects)
+    days = day_groups(effects)
     same = replace(same, moved=np.append(same.moved, np.zeros(len(days))))
-    if not days or _density(likelihood, same) >= enough:
+    if not days or same.density >= enough:
         return same
     spread = spread_of(best, free, own, effects)
     other = predictive(likelihood, start, free, spread)
-    if _density(likelihood, other) > _density(likelihood, same):  # its noise was that of this day's friction
+    if other.density > same.density:  # its noise was that of this day's friction
         parameters = likelihood.system.parameter_names
         belongs = [*(name for name in likelihood.names if name not in parameters), *own]
         settled = likelihood.maximise(other.point, free=belongs, exact=False).point
         shared = np.isin(parameters, [name for name in free if name not in own])
         anew = replace(settled, p=np.where(shared, start.p, settled.p))
         again = predictive(likelihood, anew, free, spread, other.moved)
-        other = max(other, again, key=lambda found: _density(likelihood, found))
-    levels = {**best.parameters, **of_its_day(effects, best.parameters, other.moved)}
+        other = max(other, again, key=lambda found: found.density)
+    levels = {**best.parameters, **day_values(effects, best.parameters, other.moved)}
     drives = any(wrong_signs(placed, levels) for placed in effects)
-    return same if drives or _density(likelihood, same) >= _density(likelihood, other) else other
-
-
-def _density(likelihood: Likelihood, found: Predictive) -> float:
-    return -likelihood.nll(found.point) - found.price
+    return same if drives or same.density >= other.density else other
 
 
 def predictive(
@@ -204,7 +200,7 @@ def predictive(
                 break
         if len(lost) > halving:
             break
-    return Predictive(point, moved, price)
+    return Predictive(point, moved, price, 0.5 * float(moved @ moved) - value - price)
 
 
 def _may_gain(lost: Sequence[float]) -> bool:

@@ -22,10 +22,7 @@ from harness.signals import FloatArray, Trajectory
 
 
 def on_validation(
-    form: WindowedForm,
-    system: AnySystem,
-    record: Mapping[str, Any],
-    own: Mapping[str, float],
+    form: WindowedForm, system: AnySystem, record: Mapping[str, Any], own: Mapping[str, float]
 ) -> dict[str, Any]:
     """Return the initial states of the validation windows, and what belongs to the record refitted there.
 
