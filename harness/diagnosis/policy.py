@@ -454,7 +454,7 @@ class DataPolicy:
         200, "samples of dead time that are looked for, a tenth of a record at most", "cost; little is left beyond it"
     )
     dead_lags: int = number(
-        2, "lags of every signal beside a dead time", "a plant of second order: Ljung 1999, sec. 4.2"
+        4, "lags of every signal beside a dead time", "a plant of second order and one mode of it that is not modelled"
     )
     clearer: float = number(
         0.8, "least-squares loss with a dead time over that without, at most", "noise changes it by some percent"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import cont2discrete
 
 import harness
 from harness.diagnosis.close import close_loop
@@ -39,6 +40,24 @@ def pair(dead: int, *, cut: int = 300) -> Dataset:
 def test_the_dead_time_is_that_of_the_plant(dead: int, pole: float, hold: int, seed: int) -> None:
     (found,) = dead_times([plant(dead, seed, pole=pole, hold=hold)])
     assert found == (dead + 1 if dead else 1) or (found == 1 and dead < 4)  # a short one may hide in a slow lag
+
+
+@settings(max_examples=25, deadline=None)
+@given(stiffness=st.floats(3e3, 3e4), load=st.floats(0.3, 1.5), seed=st.integers(0, 10_000))
+def test_a_resonance_is_no_dead_time(stiffness: float, load: float, seed: int) -> None:
+    """A few lags follow a mass and its load badly through noise, and inputs of a period ago help them."""
+    rng, dt = np.random.default_rng(seed), 0.002
+    t = np.arange(4000) * dt
+    lines = zip(np.geomspace(0.4, 40.0, 14), rng.uniform(0.0, 2.0 * np.pi, 14), strict=True)
+    u = 5.0 * sum((np.sin(2.0 * np.pi * f * t + phase) for f, phase in lines), np.zeros(len(t)))
+    a = np.array([[0, 1, 0, 0], [-stiffness, -14, stiffness, 6], [0, 0, 0, 1], [stiffness, 6, -stiffness, -6]])
+    a = a / np.array([[1.0], [0.5], [1.0], [load]])
+    (ad, bd, *_) = cont2discrete((a, np.array([[0], [2.0], [0], [0]]), np.eye(4), np.zeros((4, 1))), dt)
+    x = np.zeros((len(t), 4))
+    for k in range(1, len(t)):
+        x[k] = ad @ x[k - 1] + bd[:, 0] * u[k - 1]
+    y = x[:, :1] + 1e-5 * rng.standard_normal((len(t), 1))
+    assert dead_times([Trajectory(np.arange(len(t), dtype=float), u[:, None], y, SPEC)]) == (1,)
 
 
 def test_only_what_inputs_before_the_record_decide_is_left_out() -> None:

@@ -36,8 +36,10 @@ def with_known_starts(dataset: Dataset) -> Dataset:
 def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
     """Return for every input after how many samples the outputs answer, by least squares over dead times.
 
-    An ARX model of two lags beside every dead time of one input, the others without, is fitted to all outputs; the one
-    with the least loss counts where the loss is clearly less than without dead time (Ljung 1999, sec. 4.2 and 16.4).
+    An ARX model of a few lags beside every dead time of one input, the others without, is fitted to all outputs. The
+    one with the least loss counts among those whose loss is clearly less than without dead time (Ljung 1999, sec. 4.2
+    and 16.4) and beside which later inputs tell nothing, by Schwarz' criterion (ibid., sec. 16.4): a mode that the
+    model has no lags for wants inputs of long ago too, and those of just now all the same.
 
     Examples
     --------
@@ -74,14 +76,20 @@ def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
         others = [inputs(other, 1) for other in range(spec.nu) if other != column]
         known, _ = np.linalg.qr(np.hstack([past, *others]))
         left = (target - known @ (known.T @ target)) / size
-        losses = []
-        for dead in range(1, most + 1):
-            own = inputs(column, dead)
+
+        def loss(own: FloatArray, known: FloatArray = known, left: FloatArray = left) -> float:
             own = own - known @ (known.T @ own)
-            answer = own @ np.linalg.lstsq(own, left, rcond=None)[0]
-            losses.append(float(np.sum((left - answer) ** 2)))
-        best = int(np.argmin(losses))
-        found.append(best + 1 if losses[best] < DATA_POLICY.clearer * losses[0] else 1)
+            return float(np.sum((left - own @ np.linalg.lstsq(own, left, rcond=None)[0]) ** 2))
+
+        soon = inputs(column, 1)
+        losses = {dead: loss(inputs(column, dead)) for dead in range(1, most + 1)}
+        clear = [dead for dead in losses if losses[dead] < DATA_POLICY.clearer * losses[1]]
+        dearer = len(target) ** (-lags / len(target))  # what the later inputs have to bring the loss down by
+        alone = (
+            dead for dead in sorted(clear, key=losses.__getitem__)
+            if loss(np.hstack([inputs(column, dead), soon])) >= dearer * losses[dead]
+        )  # fmt: skip
+        found.append(next(alone, 1))
     return tuple(found)
 
 
