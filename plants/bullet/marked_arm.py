@@ -1,8 +1,9 @@
-"""A camera that sees a marker on an arm whose joint sensors are mounted with an offset."""
+"""A camera that sees a marker on an arm, or on the arm a target, whose joint sensors are mounted with an offset."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from harness.signals import Channel, FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, positive
 
+if TYPE_CHECKING:
+    from harness.physics.arms.marked_arm import Eye
+
 
 class MarkedArmPlant(BasePlant):
     """Pairs <q, p>: joint readings go in, the place of a marker on the last body comes out; nothing moves by itself.
@@ -19,9 +23,13 @@ class MarkedArmPlant(BasePlant):
     Parameters
     ----------
     model : str
-        ``iiwa`` or a URDF file.
+        ``iiwa`` or a URDF file; or ``hand``, whose readings are its own pose.
     marker : (x, y, z)
         In the frame of the last body [m].
+    pose : bool
+        Whether the camera tells the orientation of what it sees too, as the x and the y axis of the marker.
+    eye : {"room", "hand"}
+        Where the camera is: it sees the marker, or it is on the last body and sees a target that stands.
     hidden : mapping, optional
         True parameters where they differ from the URDF: ``{"offset2": 0.01, "length3": 0.43}``.
     sample_time : float
@@ -49,14 +57,15 @@ class MarkedArmPlant(BasePlant):
         *,
         model: str = "iiwa",
         marker: Sequence[float] = (0.05, 0.0, 0.1),
+        pose: bool = False,
+        eye: Eye = "room",
         hidden: Mapping[str, float] | None = None,
         sample_time: float = 0.1,
         reach: float = np.pi,
     ) -> None:
-        from harness.physics.arms.arm import load_arm
-        from harness.physics.arms.marked_arm import MarkedArm
+        from harness.physics.arms.marked_arm import marked_arm
 
-        self._arm = MarkedArm(load_arm(model), marker)
+        self._arm = marked_arm(model, marker, pose=pose, eye=eye)
         self._parameters = self._arm.vector(hidden)
         inputs = []
         for channel, joint in zip(self._arm.arm.positions, self._arm.arm.arm.moving, strict=True):

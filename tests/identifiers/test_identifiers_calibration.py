@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from harness.errors import FitError, InputError
 from harness.models.estimate import estimate_of
@@ -249,3 +250,96 @@ def test_a_record_that_the_plant_wrote_is_calibrated_as_it_is(tmp_path):
     low, high = found.estimate.interval("offset4")
     assert low < 0.01 < high
     assert sorted(found.model.parameters) == [f"offset{k}" for k in range(1, 8)]
+
+
+def hand_eye(eye, pose, rng, *, count=30, noise=5e-4, turn_noise=2e-3, spans=(0.4, 0.4, 0.4, 1.0, 0.6, 0.6)):
+    """Return a record of a hand and a camera, made without the project's kinematics, and the two poses behind it."""
+    q = rng.uniform(-1, 1, size=(count, 6)) * spans
+    hand = Rotation.from_euler("ZYX", q[:, 3:])
+    carried, standing = Rotation.random(random_state=rng), Rotation.random(random_state=rng)
+    at, there = rng.normal(scale=0.2, size=3), rng.normal(size=3)
+    end, turn = q[:, :3] + hand.apply(at), hand * carried  # of marker or camera, in the frame of the base
+    if eye == "room":  # the base stands in the frame of the camera
+        p, seen = there + standing.apply(end), standing * turn
+    else:  # the target stands in the frame of the base
+        p, seen = turn.inv().apply(there - end), turn.inv() * standing
+    p = p + noise * rng.normal(size=p.shape)
+    axes = (Rotation.from_rotvec(turn_noise * rng.normal(size=(count, 3))) * seen).as_matrix()
+    y = np.hstack([p, axes[:, :, 0], axes[:, :, 1]]) if pose else p
+    words = ("marker", "camera") if eye == "room" else ("camera", "target")
+    poses = [np.hstack([at, carried.as_rotvec()]), np.hstack([there, standing.as_rotvec()])]
+    names = [f"{word}_{turn}{axis}" for word in words for turn in ("", "r") for axis in "xyz"]
+    true = dict(zip(names, np.concatenate(poses).tolist(), strict=True))
+    spec = MarkedArmPlant(model="hand", eye=eye, pose=pose).spec
+    return Trajectory(np.arange(count) * 0.1, q, y, spec), true
+
+
+CASES = [("room", True), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("hand", True), ("room", False))),
+         ("hand", False)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("eye", "pose"), CASES)
+def test_hand_and_eye_are_found_wherever_they_are_and_their_intervals_cover(eye, pose):
+    held, scatter = [], []
+    for seed in range(15):
+        record, true = hand_eye(eye, pose, np.random.default_rng(seed))
+        model = JointCalibration(model="hand", eye=eye, pose=pose).fit([record], rng=RNG)
+        estimate = estimate_of(model)
+        assert estimate.rank.full
+        for name, (low, high) in zip(estimate.names, estimate.intervals, strict=True):
+            held.append(low <= true[name] <= high)
+            scatter.append((estimate.value(name) - true[name]) / estimate.deviation(name))
+    assert 0.88 <= np.mean(held) <= 0.99
+    assert 0.8 <= np.sqrt(np.mean(np.square(scatter))) <= 1.25
+    again = MarkerModel.from_dict(model.to_dict())
+    x = again.initial_state(record)
+    np.testing.assert_array_equal(again.output(x, record.u[3]), model.output(x, record.u[3]))
+    assert np.std(model.output(np.zeros((len(record), 0)), record.u) - record.y) < 3e-3
+
+
+@pytest.mark.parametrize(
+    ("spans", "rank", "open_axes"),
+    [((0.4, 0.4, 0.4, 1.0, 0, 0), 11, "z"), ((0.4, 0.4, 0.4, 0, 0, 0), 9, "xyz")],
+)
+def test_turns_about_one_axis_leave_the_place_along_it_open(spans, rank, open_axes):
+    record, _ = hand_eye("hand", True, np.random.default_rng(0), spans=spans)
+    estimate = estimate_of(JointCalibration(model="hand", eye="hand", pose=True).fit([record], rng=RNG))
+    assert estimate.rank.rank == rank
+    assert set(estimate.rank.undetermined) == {f"{word}_{axis}" for word in ("camera", "target") for axis in open_axes}
+
+
+def test_poses_tell_four_numbers_an_axis_and_six_at_each_end_and_the_urdf_that_comes_out_says_the_same(tmp_path):
+    """4 n + 6 (Mooring, Roth & Driels 1991), here for seven joints; and the file is that arm."""
+    from harness.physics.arms.marked_arm import marked_arm
+
+    rng = np.random.default_rng(13)
+    off = {f"{word}{k}_{way}": float(rng.normal(scale=2e-3)) for word in ("tilt", "shift") for k in range(1, 8)
+           for way in "ab"}  # fmt: skip
+    plant = MarkedArmPlant(marker=MARKER, hidden=HIDDEN | off, pose=True)
+    low, high = (np.array([getattr(c, end) for c in plant.spec.inputs]) for end in ("minimum", "maximum"))
+    q = rng.uniform(low, high, size=(60, 7))
+    record = Trajectory(np.arange(40) * 0.1, q[:40], plant.rollout(q[:40]), plant.spec)
+    model = JointCalibration(marker=MARKER, axes=True, pose=True).fit([record], rng=rng)
+    assert estimate_of(model).rank.rank == 34
+    np.testing.assert_allclose(model.output(np.zeros((60, 0)), q), plant.rollout(q), atol=1e-8)
+    (tmp_path / "found.urdf").write_text(model.to_urdf())
+    arm = marked_arm(str(tmp_path / "found.urdf"), MARKER, pose=True)
+    ends = {name: value for name, value in model.parameters.items() if name.startswith(("marker", "camera"))}
+    np.testing.assert_allclose(arm.places(q, arm.vector(ends)), plant.rollout(q), atol=1e-8)
+    hand = JointCalibration(model="hand", pose=True).fit([hand_eye("room", True, rng)[0]], rng=rng)
+    with pytest.raises(InputError, match="read from a URDF"):
+        hand.to_urdf()
+
+
+def test_a_camera_that_sees_orientations_needs_fewer_postures_and_wrong_wishes_are_refused():
+    from harness import api
+
+    with pytest.raises(InputError, match=r"at least 6: 34 directions can be told, 6 numbers"):
+        api.analyse("calibration-poses", "iiwa", options={"postures": 5, "axes": True, "pose": True})
+    found = api.analyse("calibration-poses", "iiwa", options={"postures": 8, "axes": True, "pose": True})
+    assert np.all(found.details["deviations"] <= 1.5 * found.details["random"])
+    record, _ = hand_eye("room", True, np.random.default_rng(0))
+    with pytest.raises(InputError, match="neither lengths nor axes"):
+        JointCalibration(model="hand", pose=True, axes=True).fit([record], rng=RNG)
+    with pytest.raises(InputError, match="room or hand"):
+        JointCalibration(model="hand", eye="foot").fit([record], rng=RNG)

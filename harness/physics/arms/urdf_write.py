@@ -1,8 +1,9 @@
-"""A URDF with other inertial parameters, damping and friction: what an identification found, as a file."""
+"""A URDF with other bodies, damping, friction or frames of joints: what an identification found, as a file."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,6 +60,27 @@ def urdf_with(
                 ElementTree.SubElement(drive, "joint", name=joint.name)
         for joint, rotor in zip(model.arm.moving, motor_inertia, strict=True):
             _write_rotor(root, joint.name, float(rotor))
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def urdf_moved(model: ArmModel, frames: Mapping[str, tuple[FloatArray, FloatArray]]) -> str:
+    """Return the text of the arm's URDF with these joints in other places.
+
+    Raises InputError if the arm was not read from a URDF.
+
+    - ``frames``: name of a joint to the pose (3, 3), (3,) [m] of its frame in that of its parent
+    """
+    from scipy.spatial.transform import Rotation
+
+    if model.path is None:
+        raise InputError("URDF of an arm", expected="an arm read from a URDF", got=model.name, remedy="give the URDF")
+    root = ElementTree.parse(model.path).getroot()
+    for joint in root.findall("joint"):
+        if joint.get("name") in frames:
+            turn, place = frames[joint.get("name", "")]
+            origin = _child(joint, "origin")
+            origin.set("xyz", " ".join(repr(float(x)) for x in place))
+            origin.set("rpy", " ".join(repr(float(x)) for x in Rotation.from_matrix(turn).as_euler("xyz")))
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 

@@ -43,6 +43,8 @@ class CalibrationPoses(Calibrated):
     criterion : {"D", "A", "E"}
     noise : float
         Standard deviation of a coordinate of the marker [m].
+    turn_noise : float
+        With ``pose``: standard deviation of the marker's orientation about each axis [rad].
     above : float, optional
         Least height of the marker [m]: below it is a table.
     reach : float
@@ -59,6 +61,7 @@ class CalibrationPoses(Calibrated):
     among: int = 400
     criterion: Criterion = "D"
     noise: float = 1e-3
+    turn_noise: float = 5e-3
     above: float | None = None
     reach: float = np.pi
 
@@ -68,17 +71,20 @@ class CalibrationPoses(Calibrated):
         from harness.physics.arms.mechanism import arm_of
 
         own = arm_of(subject, "postures")
-        check_options(self, "calibration-poses", postures=f">= 2, <= {self.among}", noise="> 0")
-        arm = MarkedArm(own, self.marker)
+        check_options(self, "calibration-poses", postures=f">= 2, <= {self.among}", noise="> 0",
+                      turn_noise="> 0")  # fmt: skip
+        arm = MarkedArm(own, self.marker, pose=self.pose)
         names = self.free(arm)
         q, places = self._reachable(arm, rng)
         rows, free = self._rows(arm, names, q)
         _, singular, directions = np.linalg.svd(rows.reshape(-1, len(names)), full_matrices=False)
         told = directions[singular > TOLD * singular[0]]
-        if 3 * self.postures < len(told):
+        each = rows.shape[1]
+        if each * self.postures < len(told):
             raise InputError(
                 "option postures",
-                expected=f"at least {-(-len(told) // 3)}: {len(told)} directions can be told, 3 numbers a posture",
+                expected=f"at least {-(-len(told) // each)}: {len(told)} directions can be told, {each} numbers a "
+                "posture",
                 got=str(self.postures),
                 remedy="ask for more postures",
             )
@@ -98,7 +104,8 @@ class CalibrationPoses(Calibrated):
             for k in chosen
         ]  # fmt: skip
         words = [
-            f"{len(told)} of {len(names)} parameters' directions can be told from places of the marker",
+            f"{len(told)} of {len(names)} parameters' directions can be told from "
+            f"{'poses' if self.pose else 'places'} of the marker",
             f"observability index O1 {index[0]:.3g}; of {CHANCE} random designs {np.median(index[1:]):.3g} "
             f"(best {max(index[1:]):.3g})",
             *self._promise([name for name, sure in zip(names, known, strict=True) if sure],
@@ -117,7 +124,7 @@ class CalibrationPoses(Calibrated):
         ]
         low, high = np.array(bounds).T
         q = rng.uniform(low, high, size=(20 * self.among, arm.arm.n))
-        places = arm.places(q)
+        places = arm.places(q)[:, :3]
         kept = np.nonzero(places[:, 2] >= (-np.inf if self.above is None else self.above))[0][: self.among]
         if len(kept) < self.among:
             raise InputError(
@@ -129,11 +136,12 @@ class CalibrationPoses(Calibrated):
         return q[kept], places[kept]
 
     def _rows(self, arm: MarkedArm, names: Sequence[str], q: FloatArray) -> tuple[FloatArray, list[int]]:
-        """Return the gradient of the places, in units of the noise, by the parameters in theirs (N, 3, k)."""
+        """Return the gradient of what is seen, in units of its noise, by the parameters in theirs (N, d, k)."""
         every = list(arm.parameters)
         free = [every.index(name) for name in names]
         _, gradient, _ = arm.jacobians(q, arm.vector(), free)
-        return gradient * arm.scale[free] / self.noise, free
+        noise = np.repeat([self.noise, self.turn_noise], 3)[: gradient.shape[1], None]
+        return gradient * arm.scale[free] / noise, free
 
     def _index(self, seen: FloatArray, chosen: Sequence[int]) -> float:
         """Return O1: the geometric mean of the singular values over the root of the postures, noise as 1 mm."""
@@ -152,7 +160,7 @@ class CalibrationPoses(Calibrated):
         if not names:
             return ["no parameter is told for itself: fix some (option fixed)"]
         ratio = usual / here
-        turns = [k for k, name in enumerate(names) if name.startswith(("offset", "tilt", "camera_r"))]
+        turns = [k for k, name in enumerate(names) if name.startswith(("offset", "tilt", "camera_r", "marker_r"))]
         worst = [f"{1e3 * max(here[k] for k in turns):.2g} mrad"] if turns else []
         others = [k for k in range(len(names)) if k not in turns]
         worst += [f"{1e3 * max(here[k] for k in others):.2g} mm"] if others else []
