@@ -542,11 +542,11 @@ def test_a_table_of_names_and_values_has_a_column_for_each_name(count: int, alig
         for t in np.arange(25.0)
         for k, name in enumerate(names)
     ]
-    columns = {"time": [row[0] for row in rows], "value": [row[2] for row in rows]}
+    cells = {"name": [row[1] for row in rows], "value": [str(row[2]) for row in rows],
+             "time": [f"{row[0]} s" for row in rows], "unit": [f"u{row[1]}" for row in rows]}  # fmt: skip
     source = SimpleNamespace(
-        titles=["time", "name", "value", "unit"], notes=["before"],
-        texts=lambda title: [{"name": row[1], "value": str(row[2])}.get(title, f"u{row[1]}") for row in rows],
-        values=lambda title: np.array(columns[title]), unit=lambda title: "s", where=lambda row: f"line {row + 2}",
+        titles=["time", "name", "value", "unit"], notes=["before"], where=lambda row: f"line {row + 2}",
+        texts=lambda title, most=None: cells[title][:most],
     )  # fmt: skip
     found = in_long_form(source)
     assert found is not None
@@ -562,8 +562,13 @@ def test_a_table_of_names_and_values_has_a_column_for_each_name(count: int, alig
     assert found.unit("time") == "s"
     assert found.where(1) == (f"line {count + 2}" if aligned else "line 3")
     shown = ", ".join(names[:6]) + (" ..." if count > 6 else "")
-    assert found.notes == ["before", f"'name' names the signal of each row, 'value' its reading: {shown} are columns"]
-    columns["time"] = columns["time"][:0]
-    source.texts = lambda title: [row[1] for row in rows][:-count]  # 24 of each
-    assert in_long_form(SimpleNamespace(**{**vars(source), "texts": lambda title: ["a"] * 19 + ["b"] * 30})) is None
-    assert in_long_form(SimpleNamespace(**{**vars(source), "texts": lambda title: ["a"] * 60})) is None
+    assert found.notes == [
+        "before",
+        "time: units stand in the cells (s)",
+        f"'name' names the signal of each row, 'value' its reading: {shown} are columns",
+    ]
+    assert (
+        in_long_form(SimpleNamespace(**{**vars(source), "texts": lambda title, most=None: ["a"] * 19 + ["b"] * 30}))
+        is None
+    )
+    assert in_long_form(SimpleNamespace(**{**vars(source), "texts": lambda title, most=None: ["a"] * 60})) is None

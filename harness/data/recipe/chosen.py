@@ -9,10 +9,11 @@ from typing import Any, TypedDict, get_args
 
 from harness.data.recipe.ports import Ports
 from harness.data.sections import Gaps, SignalSection
-from harness.data.tables.headers import REFERENCE
+from harness.data.tables.headers import REFERENCE, seeming_unit
 from harness.data.tables.table import Table
 from harness.errors import InputError, did_you_mean, refuse_unknown
 from harness.signals import Use
+from harness.units import fits
 
 TIME = "time"  # What names the clock among the columns and units.
 NOTHING = "none"  # What ``--input`` says where nothing drives the outputs.
@@ -184,7 +185,10 @@ class Chosen:
         for title in table.titles:
             if title.startswith(REFERENCE):
                 found[title] = table.split(title)[0], SignalSection(role="reference")
+        seeming = {name: unit for name in plain if (unit := seeming_unit(str(self.columns.get(name, name))))}
+        seeming = {name: unit for name, unit in seeming.items() if not fits(unit, "1")}  # those are said where read
         notes = [] if not plain else [f"no unit is stated for {', '.join(plain)}: their numbers count as they are"]
+        notes += [f"{name} seems to say {unit}: --unit {name}={unit} if it does" for name, unit in seeming.items()]
         return found, notes
 
     def _name(self, table: Table, word: str) -> str:

@@ -148,6 +148,45 @@ def split_header(header: str) -> tuple[str, str | None]:
     return header.strip(), None
 
 
+def behind_slashes(titles: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return name and unit of the titles of a table that state it behind a slash without blanks, as ``U/V``.
+
+    One such title may be a ratio or a path. The form is the table's where two names that are no units themselves have
+    units of several letters among them behind it, or the clock has its own there.
+
+    Examples
+    --------
+    >>> behind_slashes(["time/s", "Ewe/V", "<I>/mA", "ox/red"])
+    {'time/s': ('time', 's'), 'Ewe/V': ('Ewe', 'V'), '<I>/mA': ('<I>', 'mA')}
+    >>> behind_slashes(["t", "left/V", "right/T"]), behind_slashes(["t", "u/max", "u/min", "m/kg"])
+    ({}, {})
+    """
+    found = {}
+    for title in titles:
+        name, sign, unit = (part.strip() for part in title.partition("/"))
+        if sign and name and _says_unit(unit) and unit not in (*_OTHERWISE, "in") and (len(unit) > 1 or unit in _ALONE):
+            found[title] = name, unit
+    clock = any(TIME_UNITS.get(unit) and _is_clock(name, ()) for name, unit in found.values())
+    plain = {name for name, _ in found.values() if not is_unit(name)}
+    certain = clock or (1 < len(plain) == len(found) and any(len(unit) > 1 for _, unit in found.values()))
+    return found if certain and len(found) == len({name for name, _ in found.values()}) else {}
+
+
+def seeming_unit(title: str) -> str | None:
+    """Return what may be the unit in a title that states none for certain; None where nothing looks so.
+
+    Examples
+    --------
+    >>> seeming_unit("y_mm"), seeming_unit("Kraft/N"), seeming_unit("speed_rad_s"), seeming_unit("u_max")
+    ('mm', 'N', 'rad/s', None)
+    """
+    for _, text in _divided(title):
+        unit = text.replace("_", "/")
+        if is_unit(unit) and unit not in (*_OTHERWISE, "in") and (len(unit) > 1 or f"/{unit}" in title):
+            return unit
+    return None
+
+
 def _with_unit_last(header: str) -> tuple[str, int]:
     """Return a title with its unit at the end, and how many remarks of a logger stood there."""
     header = header.translate(_WIDE) if not header.isascii() else header

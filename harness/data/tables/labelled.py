@@ -33,11 +33,11 @@ _STAMPS = {
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
 _BEHIND = re.compile(
     r"\s*(?P<sign>->|[:,;|-])?(?:\s+|(?<=>))"
-    r"(?P<words>(?:(?![^\W\d][\w.\[\]/]*\s*[:=]\s*[+-]?[\d.])(?:[^\W\d]\w*|\[[^\]]*\]|<\w+>|\d+):?\s+)*)"
+    r"(?P<words>(?:(?![^\W\d][\w.\[\]/]*\s*[:=]\s*[+-]?[\d.])(?:[^\W\d][\w.]*|\[[^\]]*\]|<\w+>|\d+):?\s+(?:[-|]\s+)?)*)"
 )
 """What a program says between a stamp and its readings: ``INFO controller:``."""
 _NODE = re.compile(r"[^\W\d]\w*:\s+")
-_SAID = re.compile(r"->|[:\[<]")  # Signs of what a program says; a word alone may be a column.
+_SAID = re.compile(r"->|[:\[<]|^-\w")  # Signs of what a program says; a word alone may be a column.
 _ITEM = re.compile(
     r"(?P<name>[^\W\d][\w.\[\]/²³°%-]*)\s*[:=]\s*"
     r'(?P<value>"[^"]*"|\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d[^\s,;|]*|[^\s,;|]+)'

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from harness.data.tables.cells import EMPTY, is_number, numbers_of, with_unit
-from harness.data.tables.headers import clock_of, says_time, split_header
-from harness.data.times.stamps import clock as dates_of
+from harness.data.tables.headers import clock_of, says_time, split_header, words_of
 from harness.data.times.stamps import is_time, is_time_of_day
 from harness.errors import InputError
 from harness.signals import FloatArray
 
 NAMES = frozenset(
-    "name signal signalname variable varname tag tagname channel channelname field _field key parameter sensor kanal "
-    "messstelle entity_id".split()
+    "name signal signalname variable varname tag tagname channel channelname field key parameter sensor kanal "
+    "displayname pointname parametername itemname "
+    "messstelle entityid".split()
 )
-"""Titles of the column that names the signal, in small letters."""
-VALUES = frozenset("value val _value varvalue reading wert messwert valeur valor state".split())
+"""Titles of the column that names the signal, in small letters without what parts their words."""
+VALUES = frozenset("value val varvalue reading wert messwert valeur valor state".split())
 """Titles of the column of readings, in small letters."""
 UNITS = frozenset("unit units einheit unité unidad".split())  # Titles of the column of units, in small letters.
+AFTER = frozenset(
+    "server received receive arrival arrived ingest ingested inserted insert stored created updated processed".split()
+)
+"""Words of a stamp that was taken when a reading came in, not when it was measured."""
 MOST = 200  # Signals of a table in long form: more names are texts of another kind.
 FEWEST = 20
 """Readings of a signal below which it makes no record (:data:`harness.data.conditioning.timebase.SHORTEST`)."""
@@ -53,8 +57,12 @@ class LongTable:
         written = np.array(tags)
         own = {one: np.flatnonzero(written == one) for one in names}
         few = [f"{one} ({count})" for one, count in counts.items() if count < FEWEST]
-        stamps, self._dated = _stamps(source, clock, own, whole=not few)
-        readings, inside = _readings(source, value, own)
+        stamps, units = np.full(len(tags), np.nan), dict[str, str]()
+        rows = np.sort(np.concatenate(list(own.values())))
+        stamps[rows] = _read(source, clock, source.texts(clock), rows, self._clock, units)
+        readings, cells = np.full(len(tags), np.nan), source.texts(value)
+        for one, rows in own.items():
+            readings[rows] = _read(source, value, cells, rows, one, units)
         first = stamps[own[names[0]]]
         if all(len(rows) == len(first) and np.array_equal(stamps[rows], first) for rows in own.values()):
             self._rows = own[names[0]]
@@ -66,7 +74,7 @@ class LongTable:
                 filled[one][rows] = readings[rows]
             self._columns = {one: column[self._rows] for one, column in filled.items()}
         self._columns[self._clock] = stamps[self._rows]
-        self._units = inside | (_units_of(source.texts(unit), own, source.where) if unit else {})
+        self._units = units | (_units_of(source.texts(unit), own, source.where) if unit else {})
         shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
         self.notes = [
             *source.notes,
@@ -79,47 +87,24 @@ class LongTable:
         return self._columns[title].copy()
 
     def unit(self, title: str) -> str | None:
-        """Return the unit that the rows of a signal state, and s for dates."""
-        if title != self._clock:
-            return self._units.get(title)
-        stated: str | None = "s" if self._dated else self._source.unit(self._title)
-        return stated
+        """Return the unit that the rows or cells of a signal state, and s for dates."""
+        return self._units.get(title)
 
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as the table's owner counts it."""
         return str(self._source.where(int(self._rows[row])))
 
 
-def _stamps(source: Any, title: str, own: Mapping[str, Any], *, whole: bool) -> tuple[FloatArray, bool]:
-    """Return the stamps (N,) of the rows of all signals, NaN in other rows, and whether they are dates in seconds."""
-    if whole:
-        return source.values(title), False
-    rows, cells = np.sort(np.concatenate(list(own.values()))), source.texts(title)
+def _read(source: Any, title: str, cells: Sequence[str], rows: Any, name: str, units: dict[str, str]) -> FloatArray:
+    """Return the numbers (n,) in some rows of a column, and keep by name the unit that they carry, s for dates."""
 
     def where(row: int) -> str:
         return f"{source.where(int(rows[row]))}, column {title!r}"
 
-    stamps, texts = np.full(len(cells), np.nan), [cells[row] for row in rows]
-    dates = dates_of(texts, source.notes, where)
-    stamps[rows] = numbers_of(texts, where, source.notes) if dates is None else dates
-    return stamps, dates is not None
-
-
-def _readings(source: Any, value: str, own: Mapping[str, Any]) -> tuple[FloatArray, dict[str, str]]:
-    """Return the readings (N,) of all signals, and the units that the cells of each carry."""
-    cells = source.texts(value)
-    if all(is_number(cell) or cell.strip().lower() in EMPTY for cell in cells):
-        return source.values(value), {}
-    readings, units = np.full(len(cells), np.nan), dict[str, str]()
-    for name, rows in own.items():
-
-        def where(row: int, rows: Any = rows) -> str:
-            return f"{source.where(int(rows[row]))}, column {value!r}"
-
-        texts = [cells[row] for row in rows]
-        found = with_unit(texts, name, where, source.notes, units)
-        readings[rows] = numbers_of(texts, where, source.notes) if found is None else found
-    return readings, units
+    texts = [cells[row] for row in rows]
+    plain = all(is_number(cell) or cell.strip().lower() in EMPTY for cell in texts)
+    found = None if plain else with_unit(texts, name, where, source.notes, units)
+    return numbers_of(texts, where, source.notes) if found is None else found
 
 
 def _units_of(units: Sequence[str], own: dict[str, Any], where: Callable[[int], str]) -> dict[str, str]:
@@ -148,19 +133,22 @@ def _clock_of(source: Any, titles: Sequence[str], taken: Sequence[str]) -> str |
     """Return the column of times; of several that of dates, which is said; None where nobody can say which counts."""
     free = [title for title in titles if title not in taken]
     spoken = [title for title in free if says_time(title)]
-    written = [] if spoken else [title for title in free if all(map(_is_dated, source.texts(title, FEWEST)))]
-    if len(written) == 1:
-        return written[0]
-    dated = [] if len(spoken) < 2 else [title for title in spoken if all(map(_is_dated, source.texts(title, 1)))]
-    try:
-        clock = dated[0] if len(dated) == 1 else clock_of(titles, taken)
-    except InputError:
-        return None
-    if len(spoken) > 1 and len(dated) != 1:
-        return None
-    if len(spoken) > 1:
-        source.notes.append(f"the dates in {clock!r} count, not {', '.join(one for one in spoken if one != clock)}")
-    return clock
+    found = [title for title in spoken or free if all(map(_is_dated, source.texts(title, 1 if spoken else FEWEST)))]
+    dated = [title for title in found if not set(words_of(title)) & AFTER] if len(found) > 1 else found
+    others = [title for title in spoken or found if title not in dated]
+    if others and len(dated) == 1:
+        source.notes.append(f"the dates in {dated[0]!r} count, not {', '.join(others)}")
+    if len(spoken) == 1 or len(dated) != 1:
+        try:
+            return clock_of(titles, taken) if len(spoken) < 2 else None
+        except InputError:
+            return None
+    return dated[0]
+
+
+def _take_turns(tags: Sequence[str], names: Sequence[str]) -> bool:
+    """Return True if all names stand among the first rows, as those of channels do and not the levels of a test."""
+    return set(names) <= set(tags[: 2 * len(names)])
 
 
 def in_long_form(source: Any) -> LongTable | None:
@@ -171,7 +159,7 @@ def in_long_form(source: Any) -> LongTable | None:
     """
     titles = [title for title in source.titles if title]
     found = [
-        [title for title in titles if split_header(title)[0].strip().lower() in words]
+        [title for title in titles if split_header(title)[0].lower().replace(" ", "").replace("_", "") in words]
         for words in (NAMES, VALUES, UNITS)
     ]
     if len(found[0]) != 1 or len(found[1]) != 1 or len(found[2]) > 1 or not hasattr(source, "texts"):
@@ -184,6 +172,8 @@ def in_long_form(source: Any) -> LongTable | None:
         return None
     tags = [tag.strip() for tag in source.texts(found[0][0])]
     names = [name for name, count in Counter(tags).items() if count >= FEWEST]
-    if not 1 < len(names) <= MOST or any(not name or is_number(name) for name in names):
+    if not 1 < len(names) <= MOST or any(not name or (is_number(name) and not name.isdecimal()) for name in names):
+        return None
+    if any(map(str.isdecimal, names)) and not _take_turns(tags, names):
         return None
     return LongTable(source, (clock, found[0][0], found[1][0], found[2][0] if found[2] else ""), tags)

@@ -13,6 +13,7 @@ import numpy as np
 from harness.data.tables.headers import (
     TIME_UNITS,
     TRUTH,
+    behind_slashes,
     clock_of,
     clock_unit,
     fraction_of,
@@ -62,6 +63,7 @@ class Columns:
         self._source = source
         self._said: list[str] = []
         self._rising: dict[str, bool] = {}
+        self._slashes: dict[str, tuple[str, str]] | None = None
 
     @property
     def titles(self) -> tuple[str, ...]:
@@ -106,8 +108,10 @@ class Columns:
         - ``taken``: columns that are signals
         """
         found = clock_of(self.titles, taken) or self._clock_by_cells(taken)
-        if found is not None or hasattr(self._source, "clocks"):
+        if hasattr(self._source, "clocks"):
             return found
+        if found is not None:
+            return self._one_that_runs_on(found, taken)
         paths = bool(getattr(self._source, "paths", False))
         inside = [field for title in self.titles for field in self.inside(title) or [title] * paths]
         times = [field for field in inside if field not in taken and clock_of([re.split("[./]", field)[-1]])]
@@ -116,7 +120,7 @@ class Columns:
         return times[0]
 
     def _clock_by_cells(self, taken: Collection[str | int]) -> str | None:
-        """Return the one column of dates or times, or of a time [s], that rises; None for none or several."""
+        """Return the column of dates or times, or of a time, that rises; None for none, or several that differ."""
         free = [title for title in self.titles if title and title not in taken]
         texts = getattr(self._source, "texts", None)
         typed = getattr(self._source, "times", ())
@@ -124,9 +128,10 @@ class Columns:
             title for title in free if title in typed or (texts is not None and clock(texts(title, 3)) is not None)
         ]
         timed = [title for title in free if says_time(title) and (self.split(title)[1] or "") in TIME_UNITS]
-        for some in (dates, timed):
-            if len(some) == 1 and self._rises(some[0]):
-                return some[0]
+        spoken = [title for title in free if says_time(title)]
+        for some in (dates, timed, spoken if len(spoken) > 1 else ()):
+            if some and self._rises(some[0]) and all(self._are_alike(some[0], other) for other in some[1:]):
+                return some[0]  # perhaps repeated beside each channel
         return None if texts is None else self._clock_in_digits(free, texts)
 
     def _clock_in_digits(self, titles: Sequence[str], texts: Callable[..., list[str]]) -> str | None:
@@ -134,6 +139,28 @@ class Columns:
         begun = [title for title in titles if dated(texts(title, 3)) is not None]
         written = [title for title in begun if self._rises(title) and dated(texts(title)) is not None]
         return written[0] if len(written) == 1 else None
+
+    def _are_alike(self, title: str, other: str) -> bool:
+        """Return True if two columns hold the same numbers."""
+        try:
+            return np.array_equal(self.read(title)[0], self.read(other)[0])
+        except InputError:
+            return False
+
+    def _one_that_runs_on(self, found: str, taken: Collection[str | int]) -> str:
+        """Return a clock; in the place of one that runs back the one clock beside it that does not, which is said."""
+        try:
+            if self.titles.count(found) > 1 or not (np.diff(self.read_time(found)[0]) < 0).any():
+                return found
+            others = [title for title in self.titles if title not in ("", found, *taken) and says_time(title)]
+            rising = [title for title in others if self._rises(title)]
+            running = [title for title in rising if self._source.unit(title) == "s" or clock_of([title]) is not None]
+        except InputError:
+            return found  # said where it is read
+        if not running or not all(self._are_alike(running[0], other) for other in running[1:]):
+            return found
+        self._say(f"{found!r} runs back: {running[0]!r}, which runs on, is the time")
+        return running[0]
 
     def _rises(self, title: str) -> bool:
         """Return True if every number of a column is above the one before."""
@@ -179,6 +206,10 @@ class Columns:
     def split(self, title: str) -> tuple[str, str | None]:
         """Return name and unit of a title; the index or joint at the end of a path, or beside others, is no unit."""
         name, unit = split_header(title)
+        if unit is None and "/" in title and not getattr(self._source, "paths", False):
+            if self._slashes is None:
+                self._slashes = behind_slashes(self.titles)
+            return self._slashes.get(title, (name, unit))
         if unit == "1" and title.rstrip().endswith("[1]") and any(_is_element(other, name) for other in self.titles):
             return title.strip(), None
         inside = (

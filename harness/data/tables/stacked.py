@@ -29,6 +29,9 @@ _TITLE = re.compile(r"[^\s\[(/]+(?:\s*[\[(][^\])]*[\])]|\s/\s\S+)?")
 _BRACKETED = re.compile(r"[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]")
 
 
+_BEGINS = re.compile(r"[\s\"']*[+-]?[.,]?\d").match  # How a row begins whose first cell is a number or a time.
+
+
 def cells_of(line: str, sign: str | None) -> list[str]:
     """Return the cells of a line; a quoted one may hold the sign.
 
@@ -108,9 +111,7 @@ def begin_of(rows: Sequence[Row], below: Sequence[Row] | None = None) -> int:
     0
     """
     kinds = kinds_of(rows if below is None else below)
-    fits = [_fits(row, kinds) for row in rows]
-    first = next((k for k in range(len(rows)) if all(fits[k : k + CERTAIN])), 0)
-    top = first
+    top = first = first_reading(rows, kinds)
     while top > max(0, first - MOST_ROWS) and _heads(rows, top - 1, kinds):
         top -= 1
     if top == first:
@@ -120,6 +121,37 @@ def begin_of(rows: Sequence[Row], below: Sequence[Row] | None = None) -> int:
         # what is said of units above the names is a part of the header
         top = next((row for row in range(top, whole[-1]) if _is_units(rows, row)), whole[-1])
     return 0 if top > MOST_ABOVE or is_table(rows[:top]) else top
+
+
+def first_reading(rows: Sequence[Row], kinds: Sequence[Callable[[str], bool] | None]) -> int:
+    """Return the first of rows of readings on end; 0 also where there are none.
+
+    Examples
+    --------
+    >>> rows = [["Rig"], ["t", "u"], ["0", "1"], ["1", "2"], ["2", "2"]]
+    >>> first_reading(rows, kinds_of(rows))
+    2
+    """
+    fits = [_fits(row, kinds) for row in rows]
+    return next((k for k in range(len(rows)) if all(fits[k : k + CERTAIN])), 0)
+
+
+def lines_below(lines: Sequence[str]) -> int:
+    """Return how many lines stand below the rows of a table and are none: words, where all rows begin with a number.
+
+    Examples
+    --------
+    >>> rows = [f"{k};0.5" for k in range(12)]
+    >>> lines_below([*rows, "Mean;0.5", "*** end ***"]), lines_below([*rows, "nan;0.5"]), lines_below(["u:1"] * 12)
+    (2, 0, 0)
+    """
+    middle = lines[len(lines) // 2 :][:SAMPLE]
+    if len(lines) < 2 * SAMPLE or not all(map(_BEGINS, middle)):
+        return 0
+    count = 0
+    while count < len(lines) // 2 and not _BEGINS(line := lines[-1 - count]) and _first_cell(line) not in EMPTY:
+        count += 1
+    return count
 
 
 def kinds_of(rows: Sequence[Row]) -> list[Callable[[str], bool] | None]:
@@ -494,3 +526,8 @@ def _has_clock(titles: Row) -> bool:
         return clock_of(titles) is not None
     except InputError:
         return True
+
+
+def _first_cell(line: str) -> str:
+    """Return the first cell of a line, whatever parts its cells, in small letters."""
+    return re.split(r"[,;\t|\s]", line.strip(" \"'"), maxsplit=1)[0].strip("\"'").lower()

@@ -31,12 +31,15 @@ from harness.data.tables.stacked import (
     MOST_ABOVE,
     MOST_ROWS,
     SAMPLE,
+    SIGNS,
     are_counted,
     are_stamps,
     begin_of,
     cells_of,
+    first_reading,
     is_reading,
     kinds_of,
+    lines_below,
     logger_titles,
     sign_of,
     stacked_titles,
@@ -93,6 +96,7 @@ class TextFile:
         if coding in CODINGS:
             self.notes.append(f"the text is no UTF-8: its letters are read as {coding} ({CODINGS[coding]})")
         self._lines = _of_tables(closed_lines(lines) if '"' in text else enumerate(lines, start=1))
+        self._leave_out_below()
         for other in (labelled, keyed):
             if (found := other(self._lines)) is not None:
                 self._lines = found[0]
@@ -245,18 +249,36 @@ class TextFile:
         """Leave out what a logger writes above its table."""
         head = [cells_of(line, self._delimiter) for _, line in self._lines[: MOST_ABOVE + MOST_ROWS + CERTAIN]]
         last = [cells_of(line, self._delimiter) for _, line in self._lines[-SAMPLE - 1 :]]
-        if logger_titles(head) is None and (begin := begin_of(head, last)):
+        if logger_titles(head) is None and (begin := begin_of(head, last) or self._begin_untitled(head, last)):
             self._leave_out(begin)
+
+    def _begin_untitled(self, head: list[list[str]], last: list[list[str]]) -> int:
+        """Return the first row of a table without titles below words that cannot be any; 0 where there are none."""
+        begin, width = first_reading(head, kinds_of(last)), len(last[-1])
+        above = [line for row, (_, line) in zip(head, self._lines[:begin], strict=False) if not _are_numbers(row)]
+        titled = any(len(row) > 1 and not _are_numbers(row) for row in head[:begin])
+        titled = titled or any(len(titles_of(line, sign, width)) == width for line in above for sign in SIGNS)
+        return 0 if titled or self._delimiter is None or width < 2 or len(head) < begin + CERTAIN else begin
+
+    def _leave_out_below(self) -> None:
+        """Leave out what stands below the rows, such as statistics or the end of a report, and say so."""
+        if count := lines_below([line for _, line in self._lines]):
+            self._say_left_out(self._lines[-count:], "below")
+            self._lines = self._lines[:-count]
 
     def _leave_out(self, begin: int) -> None:
         """Leave out the lines before one of them, and say so."""
-        first, last = self._lines[0][0], self._lines[begin - 1][0]
-        self.notes.append(
-            f"lines {first} to {last} stand above the table: they are left aside"
-            if last > first
-            else f"line {first} stands above the table: it is left aside"
-        )
+        self._say_left_out(self._lines[:begin], "above")
         self._lines = self._lines[begin:]
+
+    def _say_left_out(self, lines: list[tuple[int, str]], place: str) -> None:
+        """Say that lines above or below the table are no rows of it."""
+        first, last = lines[0][0], lines[-1][0]
+        self.notes.append(
+            f"lines {first} to {last} stand {place} the table: they are left aside"
+            if last > first
+            else f"line {first} stands {place} the table: it is left aside"
+        )
 
     def _named(self, lines: list[str], width: int) -> list[str] | None:
         """Return the titles that a comment right above the numbers gives to all columns; None where it does not."""

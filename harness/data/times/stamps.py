@@ -140,14 +140,14 @@ def is_time_of_day(cell: str) -> bool:
 
 
 def is_time(cell: str) -> bool:
-    """Return True for a time with or without a date that its signs show.
+    """Return True for a time with or without a date that its signs show, or a span of days with a time.
 
     Examples
     --------
     >>> is_time("31.12.2024 12:00:00,5"), is_time("12:00:00.5"), is_time("20241231T120000"), is_time("0,5")
     (True, True, False, False)
     """
-    return ":" in cell and _STAMP.fullmatch(plain_time(cell)) is not None
+    return ":" in cell and (_STAMP.fullmatch(plain_time(cell)) is not None or span_of(cell) is not None)
 
 
 def is_date(cell: str) -> bool:

@@ -64,7 +64,7 @@ _DAY_OF_YEAR = re.compile(
 _SMALL = re.compile(r"\d{4}-?\d\d-?\d\dt\d.*")
 _HALF = re.compile(r"(?<=\d)\s*([apAP])\.\s?([mM])\.")
 _SPAN = re.compile(
-    r"(?P<sign>-?)(?P<days>\d+) days?,? \+?(?P<hours>\d{1,2}):(?P<minutes>[0-5]\d):(?P<seconds>[0-5]\d(?:\.\d+)?)"
+    r"(?P<sign>-?)(?P<days>\d+) ?d(?:ays?)?,? \+?(?P<hours>\d{1,2}):(?P<minutes>[0-5]\d):(?P<seconds>[0-5]\d(?:\.\d+)?)"
 )
 _MINUTES = re.compile(r"(?P<minutes>\d{1,3}):(?P<seconds>[0-5]\d[.,]\d+)", re.ASCII)
 
@@ -151,12 +151,12 @@ def _with_month(text: str) -> str:
 
 
 def span_of(cell: str) -> float | None:
-    """Return a span as pandas writes it in seconds; None for anything else.
+    """Return a span as pandas and cyclers of batteries write it in seconds; None for anything else.
 
     Examples
     --------
-    >>> span_of("1 days 00:00:00.500000"), span_of("00:00:01")
-    (86400.5, None)
+    >>> span_of("1 days 00:00:00.500000"), span_of("0d 00:00:01.50"), span_of("00:00:01")
+    (86400.5, 1.5, None)
     """
     found = _SPAN.fullmatch(cell.strip())
     if found is None:
