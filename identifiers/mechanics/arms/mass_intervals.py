@@ -24,8 +24,8 @@ BLOCKS = 40  # Stretches of the records by which the colour of the errors is tol
 VAST = 1e3  # Masses beyond so many times the file's count as without bound.
 NONE = 1e-5  # Masses below this part of the file's count as nothing: ten times what the solver keeps of a body.
 UNTOLD = 1e-10  # Share of a direction's information, of the largest one's, below which the data do not tell it.
-KINDS = ("data alone", "and bodies that mass can make", "and within their shapes", "and the file, trusted")
-"""What is known beside the data, more and more of it."""
+KINDS = ("data alone", "+ positivity", "+ hull", "+ prior")  # What is known beside the data, more and more of it.
+MEANT = ("", "bodies of positive density", "mass within the shapes", "the file, trusted to {trust:.0%}")
 Interval = tuple[float, float]
 COLOURS = ("#9aa5b1", "#3b82c4", "#2a9d6f", "#c2571a")
 
@@ -108,7 +108,7 @@ class MassIntervals:
             "shows sums of masses, centres and inertias",
             f"errors stay alike for so long that {told.colour:.3g} samples count as one" if told.colour > 1 else "",
             "" if shaped else "the file states no shapes: mass may lie anywhere",
-            f"the file is trusted to {self.trust:.0%} (option trust)",
+            "; ".join(self._legend()[1:]) + " (option trust)",
         ]
         rows = [
             {"body": name, "file [kg]": float(mass), **{
@@ -123,8 +123,13 @@ class MassIntervals:
             rows,
             [text for text in words if text],
             details,
-            lambda: _drawn(arm.name, names, stated, ends),
+            lambda: _drawn(arm.name, names, stated, ends, self._legend()),
         )
+
+    def _legend(self) -> list[str]:
+        """Return what each of :data:`KINDS` means."""
+        meant = [text.format(trust=self.trust) for text in MEANT]
+        return [f"{kind}: {text}" if text else kind for kind, text in zip(KINDS, meant, strict=True)]
 
     def _arm(self) -> ArmModel:
         from harness.physics.arms.arm import load_arm
@@ -209,7 +214,7 @@ def _shown(interval: Interval | None) -> str | None:
     low, high = interval
     if np.isfinite(high):
         return f"{low:.3g} to {high:.3g}"
-    return "no bound" if low <= 0 else f"above {low:.3g}"
+    return f"above {low:.3g}" if np.isfinite(low) else "no bound"
 
 
 def _finite(interval: Interval | None) -> list[float | None] | None:
@@ -217,7 +222,9 @@ def _finite(interval: Interval | None) -> list[float | None] | None:
     return None if interval is None else [end if np.isfinite(end) else None for end in interval]
 
 
-def _drawn(arm: str, names: Sequence[str], stated: FloatArray, ends: Sequence[Sequence[Interval | None]]) -> Any:
+def _drawn(
+    arm: str, names: Sequence[str], stated: FloatArray, ends: Sequence[Sequence[Interval | None]], legend: Sequence[str]
+) -> Any:
     """Return a figure: the intervals of every body, one below the other, the file's mass marked."""
     from harness.plots import sheet
 
@@ -228,7 +235,7 @@ def _drawn(arm: str, names: Sequence[str], stated: FloatArray, ends: Sequence[Se
     figure = sheet(figsize=(8.0, 1.6 + 0.8 * len(names)), layout="constrained")
     axes = figure.subplots()
     for number, (mass, own) in enumerate(zip(stated, ends, strict=True)):
-        for k, (kind, colour, interval) in enumerate(zip(KINDS, COLOURS, own, strict=True)):
+        for k, (kind, colour, interval) in enumerate(zip(legend, COLOURS, own, strict=True)):
             if interval is None:
                 continue
             place, (low, high) = number + 0.19 * (k - 1.5), interval
@@ -245,5 +252,5 @@ def _drawn(arm: str, names: Sequence[str], stated: FloatArray, ends: Sequence[Se
     axes.axvline(0.0, color="#cccccc", lw=0.8, zorder=0)
     axes.set_xlabel("mass [kg], 95 % intervals; an arrow goes on beyond the picture")
     axes.set_title(f"What tells the masses of {arm}")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
