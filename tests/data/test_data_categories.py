@@ -84,4 +84,4 @@ def test_categories_of_a_plain_table_are_said_in_the_place_of_units_and_never_gu
     assert [c.categories for c in (*said.dataset.spec.inputs, *said.dataset.spec.outputs)] == [4, 6]
     with pytest.raises(InputError, match=r"integer in 0 \.\. 4"):
         load_dataset(log, **columns, unit={"observation": "category 0..4"})
-    assert '# categories = 6  # whole numbers 0 to 5: are they names (unit = "1")?' in draft_dataset([log])
+    assert '# categories = 6  # whole numbers 0 to 5: codes of states (unit = "1")?' in draft_dataset([log])

@@ -187,7 +187,7 @@ def test_a_draft_takes_roles_from_the_caller(tmp_path: Path) -> None:
     assert shown.exit_code == 0, shown.output
     data = api.load_dataset(tmp_path / "dataset.toml").dataset
     assert [str(one) for one in (*data.spec.inputs, *data.spec.outputs)] == ["u [V]", "y [m]"]
-    assert "# flag: to use it, say its role" in (tmp_path / "dataset.toml").read_text()
+    assert "# flag: not used" in (tmp_path / "dataset.toml").read_text()
     shown = CliRunner().invoke(app, [*command, "--input", "w", "--force"])
     assert isinstance(shown.exception, InputError)
     assert "no column 'w'" in str(shown.exception)
@@ -200,9 +200,9 @@ def test_a_draft_under_a_model_keeps_what_the_caller_says(tmp_path: Path) -> Non
     out = api.new_dataset([log], model="double-pendulum", out=tmp_path / "dataset.toml", **said)
     draft = out.read_text()
     assert [draft.count(f'role = "{role}"') for role in ("input", "output", "?")] == [2, 2, 0]
-    assert draft.count('port = "?"  # which port of double-pendulum? inputs of like unit: u1 [N m], u2 [N m]') == 2
+    assert draft.count('port = "?"  # which input of double-pendulum? unit fits: u1 [N m], u2 [N m]') == 2
     assert "theta1 with derivative = 1, theta2 with derivative = 1" in draft
-    assert "is an input of double-pendulum that no column is called after" not in draft
+    assert "an input of double-pendulum? If it was zero" not in draft
     with pytest.raises(InputError, match=r"signals\.motor1\.port: an open question"):
         load_dataset(out)
     for port in ("u1", "u2", "theta1"):
@@ -210,7 +210,7 @@ def test_a_draft_under_a_model_keeps_what_the_caller_says(tmp_path: Path) -> Non
     out.write_text(draft.replace('port = "?"', 'port = "theta2"\nderivative = 1'))
     assert load_dataset(out).measured == (("theta1", 0), ("theta2", 1))
     only = api.new_dataset([log], model="double-pendulum", out=out, input="motor1", output=["arm1"], force=True)
-    assert "is an input of double-pendulum that no column is called after" in only.read_text()
+    assert "an input of double-pendulum? If it was zero" in only.read_text()
     with pytest.raises(InputError, match="--output: 'u' as an output: expected input, as the model has it"):
         api.new_dataset([table(log, "time [s],u [N m],theta [rad]", T, U, Y)], model="pendulum", out=out, output="u",
                         force=True)  # fmt: skip

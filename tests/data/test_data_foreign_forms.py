@@ -164,3 +164,18 @@ def test_numbers_of_channels_are_names_where_they_take_turns(tmp_path: Path) -> 
 def test_two_stamps_of_which_nobody_says_which_counts_are_left_alone(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no column 'u'"):
         read(tmp_path / "a.csv", long("tag,stamp_a,stamp_b,value\n", "{name},{at},{late},{value}"), step=1.0)
+
+
+@pytest.mark.parametrize("size", [1e120, 1e200, 1e308])
+def test_outputs_whose_squares_no_number_holds_are_refused_with_a_remedy_that_works(
+    size: float, tmp_path: Path
+) -> None:
+    text = "time [s],u,y\n" + joined(SECONDS, U, [repr(float(y) * size) for y in Y])
+    with pytest.raises(InputError, match=r"y is too large to count with.*scale it"):
+        read(tmp_path / "a.csv", text)
+    (tmp_path / "dataset.toml").write_text(
+        'name = "a"\n[signals.u]\nrole = "input"\nunit = "1"\n[signals.y]\nrole = "output"\nunit = "1"\n'
+        f'scale = {1 / size}\n[[runs]]\nfile = "a.csv"\n'
+    )
+    (run,) = load_dataset(tmp_path / "dataset.toml").dataset
+    assert run.trajectory.y[:, 0] == pytest.approx(Y)

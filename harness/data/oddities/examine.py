@@ -21,6 +21,7 @@ from harness.data.oddities.numbers import ODD
 from harness.data.oddities.pace import band_of, line_share, trend_of
 from harness.data.oddities.rows import slips_of
 from harness.data.oddities.spikes import Spikes, alike, spikes_of, unfelt
+from harness.errors import InputError
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, Oddity, Trajectory
 from harness.units import behind, own_unit, own_values, told
@@ -125,13 +126,22 @@ class _Look:
             self._slips()
 
     def _beyond_all(self) -> None:
-        """Leave out numbers so large that their squares are none: a damaged row, which no average survives."""
+        """Leave out numbers so large that their squares are none: a damaged row, which no average survives.
+
+        Raises InputError if they are no exceptions.
+        """
         for u_or_y, channels in ((self.u, self.spec.inputs), (self.y, self.spec.outputs)):
             for column, channel in enumerate(channels):
                 values = u_or_y[:, column]
                 rows = np.flatnonzero(np.abs(values) > ODD.beyond)
-                if not rows.size or rows.size == self.n:
+                if not rows.size:
                     continue
+                if rows.size > ODD.most * self.n:
+                    raise InputError(
+                        f"{channel.name} is too large to count with", expected=f"sizes up to {ODD.beyond:g}",
+                        got=f"{values[rows[0]]:.3g} in row {rows[0]}, and {rows.size} such rows of {self.n}",
+                        remedy="choose another column, correct its unit, or scale it (scale in a dataset.toml)",
+                    )  # fmt: skip
                 where = np.flatnonzero(np.abs(values) <= ODD.beyond)
                 remark = "read as their neighbours" if u_or_y is self.u else "counted as missing"
                 words = (

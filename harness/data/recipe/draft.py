@@ -79,7 +79,7 @@ def draft_dataset(
     if alike:
         lines += ["# joints are those of the model but for a prefix: {} is {}, and so on".format(*alike.popitem()), ""]
     lines += [] if model is None else ["[nominal]", f"model = {_quoted(model)}", ""]
-    lines += [] if model is not None else ['# [nominal] model = "..." names the model that you believe in', ""]
+    lines += [] if model is not None else ['# [nominal] model = "..."  # your model of the machine, if any', ""]
     lines += _signals(first, ports, roles)
     if ports is not None:
         lines += _lacking(first, ports, roles)
@@ -138,11 +138,11 @@ def _runs(number: int, name: str, found: Sequence[Contents], ports: Ports | None
     cut = 2 * rows // 3
     divided = len(found) == 1 and rows - cut >= SHORTEST
     uses = ("estimation", "validation") if divided else ("estimation" if number == 0 else "validation",)
-    lines = ["# one record: its last third validates (another record is better)"] if divided else []
+    lines = ["# one record only: its last third is kept for validation (a second record is better)"] if divided else []
     for use in uses:
         lines += ["[[runs]]", f"file = {_quoted(name)}", f'use = "{use}"']
         if own.sheet is not None:
-            asked = "" if sheet is not None else "  # the first one with numbers: another?"
+            asked = "" if sheet is not None else "  # first sheet with numbers; or another?"
             lines.append(f"sheet = {_quoted(own.sheet)}{asked}")
         if divided:
             lines.append(f"rows = {[0, cut] if use == uses[0] else [cut, rows]}")
@@ -186,39 +186,37 @@ def _clock(found: Contents, ports: Ports | None) -> list[str]:
             return [f"# steps of {step:.4g} s; [resample] sample_time is for stamps that are no clock's"]
         return [
             "",
-            "[resample]  # channels have clocks of their own: inputs are held from their stamps, outputs interpolated",
-            f"sample_time = {step:.4g}  # [s] the slowest channel's: another?",
+            "[resample]  # each channel has its own time stamps: hold inputs, interpolate outputs",
+            f"sample_time = {step:.4g}  # [s] step of the slowest channel; or another?",
             'method = "linear"  # or "cubic"',
         ]
     if found.clock is None:
-        return [f'sample_time = "{OPEN}"  # [s] no time column was found: what was it, or which column under [time]?']
+        return [f'sample_time = "{OPEN}"  # [s] no time column found: enter it, or name the column under [time]']
     rate = "" if found.sample_time is None else f"  # steps of {found.sample_time:.6g} s over {found.length:.6g} s"
     lines = []
     slow = [channel for channel in found.channels if 2 * channel.empty >= channel.rows > channel.empty]
     if found.rough:
-        lines += [
-            f"# sample_time = {found.sample_time:.6g}  # [s] the stamps are rough: did a clock of this take the rows?"
-        ]
+        lines += [f"# sample_time = {found.sample_time:.6g}  # [s] time stamps jitter: was this the fixed rate?"]
     if (found.holes or found.back) and not slow:
         what = f"{found.holes} holes" if found.holes else ""
         what += f"{' and ' if what else ''}{found.back} rows where time runs back" if found.back else ""
-        lines += [f'# gaps = "split"  # {what}: split the run there?']
+        lines += [f'# gaps = "split"  # {what}: start a new run there?']
     if stands := found.unsteady - found.back:
-        lines += [f'# duplicates = "first"  # {stands} rows repeat the stamp of the one before: which of two counts?']
+        lines += [f'# duplicates = "first"  # {stands} rows have the time of the row before: keep first, last or mean?']
     if slow:
         every = max(channel.every or 0.0 for channel in slow)
         names = ", ".join(channel.name for channel in slow[:4])
         lines += [
-            '# intersample = "zoh"  # is an input held from one reading to the next?',
+            '# intersample = "zoh"  # inputs constant between samples?',
             "",
-            f"# [resample]  # {names} filled in some rows only: one grid for all?",
+            f"# [resample]  # {names} logged less often: resample all to one rate?",
             f"# sample_time = {every:.4g}  # [s]",
         ]
     lines += ["", "[time]", f"column = {_quoted(found.clock)}{rate}"]
     if found.unlikely:
-        lines.append(f'unit = "{OPEN}"  # the title states none, and seconds are unlikely: is it s, ms, us, ns or d?')
+        lines.append(f'unit = "{OPEN}"  # no unit in the title, seconds unlikely: s, ms, us, ns or d?')
     elif not found.clock_stated:
-        lines.append('unit = "s"  # the title states none: is it s, ms, us or ns?')
+        lines.append('unit = "s"  # no unit in the title: s, ms, us or ns?')
     return lines
 
 
@@ -233,7 +231,7 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
     if ports is not None and match is None and not roles:
         near = _fitting(channel, ports)
         lines = [head, f'role = "{OPEN}"{sizes}', f"column = {_quoted(channel.column)}"]
-        lines.append(f"# port of {ports.model}? of like unit: {near}; remove the table if it is none")
+        lines.append(f"# which input or output of {ports.model}? unit fits: {near}; delete this if none")
         return [*("# " + line if not line.startswith("# ") else line for line in lines), ""]
     if match is not None and ports is not None:
         port, role, derivative = match
@@ -244,9 +242,9 @@ def _signal(channel: ChannelContent, ports: Ports | None, roles: Mapping[str, st
         lines = [head, f'role = "{said}"{sizes}', f"column = {_quoted(channel.column)}"]
         if ports is not None:
             near = _fitting(channel, ports, said)
-            lines.append(f'port = "{OPEN}"  # which port of {ports.model}? {said}s of like unit: {near}')
+            lines.append(f'port = "{OPEN}"  # which {said} of {ports.model}? unit fits: {near}')
     elif roles:
-        return [f"# {channel.column}: to use it, say its role{sizes}", ""]
+        return [f"# {channel.column}: not used{sizes}", ""]
     else:
         lines = [head, f'role = "{OPEN}"  # "input", "output" or "reference"?{sizes.replace("  #", "")}']
         lines.append(f"column = {_quoted(channel.column)}")
@@ -263,8 +261,8 @@ def _unit(channel: ChannelContent, match: tuple[Channel, str, int] | None) -> li
     joint = None if match is None else _JOINT.search(channel.name)
     if joint and joint["list"] != "effort":
         return [f'unit = "{own}"  # as REP 103 has it']
-    wanted = f" (the model's is {own}{_CURRENT if joint else ''})" if own else ""
-    return [f'unit = "{OPEN}"  # the title states none: which{wanted}?']
+    wanted = f" (model: {own}{_CURRENT if joint else ''})" if own else ""
+    return [f'unit = "{OPEN}"  # no unit in the title: which one{wanted}?']
 
 
 def _sizes(channel: ChannelContent) -> str:
@@ -282,7 +280,7 @@ def _names(channel: ChannelContent) -> list[str]:
     if not channel.names or channel.unit not in ("", "1"):
         return []
     last = channel.maximum or 0.0
-    return [f'# categories = {last + 1:.0f}  # whole numbers 0 to {last:.0f}: are they names (unit = "1")?']
+    return [f'# categories = {last + 1:.0f}  # whole numbers 0 to {last:.0f}: codes of states (unit = "1")?']
 
 
 def _port(channel: ChannelContent, ports: Ports) -> tuple[Channel, str, int] | None:
@@ -340,8 +338,8 @@ def _lacking(found: Contents, ports: Ports, roles: Mapping[str, str]) -> list[st
     lacking = [port for port in ports.inputs if port.name not in given]
     said = [column for column, role in roles.items() if role == "input" and matches[column] is None]
     return [
-        f"# {port} is an input of {ports.model} that no column is called after: which is it? undriven = "
-        f"[{_quoted(port.name)}] above the first table if nothing drove it"
+        f"# which column is {port}, an input of {ports.model}? If it was zero all the time: undriven = "
+        f"[{_quoted(port.name)}] above the first table"
         for port in (lacking if len(said) < len(lacking) else ())
     ] + [""]
 
