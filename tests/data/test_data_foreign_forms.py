@@ -167,9 +167,7 @@ def test_two_stamps_of_which_nobody_says_which_counts_are_left_alone(tmp_path: P
 
 
 @pytest.mark.parametrize("size", [1e120, 1e200, 1e308])
-def test_outputs_whose_squares_no_number_holds_are_refused_with_a_remedy_that_works(
-    size: float, tmp_path: Path
-) -> None:
+def test_outputs_whose_squares_overflow_are_refused_with_a_remedy_that_works(size: float, tmp_path: Path) -> None:
     text = "time [s],u,y\n" + joined(SECONDS, U, [repr(float(y) * size) for y in Y])
     with pytest.raises(InputError, match=r"y is too large to count with.*scale it"):
         read(tmp_path / "a.csv", text)

@@ -15,6 +15,7 @@ from harness.data.conditioning.clock import TimeRules
 from harness.data.conditioning.timebase import Piece, pieces_of
 from harness.data.conditioning.trends import conditioned
 from harness.data.conditioning.unstated import refuse_unlikely_seconds
+from harness.data.oddities.numbers import ODD
 from harness.data.recipe.beside import BesideFile
 from harness.data.recipe.in_memory import examined_data
 from harness.data.recipe.loaded import LoadedDataset
@@ -262,7 +263,8 @@ class Reader:
             seen[column] = name
             columns[name] = self._converted(name, table, column)
             if name in self.plan.outputs:
-                self.steps.setdefault(name, []).append(resolution([columns[name]]))
+                sizes = columns[name][np.abs(columns[name]) <= ODD.beyond]
+                self.steps.setdefault(name, []).append(resolution([sizes]))
         inputs = tuple(name in self.plan.inputs for name in names)
         own = table.clocks(list(seen))
         if own is not None:
