@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -124,12 +125,17 @@ def spectrum(
     ------
     InputError
         If the records have no input, or are too short.
+
+    Notes
+    -----
+    ``response`` is in the units of ``spec`` (SI), as those of models; ``rows()`` and pictures are in the units of the
+    log.
     """
     from harness import comparison as room
 
     refuse_overwrite(out, force=force, endings=PICTURES)
     data = noted(dataset, model=model, **records)
-    found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
+    found = replace(room.spectrum([one.measured() for one in data.estimation], segment=segment), recorded=data.recorded)
     draw(found.plot, out)
     return found
 

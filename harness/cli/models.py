@@ -264,9 +264,11 @@ def spectrum(
     else:
         counted = "averages" if found.method == "Welch" else "lines each"
         say(f"{found.method}, {found.averages:.0f} {counted}; deviation is one standard deviation of the magnitude")
+        say(f"magnitudes: {found.gains()}")
         if dark := found.unexcited():
             say(dark)
-        print_rows(found.rows())
+        titles = {"frequency": "frequency [Hz]", "phase": "phase [deg]"}
+        print_rows([{titles.get(name, name): value for name, value in row.items()} for row in found.rows()])
         print_paths(out)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,8 @@ class Spectrum:
     etfe_frequency : array (F2,)
         [Hz].
     method : {"local polynomials", "Welch"}
+    recorded : mapping
+        Units in which channels were recorded (``Dataset.recorded``): those of rows and pictures.
     """
 
     spec: PlantSpec
@@ -55,6 +57,7 @@ class Spectrum:
     etfe: ComplexArray | None
     etfe_frequency: FloatArray
     method: str = "Welch"
+    recorded: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         low, high = self.frequency[1], self.frequency[-1]
@@ -62,6 +65,8 @@ class Spectrum:
 
     def rows(self, count: int = 16) -> list[dict[str, float | str]]:
         """Return the response at some frequencies, evenly on a logarithmic scale: magnitude, phase, band, coherence."""
+        if self.recorded:
+            return self.as_recorded(self.recorded).rows(count)
         wanted = np.geomspace(self.frequency[1], self.frequency[-1], count)
         picked = np.unique([int(np.argmin(np.abs(self.frequency - frequency))) for frequency in wanted])
         found: list[dict[str, float | str]] = []
@@ -82,6 +87,11 @@ class Spectrum:
                     )
         return found
 
+    def gains(self) -> str:
+        """Return in words of what the magnitudes are, with the units of :meth:`rows`."""
+        spec = own_gains(self.spec, self.recorded)[0]
+        return ", ".join(f"{output} / {source}" for output in spec.outputs for source in spec.inputs)
+
     def unexcited(self) -> str:
         """Return in words at which frequencies inputs have no power; empty where all have some."""
         dark: npt.NDArray[np.bool_] = np.any(np.isnan(self.response[1:]), axis=1, keepdims=True)[:, 0]
@@ -95,7 +105,10 @@ class Spectrum:
     def as_recorded(self, recorded: Mapping[str, str]) -> Spectrum:
         """Return the same in the units in which the channels were recorded (``Dataset.recorded``)."""
         spec, times = own_gains(self.spec, recorded)
-        return replace(self, spec=spec, response=self.response * times, deviation=self.deviation * times)
+        etfe = None if self.etfe is None else self.etfe * times
+        return replace(
+            self, spec=spec, response=self.response * times, deviation=self.deviation * times, etfe=etfe, recorded={}
+        )
 
     def _repr_html_(self) -> str:
         from harness.display import page
@@ -113,6 +126,8 @@ class Spectrum:
         """
         from harness.plots import sheet
 
+        if self.recorded:
+            return self.as_recorded(self.recorded).plot(colour)
         figure = sheet(figsize=(8, 7), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True)
         f = self.frequency[1:]

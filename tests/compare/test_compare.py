@@ -287,3 +287,14 @@ def test_pulses_are_drawn_as_the_model_answers_them_in_the_units_of_the_data() -
     assert "after a unit pulse of u" in axis.get_title()
     assert len(axis.collections) == 1, "the band"
     assert 'alt="frequency response"' in spectrum([record(1)])._repr_html_(), "a notebook shows it"
+
+
+def test_a_spectrum_is_told_in_the_units_of_the_log(tmp_path: Path) -> None:
+    u = np.random.default_rng(5).normal(size=2000)
+    table = {"time [s]": DT * np.arange(2000), "u [mV]": 1e3 * u, "y [deg]": np.degrees(0.3 * u)}
+    found = api.spectrum(table, input="u", output="y", out=tmp_path / "bode.svg")
+    assert np.abs(found.response).max() == pytest.approx(0.3, rel=1e-3)  # rad/V, as models have it
+    told = [float(row["magnitude"]) for row in found.rows()]
+    assert told == pytest.approx([np.degrees(0.3) / 1e3] * len(told), rel=1e-3)
+    assert found.gains() == "y [deg] / u [mV]"
+    assert found.as_recorded(found.recorded).etfe == pytest.approx(found.etfe * np.degrees(1.0) / 1e3)
