@@ -206,7 +206,9 @@ def _describe(path: Path) -> tuple[Any, list[str]]:
         except ValidationError as error:
             problems = [str(problem) for problem in error.problems]
         except Exception as error:
-            raise _unreadable(path, error) from error
+            if not validate:
+                raise _unreadable(path, error) from error
+            problems = [f"the check of the description broke off: {type(error).__name__}: {error!s:.80}"]
     raise _unreadable(path, ValueError("; ".join(problems)))
 
 

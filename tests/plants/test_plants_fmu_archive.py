@@ -170,6 +170,13 @@ def test_flaws_of_the_description_are_told_and_the_fmu_still_runs(tmp_path: Path
     assert describe(file)["problems"]
 
 
+def test_what_the_check_itself_stumbles_over_is_said_and_runs(tmp_path: Path) -> None:
+    file = repacked(tmp_path / "shown.fmu", described('unit="rad" displayUnit="deg"', 'displayUnit="deg"'))
+    with FmuPlant(file, sample_time=0.01) as plant:
+        assert any("broke off" in text for text in plant.warnings)
+        assert plant.reset(rng=np.random.default_rng(0)).shape == (2,)
+
+
 def test_only_once_per_process_is_honoured(tmp_path: Path) -> None:
     file = repacked(
         tmp_path / "single.fmu",
