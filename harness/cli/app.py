@@ -135,6 +135,9 @@ def new(
     inputs: Inputs = None,
     outputs: Outputs = None,
     sheet: Sheet = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="of dataset: file to write; default dataset.toml in --folder")
+    ] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
@@ -145,7 +148,7 @@ def new(
         out = api.new_dataset(
             name,
             model=model,
-            out=folder / "dataset.toml",
+            out=out or folder / "dataset.toml",
             sheet=sheet,
             input=inputs or (),
             output=outputs or (),
@@ -153,8 +156,11 @@ def new(
         )
         print_written([out], as_json=as_json)
         if not as_json:
-            say(f"now: answer what stands as a question in it, then sysid close-loop {out}")
+            asked = 'replace each "?" in it, then ' if '"?"' in out.read_text(encoding="utf-8") else ""
+            say(f"now: {asked}sysid {'identify' if model is None else 'close-loop'} {out}")
         return
+    if out is not None:
+        raise InputError("--out", expected="a file of new dataset", got=f"new {kind}", remedy="give --folder")
     if len(name) > 1:
         raise InputError("name of a plug-in", expected="one", got=" ".join(name), remedy="begin them one by one")
     print_written(api.new(kind, name[0], folder=folder), as_json=as_json)

@@ -215,7 +215,7 @@ def compare(
             got=" ".join(files),
             remedy="give a model and a data set",
         )
-    if len(files) == 2 and is_report(files[1]):
+    if len(files) == 2 and (is_report(files[1]) or (files[0].endswith(".json") and is_report(files[0]))):
         asked = [name for name, given in (("--out", out), ("--max-error", max_error), ("--junit", junit)) if given]
         if asked:
             raise InputError(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from harness.errors import UNREADABLE, InputError, as_written
-from harness.units import behind
+from harness.units import behind, told
 
 FORMAT = "sysid-harness/close-loop/"
 SAME = 1e-3  # Relative difference of two figures below which nobody looks: the fits of two machines differ by less.
@@ -130,7 +131,10 @@ def _inputs(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[Difference]:
         values = [side.get(name) for side in numbers]
         if values[0] != values[1]:
             found.append(Difference("input", f"threshold {name}", str(values[0]), str(values[1])))
-    said = [set(data.get("warnings", ())) for data in (one, two)]
+    said = [
+        {re.sub(rf"\b{re.escape(str(data.get('dataset')))}(?=\.\w)", "FILE", text) for text in data.get("warnings", ())}
+        for data in (one, two)
+    ]  # what is said of either file alike is no difference
     for k in (0, 1):
         for text in sorted(said[k] - said[1 - k]):
             found.append(Difference("input", "warning", text if k == 0 else "-", text if k == 1 else "-"))
@@ -196,11 +200,18 @@ def _errors(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[Difference]:
     for name in dict.fromkeys([*sides[0], *sides[1]]):
         scores = [side.get(name, {}) for side in sides]
         if not _same(scores[0].get("rms"), scores[1].get("rms")):
-            shown = [
-                "-" if score.get("rms") is None else f"{score['rms']:.4g}{behind(score['unit'])}" for score in scores
-            ]
+            own = [data.get("recorded", {}).get(name, {}).get("recorded") for data in (one, two)]
+            shown = [_error(score, unit) for score, unit in zip(scores, own, strict=True)]
             found.append(Difference("answer", f"simulation error of {name}", *shown))
     return found
+
+
+def _error(score: Mapping[str, Any], recorded: str | None) -> str:
+    """Return an error in the unit in which the output was recorded."""
+    if score.get("rms") is None:
+        return "-"
+    size, unit = told(float(score["rms"]), score["unit"], recorded or score["unit"])
+    return f"{size:.4g}{behind(unit)}"
 
 
 def _same(first: float | None, second: float | None) -> bool:

@@ -171,6 +171,24 @@ def test_two_reports_are_told_apart(tmp_path: Path, sysid: Callable[..., Any]) -
         compare_reports(one, tmp_path)
 
 
+def test_what_is_said_of_either_file_alike_is_no_difference(tmp_path: Path) -> None:
+    for name, rms, lines in (("run", 1e-3, "1 to 2"), ("run2", 2e-3, "1 to 2"), ("run3", 1e-3, "1 to 4")):
+        said = [f"{name}.csv: decimal commas are read as decimal points", f"{name}.csv: lines {lines} stand above"]
+        recorded = {"theta": {"unit": "rad", "recorded": "mrad"}}
+        content = report(rms=rms) | {"dataset": name, "warnings": said, "recorded": recorded}
+        (tmp_path / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+    one, two, three = (tmp_path / f"{name}.json" for name in ("run", "run2", "run3"))
+    found = {row["what"]: row for row in compare_reports(one, two).rows()}
+    assert set(found) == {"data set", "simulation error of theta"}
+    assert found["simulation error of theta"]["second"] == "2 mrad"
+    assert [row["what"] for row in compare_reports(one, three).rows()].count("warning") == 2
+
+
+def test_a_second_report_that_is_not_there_is_called_so(tmp_path: Path, sysid: Callable[..., Any]) -> None:
+    (tmp_path / "one.json").write_text(json.dumps(report()), encoding="utf-8")
+    assert "not a report" in sysid("compare", tmp_path / "one.json", tmp_path / "two.json", status=2).err
+
+
 def test_the_examples_for_ci_are_commands_of_ours(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sysid: Callable[..., Any]
 ) -> None:

@@ -188,6 +188,10 @@ def test_a_draft_takes_roles_from_the_caller(tmp_path: Path) -> None:
     data = api.load_dataset(tmp_path / "dataset.toml").dataset
     assert [str(one) for one in (*data.spec.inputs, *data.spec.outputs)] == ["u [V]", "y [m]"]
     assert "# flag: not used" in (tmp_path / "dataset.toml").read_text()
+    shown = CliRunner().invoke(app, [*command, "--input", "u", "--output", "y", "-o", str(tmp_path / "b.toml")])
+    assert "now: sysid identify" in shown.output, "nothing is open"
+    assert (tmp_path / "b.toml").read_text() == (tmp_path / "dataset.toml").read_text()
+    assert CliRunner().invoke(app, ["new", "plant", "x", "-o", str(tmp_path / "x")]).exit_code
     shown = CliRunner().invoke(app, [*command, "--input", "w", "--force"])
     assert isinstance(shown.exception, InputError)
     assert "no column 'w'" in str(shown.exception)
