@@ -29,6 +29,7 @@ from harness.signals import FloatArray, PlantSpec
 STEP = 1e-3  # Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration.
 BEND = 0.02  # Part of a difference between two sides that may be a bend: the derivative errs by about its square.
 SHORTEST = 1e-3  # Part of a step that the next one has at least: beyond that a bend is no parabola's.
+STILL = 1e-6  # Of an output's spread: what a start moves less, by its whole size, moves the solver's own error.
 NEAR = 0.3  # Of a parameter, and of the spread of an output: how far a run may be off one that lends its derivatives.
 
 
@@ -89,7 +90,10 @@ class FmuSimulator(BySample):
         blocks = {parameter for _, _, parameter in self.sampled.output_blocks}
         self._unknowns = [*(k for k in self._free if k not in blocks), *self.state_columns]
         self._names = [*system.parameter_names, *(state.name for state in system.states)]
-        before = [placed for placed in system.effects if port_of(cast(Any, system), placed).kind != "output"]
+        ports = [(placed, port_of(cast(Any, system), placed).kind) for placed in system.effects]
+        before = [placed for placed, kind in ports if kind != "output"]
+        self._still: set[str] = set()  # States whose start moves no output
+        self._looks = any(kind != "input" for _, kind in ports)  # Effects may read positions that no output tells
         self._drivers = repr([str(placed) for placed in before]).encode()
         self._driving = [] if system.around is None else system.around.driving
 
@@ -294,10 +298,8 @@ class FmuSimulator(BySample):
                     continue
                 if k < self.np:
                     s[..., k] = self._by_parameter(k, p, x0, u, gradient, y, t0)
-                else:
-                    h, begun = STEP * self._size(k - self.np, x, u), x0.copy()
-                    begun[k - self.np] += h
-                    s[..., k] = (self.run(p, begun, u, t0)[1] - y) / h
+                elif name not in self._still:
+                    s[..., k] = self._by_start(k - self.np, p, x0, u, x, y, t0)
                 if k < self.system.inner_count or 0 <= k - self.np < len(self._states):
                     slopes[name] = s[..., k]
             if self._lent is not None and not lent and np.isfinite(s).all():
@@ -309,6 +311,22 @@ class FmuSimulator(BySample):
         """Return derivatives that are lent to a run with these outputs (N, ny), by name; none where none holds."""
         inner = p[: self.system.inner_count]
         return next((loan.slopes for loan in self._lent or () if loan.holds(inner, y)), {})
+
+    def _by_start(
+        self, row: int, p: FloatArray, x0: FloatArray, u: FloatArray, x: FloatArray, y: FloatArray, t0: float
+    ) -> FloatArray:
+        """Return the derivative of the outputs by the start of a state (N, ny); 0 of one that moves none of them.
+
+        A fit would drive that anywhere, as an angle of which only the speed is measured: what it moves are the
+        solver's last digits. Where no effect looks at a motion it is not asked for again.
+        """
+        size, begun = self._size(row, x, u), x0.copy()
+        begun[row] += STEP * size
+        found = (self.run(p, begun, u, t0)[1] - y) / (STEP * size)
+        still = bool((size * np.sqrt(np.mean(found**2, axis=0)) <= STILL * np.std(y, axis=0)).all())
+        if still and not self._looks:
+            self._still.add(self.system.states[row].name)
+        return np.zeros_like(y) if still else np.asarray(found)
 
     def _size(self, row: int, x: FloatArray, u: FloatArray) -> float:
         """Return the size of a state along a run; of what went in before the record, that of the input."""

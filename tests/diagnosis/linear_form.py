@@ -152,6 +152,9 @@ class LinearForm:
     def left_out(self) -> list[str]:
         return []
 
+    def limited(self) -> bool:
+        return False
+
     def change(self, fit: Fit, placed: Placed) -> float:
         return float("inf")
 

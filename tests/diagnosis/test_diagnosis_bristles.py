@@ -83,6 +83,9 @@ class Told:
     def left_out(self) -> list[str]:
         return []
 
+    def limited(self) -> bool:
+        return False
+
     def change(self, fit: Fit, placed: Placed) -> float:
         return np.inf
 

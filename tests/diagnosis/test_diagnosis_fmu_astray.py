@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from linear_form import ALL, LinearForm, linear_records
 
 from harness import registry
 from harness.blackbox.reader import fmu_system
@@ -18,7 +21,9 @@ from harness.diagnosis.fmu.form import FmuForm
 from harness.diagnosis.fmu.prepare import measured_states, nominal_fmu, restarts
 from harness.diagnosis.fmu.pushes import as_measured
 from harness.diagnosis.forms import likelihood_form as forms
+from harness.diagnosis.search.fit import Begun
 from harness.diagnosis.search.scores import score_test
+from harness.diagnosis.search.search import search
 from harness.diagnosis.steps import nominal_fit
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -105,6 +110,25 @@ def test_a_search_that_costs_too_much_ends_and_says_what_it_did_not_try(monkeypa
     assert "the search had reached its cost limit" in row["reason"]
 
 
+@pytest.mark.parametrize("limited", [True, False])
+def test_where_a_search_may_end_early_what_promises_most_is_begun_first(limited: bool) -> None:
+    """A column that the nominal parameters take up nearly whole makes a promise uncertain, and not small."""
+    records = linear_records(5, {"cubic_spring": 40.0, "linear_spring": 0.5}, absorbed={"cubic_spring": 0.05})
+    begun: list[str] = []
+
+    class Form(LinearForm):
+        def limited(self) -> bool:
+            return limited
+
+        def begin(self, effects: Sequence[Placed], *more: Any) -> Begun:
+            begun.extend(one.effect.name for one in effects[-1:])
+            return super().begin(effects, *more)
+
+    form = Form(records)
+    search(form, form.fit((), [], None), ALL)
+    assert (begun[0] == "cubic_spring") == limited
+
+
 def test_what_was_begun_is_finished_where_nothing_more_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (forms, fmu):
         monkeypatch.setattr(module, "EFFORT", replace(EFFORT, seconds=1.0, ending=2.0))
@@ -122,10 +146,9 @@ def test_what_was_begun_is_finished_where_nothing_more_is_begun(monkeypatch: pyt
     assert finished is not None
     assert finished.converged
     assert form.begin([FRICTION], [{}], nominal) is not None, "what was finished may be asked for again"
-    assert beside.begin([], beside.first_starts(), None) is not None
+    assert beside.begin([], beside.first_starts(), None) is None, "other data are part of the same search"
     spent = 2.5
     assert form.finish(begun, nominal) is None
-    assert beside.begin([], beside.first_starts(), None) is None, "other data are part of the same search"
     assert form.left_out() == [str(FRICTION)]
     assert form.begin([], form.first_starts(), None) is not None, "the nominal model is fitted whatever it costs"
 

@@ -60,6 +60,28 @@ def test_an_effect_on_a_sensor_does_not_run_the_fmu_again() -> None:
     assert len(runs) == 3, "what drives it is another run each"
 
 
+def test_a_start_that_moves_only_last_digits_of_the_solver_moves_nothing() -> None:
+    """An angle of which only the speed is measured: a fit went 2e7 rad along what the solver rounds."""
+
+    class Rounding(FmuSimulator):
+        def run(self, p, x0, u, t0=0.0, extra=None):  # type: ignore[no-untyped-def]
+            speed = x0[1] + np.cumsum(u, axis=0)
+            asked.append(x0.copy())
+            return np.repeat(x0[None], len(u), axis=0), speed * (1 + 1e-11 * np.sin(1e4 * x0[0]))
+
+    asked: list[FloatArray] = []
+    simulator = Rounding((some := counted("pendulum")[0]).system, some.runner)
+    p, x0 = simulator.system.vector(), np.array([[0.2, 0.1]])
+    for _ in range(2):
+        with simulator.deriving(simulator.state_columns):
+            _, _, found = simulator.windows(p[None], x0, U[None], None, T[:1])
+        assert found is not None
+        assert not found[0][..., simulator.np].any()
+        assert found[0][..., simulator.np + 1] == pytest.approx(1.0, abs=1e-6)
+        simulator.forget()
+    assert len(asked) == 3 + 1, "the run is remembered, and this start not asked for again"
+
+
 def test_first_steps_borrow_the_derivatives_of_a_run_like_theirs() -> None:
     simulator, runs = counted("pendulum")
     system, x0 = simulator.system, np.array([[0.2, 0.0]])

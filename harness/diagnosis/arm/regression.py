@@ -337,6 +337,10 @@ class RegressionForm(InOneGo):
         """Everything was tried."""
         return []
 
+    def limited(self) -> bool:
+        """Return False: a fit costs next to nothing."""
+        return False
+
     def distance(self, fit: Fit, other: Fit) -> float:
         """Return by how much the torques of two fits differ, at the joint where they do most: rms over torque's rms."""
         pairs = zip(*(regression_detail(one).residual["estimation"] for one in (fit, other)), strict=True)

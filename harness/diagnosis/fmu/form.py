@@ -34,6 +34,9 @@ from harness.signals import Dataset, FloatArray, Trajectory
 
 PUSH = 1e-3
 """Size of a push in the difference quotients, over that of the inputs: well above what the solver rounds off."""
+WIDE = 0.1
+"""And of one that is convolved with others, where the model allows it: where its inputs rest the solver errs by 2 % of
+what the smaller one does."""
 
 
 class FmuForm(LikelihoodForm[FmuSystem]):
@@ -53,7 +56,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         self._lent: dict[int, list[Loan]] = {}  # While first steps are taken
         self._lender: Fit | None = None
         self._lendings: dict[int, list[Loan]] = {}
-        self._finished: set[frozenset[str]] = set() if beside is None else beside._finished
+        self._finished: set[frozenset[str]] = set()
         super().__init__(system, dataset, sizes, laws)
 
     def on(self, dataset: Dataset) -> FmuForm:
@@ -90,6 +93,10 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         """See :class:`harness.diagnosis.search.fit.Form`."""
         return list(self._left)
 
+    def limited(self) -> bool:
+        """See :class:`harness.diagnosis.search.fit.Form`: by what the FMU's runs cost."""
+        return True
+
     def judges(self, placed: Placed) -> bool:
         """Return True for an effect that can be put around an FMU."""
         return fits_fmu(placed.effect)
@@ -117,8 +124,9 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         """See :class:`harness.diagnosis.search.fit.Form`.
 
         First steps beside a base, which only rank, take its derivatives by what is the FMU's own: each costs a run or
-        two. What is finished takes its own.
+        two. What is finished takes its own, from the likeliest end of first steps that cost much.
         """
+        before = self.runner.seconds
         try:
             if not self.spent(effects, base, EFFORT.seconds):
                 loans = {} if base is None else self._loans(base)
@@ -132,6 +140,8 @@ class FmuForm(LikelihoodForm[FmuSystem]):
             assert isinstance(begun.detail, FirstSteps)
             assert isinstance(begun.detail.passes, FreePass)
             begun.detail.passes.take_own()
+            if self.runner.seconds - before > EFFORT.dear:
+                del begun.detail.tried[1:]
         return begun
 
     def _loans(self, base: Fit) -> dict[int, list[Loan]]:
@@ -269,11 +279,12 @@ class FmuForm(LikelihoodForm[FmuSystem]):
             for number, run in enumerate(passed):
                 assert isinstance(run, Run)
                 u = self.records[use][number].u
-                size = PUSH * max(float(np.sqrt(np.mean(u**2))) if u.size else 0.0, 1e-9)
+                rms = max(float(np.sqrt(np.mean(u**2))) if u.size else 0.0, 1e-9)
                 still = run.pushed(np.zeros_like(u))
                 every = [direction.forces[use][number] for direction in found]
                 many = sum(forces.shape[2] for forces in every) > EFFORT.pushes
-                convolved = _convolution(run, still, u, size) if many else None
+                tried = (_convolution(run, still, u, part * rms) for part in (WIDE, PUSH) if many)
+                convolved = next((one for one in tried if one is not None), None)
                 for direction, columns in zip(found, made, strict=True):
                     response = -direction.readings[use][number]
                     forces = direction.forces[use][number]
@@ -284,7 +295,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
                     for k in range(forces.shape[2]):
                         largest = float(np.sqrt(np.mean(forces[..., k] ** 2)))
                         if largest > 0:
-                            step = size / largest
+                            step = PUSH * rms / largest
                             response[..., k] -= (run.pushed(step * forces[..., k]) - still) / step
                     columns[use].append(whitened(response, run.s[..., None]))
         return [

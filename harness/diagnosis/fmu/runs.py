@@ -60,7 +60,7 @@ class FmuRuns(FreeRunForm):
 
     def fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
         """Return fitted initial states (W, nx)."""
-        return minimise_states(windows, p, x0, most)
+        return minimise_states(windows, p, x0, most, decrease=self.decrease)
 
     def from_data(self, simulator: Simulator, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
         """Return smoothed measurements for states that are outputs, their derivatives for rates, else 0."""

@@ -92,6 +92,10 @@ class Remembered(InOneGo):
         """Pass on."""
         return self.form.left_out()
 
+    def limited(self) -> bool:
+        """Pass on."""
+        return self.form.limited()
+
     def change(self, fit: Fit, placed: Placed) -> float:
         """Pass on."""
         return self.form.change(fit, placed)

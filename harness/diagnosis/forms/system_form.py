@@ -55,6 +55,10 @@ class SystemForm(ABC, Generic[SystemT]):
     def smooth(self, passed: Filtered) -> Smoothed:
         """Return the states given the whole record."""
 
+    def limited(self) -> bool:
+        """See :class:`harness.diagnosis.search.fit.Form`; only an FMU's search may end so."""
+        return False
+
     @abstractmethod
     def first_starts(self) -> list[dict[str, float]]:
         """Return parameters to start the nominal fit from."""

@@ -316,6 +316,10 @@ class Form(Protocol):
         """Return the effects that were not tried to the end, alone or beside others, as that would cost too much."""
         ...
 
+    def limited(self) -> bool:
+        """Return whether a search may end before it began all that promises something."""
+        ...
+
     def change(self, fit: Fit, placed: Placed) -> float:
         """Return how much one of the effects of a fit changes of rates or readings, as a share of them.
 

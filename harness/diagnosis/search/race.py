@@ -118,7 +118,10 @@ def _begun(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) 
     """Begin the refits of all that promises something, and of what no promise tells of."""
     race = _Race(base, base.penalised - table.nominal.penalised, table.policy, table.laws)
     before = base.log_likelihood("estimation")
-    for lead in [*chosen(test, table.laws, table.policy), *_remembered(table, base, test, untried)]:
+    leads = chosen(test, table.laws, table.policy)
+    if table.form.limited():  # what comes last may not be begun at all, however much it promises
+        leads.sort(key=lambda lead: -lead.penalised)
+    for lead in [*leads, *_remembered(table, base, test, untried)]:
         table.say(str(lead.placed))
         promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
         starts = [{**base.values, **start} for start in promising]
