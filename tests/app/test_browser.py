@@ -89,6 +89,7 @@ def test_from_a_dropped_log_to_a_fit_and_its_command(
     for row, use in ((1, "input"), (2, "output")):
         selects.nth(row).focus()
         page.keyboard.type(use)
+        assert selects.nth(row).input_value() == use, "every letter counts, not the last one alone"
     page.wait_for_selector("#odd .done:has-text('Nothing odd')")
     page.focus("#task-loop")
     page.keyboard.press("ArrowRight")

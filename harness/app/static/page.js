@@ -128,9 +128,11 @@ function uses(one) {
   return [...found, ...state.ports.map((port) => option(`${port.use}:${port.name}`, `${port.use} ${port.name} [${port.unit}]`, one.use === port.use && one.port === port.name))];
 }
 
-function fillTable() {
-  const holes = state.columns.some((one) => one.empty);
-  const rows = state.columns.map((one, k) => {
+const holed = () => state.columns.some((one) => one.empty);
+
+function tableRows() {
+  const holes = holed();
+  return state.columns.map((one, k) => {
     const name = `Column ${one.title}`;
     const choose = make("select", { "aria-label": `${name} is`, onchange: (event) => use(k, event.target.value) }, ...uses(one));
     const own = one.unit || state.stated[one.title]?.[one.port];
@@ -144,6 +146,10 @@ function fillTable() {
       make("td", { class: one.mean == null ? "n none" : "n", "data-label": "mean" }, one.mean == null ? "" : `${number(Math.abs(one.mean) < 1e-9 * one.deviation ? 0 : one.mean)} ± ${number(one.deviation)}`),
       holes ? make("td", { class: "n", "data-label": "empty" }, String(one.empty ?? 0)) : null, make("td", { class: "n", "data-label": "plot" }, tick));
   });
+}
+
+function fillTable() {
+  const rows = tableRows(), holes = holed();
   const titles = ["column", ...(isToml() ? [] : ["is"]), "unit", "range", "mean ± deviation", ...(holes ? ["empty"] : []), "plot"];
   at("table").replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles.map((title) => make("th", { scope: "col" }, title)))), make("tbody", {}, ...rows)));
   at("channels-help").hidden = isToml();
@@ -155,9 +161,13 @@ function use(k, value) {
     if (other !== one && ((kind === "time" && other.use === "time") || (port && other.port === port))) { other.use = ""; other.port = ""; }
   }
   Object.assign(one, { use: kind, port, shown: kind === "time" ? false : one.shown || Boolean(kind) });
-  fillTable();
+  const rows = [...at("table").querySelectorAll("tbody tr")];
+  tableRows().forEach((fresh, row) => {
+    if (row !== k) { rows[row].replaceWith(fresh); return; }
+    const cells = [...fresh.cells]; // a select that is replaced takes the second letter of a word for the first of another
+    [...rows[k].cells].forEach((cell, place) => { if (!cell.querySelector("select")) cell.replaceWith(cells[place]); });
+  });
   changed();
-  at("table").querySelectorAll("tbody tr")[k].querySelector("select").focus({ preventScroll: true });
 }
 
 const clock = () => state.columns.find((one) => one.use === "time");
