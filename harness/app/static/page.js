@@ -258,7 +258,7 @@ function fillIdentifiers() {
   const ids = (state.session.identifiers ?? []).map((one) => one.id), before = at("identifier").value;
   const named = [state.model || state.content?.model].filter((one) => one && one !== "linear")[0];
   const chosen = ids.includes(before) && before !== PHYSICAL ? before : named && ids.includes(PHYSICAL) ? PHYSICAL : "";
-  at("identifier").replaceChildren(...(named ? [] : [option("", "the usual one (arx)", !chosen)]), ...ids.map((id) => option(id, id, id === chosen)));
+  at("identifier").replaceChildren(...(named ? [] : [option("", "the usual one for such data", !chosen)]), ...ids.map((id) => option(id, id, id === chosen)));
 }
 
 async function parts() {
