@@ -18,7 +18,7 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.blocks.curve import Knots
-from identifiers.blocks.wiener_hammerstein_fit import Blocks, descended, shared_out
+from identifiers.blocks.wiener_hammerstein_fit import BENDS, Blocks, bend_held_out, descended, shared_out
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.named import wrong_options
@@ -29,6 +29,10 @@ from identifiers.linear.prediction_error import PredictionError
 _SEEN = 1000
 """Samples from which an initial state is estimated at most; the blocks have long forgotten what was before."""
 _EARLY = 20000  # Samples by which the ways to share out are fitted before the best of them learns from all.
+STRAIGHT = (
+    "held-out samples are foretold best by a straight line in place of the curve: the plant is linear, or bends "
+    "elsewhere (a spring in its loop): try narx or polynomial-state-space"
+)
 _TABLES = ("b1", "a1", "b2", "a2", "curve")
 
 
@@ -194,7 +198,8 @@ class WienerHammerstein(Excited):
 
     A linear output-error model is the start; its poles and zeros are shared out between the two blocks in all ways, and
     the ways that leave least go on by Levenberg and Marquardt's method with exact gradients. Without poles on one side
-    it is a Hammerstein or a Wiener model.
+    it is a Hammerstein or a Wiener model. How freely the curve may bend is chosen on the last third of every record;
+    a warning comes where a straight line is best there.
 
     Parameters
     ----------
@@ -267,17 +272,21 @@ class WienerHammerstein(Excited):
         early = [(u[:_EARLY], y[:_EARLY]) for u, y in pairs]
         b, f, told = self._linear(records, early)
         starts = shared_out(b, f, early, self.knots, first)
-        ends = [descended(start, early, first, 20) for start in starts]
+        ends = [descended(start, early, first, 20, BENDS[0]) for start in starts]
         ends = [end for end in ends if np.isfinite(end[1])]
         if not ends:
             raise FitError(
                 "wiener-hammerstein: no start", expected="a stable linear model", got="none",
                 remedy="lower the order, or excite the plant more",
             )  # fmt: skip
-        best, error = descended(min(ends, key=lambda end: end[1])[0], pairs, first, self.rounds)
+        way = min(ends, key=lambda end: end[1])[0]
+        bend = bend_held_out(way, early, first, 20)
+        if bend == BENDS[-1]:
+            told["warning"] = "; ".join([*([told["warning"]] if "warning" in told else []), STRAIGHT])
+        best, error = descended(way, pairs, first, self.rounds, bend)
         if self.between == 1:
             return best, error, told
-        finer, least = descended(best.between(self.between), pairs, first, self.rounds)
+        finer, least = descended(best.between(self.between), pairs, first, self.rounds, bend)
         return (finer, least, told) if least < error else (best, error, told)
 
     def _linear(

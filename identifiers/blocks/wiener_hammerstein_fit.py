@@ -19,6 +19,10 @@ _PROBE, _DEGREE, _MOST = 8000, 5, 4096
 """Samples and degree of the polynomial by which ways to share out are compared, and how many of these at most."""
 _RARE = 1e-3  # Share of the samples beyond either end of the knots: fewer would not tell how the curve goes on.
 _KEPT = 4  # Ways that are fitted further.
+BENDS = (1.0, 0.1, 0.01, 0.001)
+"""Standard deviations that are believed of a bend of the curve between knots, in units of the range of its values.
+Held-out samples choose; the last leaves a straight line."""
+HELD = 2 / 3  # Of every record that is fitted to choose, the rest held out.
 Pair = tuple[FloatArray, FloatArray]  # Input and output (N,) of a record, scaled.
 
 
@@ -130,24 +134,56 @@ def shared_out(b: FloatArray, f: FloatArray, records: Sequence[Pair], count: int
     return [_started(front, back, records, count) for _, _, front, back in judged[:_KEPT]]
 
 
-def descended(start: Blocks, records: Sequence[Pair], first: int, rounds: int) -> tuple[Blocks, float]:
-    """Return the blocks from which no damped step lowers the free-run error, and its root mean square."""
+def bend_held_out(start: Blocks, records: Sequence[Pair], first: int, rounds: int) -> float:
+    """Return the one of :data:`BENDS` with which the ends of records, held out, are best foretold.
+
+    A plant that bends elsewhere than in one curve pulls the ends of the curve, where samples are rare, to any value.
+    """
+
+    def foretold(bend: float) -> float:
+        blocks, _ = descended(start, [(u[: int(HELD * len(u))], y[: int(HELD * len(u))]) for u, y in records], first,
+                              rounds, bend)  # fmt: skip
+        with np.errstate(over="ignore", invalid="ignore"):
+            wrong = [(y - blocks.outputs(u)[2])[int(HELD * len(u)) :] for u, y in records]
+        if not all(np.isfinite(one).all() for one in wrong):
+            return np.inf
+        return float(np.mean([np.mean(_apart(one, blocks.a2) ** 2) for one in wrong]))
+
+    return min(BENDS, key=foretold)
+
+
+def descended(start: Blocks, records: Sequence[Pair], first: int, rounds: int, bend: float) -> tuple[Blocks, float]:
+    """Return the blocks from which no damped step lowers the free-run error, and its root mean square.
+
+    Bends of the curve are believed to be small beforehand (``bend``, of :data:`BENDS`; Eilers & Marx 1996,
+    *Statistical Science* 11:89): without that its ends follow the noise of a few samples.
+    """
 
     def errors(blocks: Blocks) -> float:
         if not blocks.stable():
             return np.inf
         with np.errstate(over="ignore", invalid="ignore"):
-            parts = [np.mean(_settled(y - blocks.outputs(u)[2]) ** 2) for u, y in records]
+            parts = [np.mean(_settled(y - blocks.outputs(u)[2], blocks.a2) ** 2) for u, y in records]
         cost = float(np.mean(parts))
         return cost if np.isfinite(cost) else np.inf
+
+    weights = _bends(start, records, errors(start), bend)
+
+    def cost(blocks: Blocks) -> float:
+        return errors(blocks) + float(blocks.curve @ weights @ blocks.curve)
 
     def normal(blocks: Blocks) -> tuple[FloatArray, FloatArray] | None:
         parts = []
         for u, y in records:
             modelled, columns = blocks.gradients(u, first)
-            rows = _settled(columns)
-            parts.append((rows.T @ rows / len(rows), rows.T @ _settled(y - modelled) / len(rows)))
-        return sum(one for one, _ in parts), sum(one for _, one in parts)  # type: ignore[return-value]
+            own = slice(columns.shape[1] - len(blocks.curve) - len(blocks.a2) + 1, columns.shape[1] - len(blocks.curve))
+            columns[:, own] += _free_slopes(blocks.a2, y - modelled)
+            rows = _settled(columns, blocks.a2)
+            parts.append((rows.T @ rows / len(rows), rows.T @ _settled(y - modelled, blocks.a2) / len(rows)))
+        gram, right = (np.mean(part, axis=0) for part in zip(*parts, strict=True))
+        gram[-len(weights) :, -len(weights) :] += weights
+        right[-len(weights) :] -= weights @ blocks.curve
+        return gram, right
 
     def step(blocks: Blocks, system: tuple[FloatArray, FloatArray], damp: float) -> Blocks:
         gram, right = system
@@ -155,13 +191,54 @@ def descended(start: Blocks, records: Sequence[Pair], first: int, rounds: int) -
         ridge = np.diag(damp * np.maximum(size, 1e-12 * size.max()))
         return blocks.moved(np.asarray(np.linalg.solve(gram + ridge, right), dtype=np.float64), first)
 
-    found = damped_descent(start, errors, normal, step, Damping(start=1e-4, enough=1e-8, rounds=rounds, most=1e8))
+    found = damped_descent(start, cost, normal, step, Damping(start=1e-4, enough=1e-8, rounds=rounds, most=1e8))
     return found, float(np.sqrt(errors(found)))
 
 
-def _settled(values: FloatArray) -> FloatArray:
-    """Return what comes after the start of a record, whose state nobody knows."""
-    return values[min(len(values) // 8, 1000) :]
+def _bends(blocks: Blocks, records: Sequence[Pair], error: float, bend: float) -> FloatArray:
+    """Return the matrix (count, count) of the cost of bends beside a mean square error, for blocks with that error."""
+    inner = np.concatenate([blocks.outputs(u)[1].ravel() for u, _ in records])
+    low, high = np.quantile(inner, [0.05, 0.95])
+    second = np.diff(np.eye(len(blocks.curve)), 2, axis=0) / max(bend * float(high - low), 1e-12)
+    count = sum(len(u) - _start(len(u)) for u, _ in records)
+    return np.asarray(second.T @ second * (error / count if np.isfinite(error) else 0.0))
+
+
+def _settled(values: FloatArray, poles: FloatArray) -> FloatArray:
+    """Return what comes after the start of a record, less the free response of the back block to a state unknown then.
+
+    The curve would make that response otherwise, by what it does to the few largest inputs of the start.
+    """
+    return _apart(values[_start(len(values)) :], poles)
+
+
+def _apart(values: FloatArray, poles: FloatArray) -> FloatArray:
+    """Return values less the free response of 1/A that is in them."""
+    basis = np.linalg.qr(_free(poles, len(values)))[0]
+    return np.asarray(values - basis @ (basis.T @ values))
+
+
+def _start(count: int) -> int:
+    """Return how many samples of a record its unknown state spoils: the front block's, which bends, is left out."""
+    return min(count // 8, 1000)
+
+
+def _free(poles: FloatArray, count: int) -> FloatArray:
+    """Return the free responses (count, n) of 1/A."""
+    impulse = np.zeros(count)
+    impulse[:1] = 1.0
+    return np.column_stack([np.zeros((count, 0)), *_delayed(lfilter([1.0], poles, impulse), range(len(poles) - 1))])
+
+
+def _free_slopes(poles: FloatArray, errors: FloatArray) -> FloatArray:
+    """Return the derivatives (N, n) by the coefficients of A of the free response that is in errors (N,)."""
+    first = _start(len(errors))
+    free = _free(poles, len(errors) - first)
+    response = free @ np.linalg.lstsq(free, errors[first:])[0]
+    found = np.zeros((len(errors), free.shape[1]))
+    for k, column in enumerate(_delayed(lfilter([1.0], poles, response), range(1, len(poles)))):
+        found[first:, k] = -column
+    return found
 
 
 def _delayed(values: FloatArray, delays: Sequence[int]) -> Iterator[FloatArray]:
@@ -218,10 +295,11 @@ def _polynomial_error(front: Pair, back: Pair, records: Sequence[Pair]) -> float
         if not (np.isfinite(size) and size > 0.0):
             return np.inf
         powers = np.power.outer(np.clip(x / size, -8.0, 8.0), np.arange(_DEGREE + 1)).T
-        columns = _settled(lfilter(*back, powers, axis=-1).T)
+        columns = _settled(lfilter(*back, powers, axis=-1).T, back[1])
         if not np.isfinite(columns).all():
             return np.inf
-        wrong = _settled(y) - columns @ np.linalg.lstsq(columns, _settled(y))[0]
+        goal = _settled(y, back[1])
+        wrong = goal - columns @ np.linalg.lstsq(columns, goal)[0]
         total.append(float(np.mean(wrong**2)))
     return float(np.mean(total))
 
@@ -235,8 +313,11 @@ def _started(front: Pair, back: Pair, records: Sequence[Pair], count: int) -> Bl
     blocks = Blocks(front[0][None] / size, front[1], back[0][None], back[1], np.zeros(count), knots)
     gram, right = np.zeros((count, count)), np.zeros(count)
     for u, y in records:
-        columns = _settled(lfilter(*back, knots.basis(lfilter(blocks.b1[0], blocks.a1, u)), axis=0))
+        columns = _settled(lfilter(*back, knots.basis(lfilter(blocks.b1[0], blocks.a1, u)), axis=0), blocks.a2)
         gram += columns.T @ columns / len(columns)
-        right += columns.T @ _settled(y) / len(columns)
+        right += columns.T @ _settled(y, blocks.a2) / len(columns)
     ridge = 1e-8 * np.trace(gram) / count * np.eye(count)
-    return replace(blocks, curve=np.linalg.solve(gram + ridge, right))
+    started = replace(blocks, curve=np.linalg.solve(gram + ridge, right))
+    variance = float(np.mean([np.mean(_settled(y, blocks.a2) ** 2) for _, y in records]))
+    bends = len(records) * _bends(started, records, variance, BENDS[0])
+    return replace(blocks, curve=np.linalg.solve(gram + ridge + bends, right))

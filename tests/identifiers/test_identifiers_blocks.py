@@ -16,6 +16,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.blocks.curve import Knots
 from identifiers.blocks.wiener_hammerstein import WienerHammerstein, WienerHammersteinModel
 from identifiers.blocks.wiener_hammerstein_fit import Blocks
+from identifiers.linear.prediction_error import PredictionError
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
 CURVES = {"tanh": np.tanh, "bent": lambda x: 0.4 * x + np.tanh(2.0 * x), "diode": lambda x: np.maximum(x, -0.3)}
@@ -120,6 +121,30 @@ def test_beyond_its_knots_a_curve_is_straight() -> None:
     assert np.diff(knots.values(coefficients, x[x <= -1.0]), 2) == pytest.approx(0.0, abs=1e-12)
     slopes = (knots.values(coefficients, x + 1e-6) - knots.values(coefficients, x - 1e-6)) / 2e-6
     assert knots.slopes(coefficients, x) == pytest.approx(slopes, abs=1e-5)
+
+
+def hardening(seed: int, samples: int = 700) -> Trajectory:
+    """Return a record of a mass on a spring that hardens: no curve in a row of blocks does that."""
+    rng = np.random.default_rng(seed)
+    u = 4.0 * lfilter([1.0], [1.0, -0.8], rng.normal(size=samples))
+    q, v, fine, seen = 0.0, 0.0, 20, np.zeros(samples)
+    for k in range(samples):
+        seen[k] = q
+        for _ in range(fine):
+            v += 0.1 / fine * (u[k] - 0.5 * v - 4.0 * q - q**3)
+            q += 0.1 / fine * v
+    seen += 0.005 * rng.normal(size=samples)
+    return Trajectory(np.arange(samples) * 0.1, u[:, None], seen[:, None], SPEC)
+
+
+@pytest.mark.parametrize("seed", [0, 6])
+def test_a_plant_that_bends_elsewhere_does_not_pull_the_ends_of_the_curve(seed: int) -> None:
+    learn, test = hardening(seed), hardening(seed + 1)
+    model = WienerHammerstein(order=2).fit([learn], rng=np.random.default_rng(0))
+    linear = PredictionError(structure="oe", order=2).fit([learn], rng=np.random.default_rng(0))
+    free, straight = (simulation_error(one, test).nrmse[0] for one in (model, linear))
+    assert free < 1.3 * straight
+    assert "straight line" in model.notes["warning"]
 
 
 def test_what_it_cannot_take_is_refused() -> None:
