@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from harness.data import load_dataset
 from harness.data.recipe.contents import contents_of
@@ -177,3 +178,45 @@ def test_outputs_whose_squares_overflow_are_refused_with_a_remedy_that_works(siz
     )
     (run,) = load_dataset(tmp_path / "dataset.toml").dataset
     assert run.trajectory.y[:, 0] == pytest.approx(Y)
+
+
+def struct_rows(**fields: Sequence[Any]) -> Any:
+    """Return a row of structs."""
+    rows = np.zeros(len(next(iter(fields.values()))), dtype=[(name, object) for name in fields])
+    for name, values in fields.items():
+        for k, value in enumerate(values):
+            rows[name][k] = value
+    return rows
+
+
+def saved(path: Path, **variables: Any) -> Path:
+    savemat(path, variables)
+    return path
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6)])
+def test_signals_in_rows_of_structs_go_by_the_names_and_units_beside_them(
+    unit: str, scale: float, tmp_path: Path
+) -> None:
+    rec = {
+        "X": struct_rows(Name=["time"], Unit=[unit], Data=[scale * DT * np.arange(N)]),
+        "Y": struct_rows(Name=["Model Root/u", "Model Root/y"], Unit=["V", "mm"], Data=[U, Y]),
+    }
+    path = saved(tmp_path / "a.mat", rec1_001=rec)
+    data = load_dataset(path, input="Model Root/u", output="Model Root/y").dataset
+    assert data.spec.sample_time == pytest.approx(DT)
+    assert np.concatenate([run.trajectory.y[:, 0] for run in data]) == pytest.approx(1e-3 * Y)
+    shown = {one.column: one.unit for one in contents_of(path).channels}
+    assert shown["Model Root/u"] == "V"
+    assert contents_of(path).clock_stated
+
+
+def test_scopes_of_simulink_go_by_their_labels_and_names_that_two_have_by_their_places(tmp_path: Path) -> None:
+    scope = {"time": DT * np.arange(N), "signals": struct_rows(values=[U, Y], label=["u", "y"]), "blockName": "rig"}
+    data = load_dataset(saved(tmp_path / "a.mat", ScopeData=scope), input="u", output="y").dataset
+    assert np.concatenate([run.trajectory.u[:, 0] for run in data]) == pytest.approx(U)
+    scope["signals"] = struct_rows(values=[U, Y], label=["u", "u"])
+    path = saved(tmp_path / "b.mat", ScopeData=scope)
+    with pytest.raises(InputError, match="no column 'u'"):
+        load_dataset(path, input="u", output="ScopeData.signals.values{1}")
+    load_dataset(path, input="ScopeData.signals.values{0}", output="ScopeData.signals.values{1}")

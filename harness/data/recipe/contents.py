@@ -202,9 +202,10 @@ def _hardly_seconds(time: FloatArray) -> bool:
 
 
 def _selectors(table: Table, title: str) -> list[str]:
-    """Return the columns that a variable holds: itself, or those of its matrices, cells and fields."""
+    """Return the columns that a variable holds: itself, or those of its matrices, cells and fields, by their names."""
     inside = table.inside(title)
-    return [title] if inside is None else inside
+    names = {way: name for name, (way, _) in table.called.items()}
+    return [title] if inside is None else [names.get(one, one) for one in inside]
 
 
 def _channel(table: Table, title: str, selector: str) -> ChannelContent:

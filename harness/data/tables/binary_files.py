@@ -13,7 +13,7 @@ import numpy as np
 from harness.data.tables.cells import numbers_of, say_truths, seconds_of, with_unit
 from harness.data.tables.headers import TIME_UNITS, split_header, words_of
 from harness.data.tables.packing import NUMBER, refuse_large
-from harness.data.tables.selectors import parse_selector, vector
+from harness.data.tables.selectors import called_inside, parse_selector, vector
 from harness.data.tables.texts import suffix_by_content
 from harness.data.times.stamps import clock
 from harness.errors import InputError
@@ -263,6 +263,8 @@ class MatFile(_Variables):
     """A MAT file of version 5 (what MATLAB writes without -v7.3)."""
 
     paths = True
+    called: dict[str, tuple[str, str]]
+    """Selector and unit by name of signals in rows of structs."""
 
     def __init__(self, path: Path) -> None:
         from scipy.io import loadmat, whosmat
@@ -274,6 +276,7 @@ class MatFile(_Variables):
             raise broken(path, "MAT", error) from error
         dense = {name: _dense(value) for name, value in content.items() if not name.startswith("__")}
         super().__init__({name: value.astype(bool) if name in logical else value for name, value in dense.items()})
+        self.called = called_inside(dense)
 
 
 def _dense(value: Any) -> Any:

@@ -94,6 +94,12 @@ class Columns:
         found: tuple[list[FloatArray], str] = find(titles)
         return found
 
+    @property
+    def called(self) -> dict[str, tuple[str, str]]:
+        """Selector and unit by name of signals inside variables that say how they are called."""
+        found: dict[str, tuple[str, str]] = getattr(self._source, "called", {})
+        return found
+
     def inside(self, title: str) -> list[str] | None:
         """Return the selectors of what a variable holds; None where it is one column."""
         find = getattr(self._source, "inside", None)
@@ -114,7 +120,8 @@ class Columns:
             return self._one_that_runs_on(found, taken)
         paths = bool(getattr(self._source, "paths", False))
         inside = [field for title in self.titles for field in self.inside(title) or [title] * paths]
-        times = [field for field in inside if field not in taken and clock_of([re.split("[./]", field)[-1]])]
+        fields = {field: re.split("[./]", field)[-1] for field in inside} | {name: name for name in self.called}
+        times = [field for field, last in fields.items() if field not in taken and clock_of([last])]
         if len(times) != 1 or (taken and len(self.read(times[0])[0]) not in {len(self.read(one)[0]) for one in taken}):
             return None
         return times[0]
@@ -239,7 +246,8 @@ class Columns:
         own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
         spelt = title if title is not None else str(column)
         if own is None:
-            unit = self._clock_unit(title, spelt, declared)
+            beside = unit if column in self.called else None
+            unit = self._clock_unit(title, spelt, declared) or (beside and unit_of_time(beside))
             if unit is None and title is not None and (dates := self._dated(title, values)) is not None:
                 return dates, True
             if title is not None and (part := fraction_of(title, self.titles)) is not None:
@@ -385,6 +393,8 @@ class Columns:
         """
         try:
             title = self.find(column, like)
+            if title is None and column in self.called:
+                column = self.called[str(column)][0]
             if title is not None:
                 number = column if isinstance(column, int) else None
                 values = self._values(title, number)
@@ -398,7 +408,7 @@ class Columns:
         except InputError as error:
             raise error.located(file=self.path) from error
         if selected is not None:
-            return selected, None
+            return selected, next((unit or None for way, unit in self.called.values() if way == column), None)
         raise self.missing(column)
 
     def _values(self, title: str, number: int | None) -> FloatArray:
@@ -419,10 +429,10 @@ class Columns:
 
     def missing(self, column: str | int) -> InputError:
         """Return the refusal of a column that is not there."""
-        titles = self.titles
+        titles = (*self.titles, *self.called)
         shown = ", ".join(repr(title) for title in titles[:12]) + (" ..." if len(titles) > 12 else "")
         if isinstance(column, int):
-            remedy = f"give a number from 0 to {len(titles) - 1}"
+            remedy = f"give a number from 0 to {len(self.titles) - 1}"
         else:
             names = {split_header(title)[0].lower(): title for title in titles}
             near = difflib.get_close_matches(column.lower(), list(names), n=2, cutoff=0.5)

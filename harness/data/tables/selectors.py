@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -162,3 +162,51 @@ def _in_place(array: Any, kind: str, index: int) -> Any:
 def _written(kind: str, index: int | str) -> str:
     """Return a step as it is written."""
     return {"cell": f"{{{index}}}", "row": f"[{index}]", "column": f"[:,{index}]", "field": f".{index}"}[kind]
+
+
+_NAMED = ("Name", "name", "label", "Label", "BlockName", "blockName")  # Fields that hold what a signal is called.
+_HELD = ("Data", "data", "values", "Values")  # Fields that hold its readings.
+_OF_UNIT = ("Unit", "unit", "Units", "units")
+
+
+def called_inside(variables: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Return by name the selectors and units of signals in rows of structs, each of which has a name and readings.
+
+    So dSPACE's recorders write them (``Name``, ``Data``, ``Unit``), and Simulink's scopes (``label``, ``values``). A
+    name that two signals have is left out.
+
+    Examples
+    --------
+    >>> rows = np.zeros(2, dtype=[("label", object), ("values", object)])
+    >>> rows["label"], rows["values"] = ["u", "y"], [np.arange(2.0), np.arange(3.0)]
+    >>> called_inside({"scope": rows})
+    {'u': ('scope.values{0}', ''), 'y': ('scope.values{1}', '')}
+    """
+    found: list[tuple[str, str, str]] = []
+    for title, value in variables.items():
+        _look_for_names(title, np.asarray(value), found, 0)
+    names = [name for name, *_ in found]
+    return {name: (way, unit) for name, way, unit in found if names.count(name) == 1 and name not in variables}
+
+
+def _look_for_names(so_far: str, array: Any, found: list[tuple[str, str, str]], depth: int) -> None:
+    """Add name, selector and unit of every signal inside a struct."""
+    fields = array.dtype.names or ()
+    name, held, unit = (next((one for one in some if one in fields), None) for some in (_NAMED, _HELD, _OF_UNIT))
+    if name is not None and held is not None:
+        rows = array.reshape(-1, order="F")
+        for k, row in enumerate(rows):
+            said, stated = _text(row[name]), _text(row[unit]) if unit is not None else ""
+            if said and np.asarray(row[held]).dtype.kind in "biuf":
+                found.append((said, f"{so_far}.{held}" + (f"{{{k}}}" if len(rows) > 1 else ""), stated))
+    for field in fields if depth < _DEEPEST and array.size == 1 else ():
+        _look_for_names(f"{so_far}.{field}", np.asarray(array.reshape(-1)[0][field]), found, depth + 1)
+
+
+_DEEPEST = 4  # Structs inside structs that are looked into.
+
+
+def _text(value: Any) -> str:
+    """Return the text in a field; empty where it holds none."""
+    inner = np.asarray(value).reshape(-1)
+    return str(inner[0]).strip() if inner.size == 1 and isinstance(inner[0], str) else ""
