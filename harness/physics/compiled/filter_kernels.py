@@ -302,10 +302,19 @@ static void copy(double *to, const double *from, int n) {
   for (i = 0; i < n; i++) to[i] = from[i];
 }
 
+/* Whether nothing disturbs the plant, whose state is known: then it stays so, and no reading corrects it. */
+static int undisturbed(const filter_job *in) {
+  int i, free = 0;
+  for (i = 0; i < NX*NX; i++) free = free || in->p0[i] != 0.0;
+  for (i = 0; i < NL; i++) free = free || in->q[i] != 0.0 || in->w[i] != 0.0;
+  return !free;
+}
+
 int sysid_run(filter_job *in, sample here, long nu, long nw, advancing *advance, reading *outputs, block *z, block *b,
               void *room) {
   const double h = in->dt/(double)in->substeps;
-  const int chosen = (int)in->chosen, blocks = (chosen + W - 1)/W, all = blocks + NB;
+  const int chosen = (int)in->chosen, blocks = (chosen + W - 1)/W, sure = undisturbed(in);
+  const int moving = !sure || in->transition, all = blocks + (moving ? NB : 0), slopes = in->e_noise && !sure;
   const block none = {0};
   block P[NX][NB], F[NX][NB], dP[NX][NX][MB], dx[NX][MB], *unit = z + blocks*NX;
   double x[NX], prior[NX], y[NY], c[NY*NX], K[NX];
@@ -315,7 +324,7 @@ int sysid_run(filter_job *in, sample here, long nu, long nw, advancing *advance,
   copy(x, in->x0, NX);
   for (i = 0; i < NX; i++) for (m = 0; m < NB; m++) P[i][m] = none;
   for (i = 0; i < NX; i++) for (m = 0; m < NX; m++) AT(P, i, m) = in->p0[i*NX + m];
-  if (in->e_noise) {
+  if (slopes) {
     for (i = 0; i < NX; i++)
       for (k4 = 0; k4 < MB; k4++) { dx[i][k4] = none; for (m = 0; m < NX; m++) dP[i][m][k4] = none; }
     for (o = 0; o < NL; o++) LANE(dP[NX - NL + o][NX - NL + o], o) = 2.0*AT(P, NX - NL + o, NX - NL + o);
@@ -338,8 +347,13 @@ int sysid_run(filter_job *in, sample here, long nu, long nw, advancing *advance,
         const long at_row = row*NY + o;
         double s, e = wrapped(measured[o] - y[o], in->period[o]);
         for (i = 0; i < NX; i++) e -= co[i]*(x[i] - prior[i]);
-        s = sysid_read(P, co, in->r[o], e, K, in->e_noise ? dP : NULL, dx, o,
-                       in->e_noise ? in->e_noise + at_row*NN : NULL, in->e_noise ? in->s_noise + at_row*NN : NULL);
+        s = sysid_read(P, co, in->r[o], e, K, slopes ? dP : NULL, dx, o,
+                       slopes ? in->e_noise + at_row*NN : NULL, slopes ? in->s_noise + at_row*NN : NULL);
+        if (in->e_noise && !slopes)
+          for (i = 0; i < NN; i++) {
+            in->e_noise[at_row*NN + i] = 0.0;
+            in->s_noise[at_row*NN + i] = i == 3*NL + o && !isnan(e) ? 2.0 : 0.0;
+          }
         in->e[at_row] = e;
         in->s[at_row] = s;
         if (isnan(e)) { /* nothing was measured here */
@@ -365,16 +379,16 @@ int sysid_run(filter_job *in, sample here, long nu, long nw, advancing *advance,
       row++;
     }
     if (last) break;
-    for (i = 0; i < NX*NB; i++) unit[i] = none;
-    for (i = 0; i < NX; i++) LANE(&unit[(i/W)*NX + i], i%W) = 1.0;
+    for (i = 0; moving && i < NX*NB; i++) unit[i] = none;
+    for (i = 0; moving && i < NX; i++) LANE(&unit[(i/W)*NX + i], i%W) = 1.0;
     advance(&here, time, h, in->substeps, x, z, all, room);
     for (m = 0; m < NL; m++) { /* the latent forces fade, the white ones act during this sample only */
       const int l = NX - NL + m;
       x[l] *= in->a[m];
       for (k4 = 0; k4 < all; k4++) z[k4*NX + l] *= in->a[m];
     }
-    for (i = 0; i < NX; i++) for (k4 = 0; k4 < NB; k4++) F[i][k4] = unit[k4*NX + i];
-    sysid_step(P, F, x, in->fade, in->w, in->q, in->q_tau, in->e_noise ? dP : NULL, dx);
+    for (i = 0; moving && i < NX; i++) for (k4 = 0; k4 < NB; k4++) F[i][k4] = unit[k4*NX + i];
+    if (!sure) sysid_step(P, F, x, in->fade, in->w, in->q, in->q_tau, slopes ? dP : NULL, dx);
     if (in->transition) { /* since the last measurement */
       double *total = in->transition + (row - 1)*NX*NX, before[NX*NX];
       copy(before, total, NX*NX);
