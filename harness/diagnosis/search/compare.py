@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -257,9 +258,15 @@ def coloured_gains(fit: Fit, base: Fit, order: int) -> tuple[float, float]:
     any slow law likely that follows it by chance. Beside an autoregressive error, its own for either model, only what
     an error that remembers cannot tell from its last values counts.
     """
-    mine, theirs = (coloured_likelihood(one.innovations, order) for one in (fit, base))
+    mine, theirs = (_beside_memory(one, order) for one in (fit, base))
     price = 0.5 * (fit.count - base.count) * float(np.log(fit.samples))
     return mine["estimation"] - theirs["estimation"] - price, mine["validation"] - theirs["validation"]
+
+
+@functools.lru_cache(maxsize=4)
+def _beside_memory(fit: Fit, order: int) -> dict[str, float]:
+    """Return the log-likelihood of a fit by use beside an error that remembers; a base is asked it again and again."""
+    return coloured_likelihood(fit.innovations, order)
 
 
 def pays(fit: Fit, base: Fit, policy: Policy = POLICY) -> bool:

@@ -111,8 +111,8 @@ def left_over(form: Form, fit: Fit, policy: Policy = POLICY) -> Leftover:
     policy : Policy
     """
     linear = form.linearised(fit)
-    basis, residual = projected(form, fit)
-    found = [_Explained.of(column, basis, residual, linear, policy) for column in form.test_functions(fit)]
+    beside = _Beside.of(linear, *projected(form, fit))
+    found = [_Explained.of(column, beside, linear, policy) for column in form.test_functions(fit)]
     found.sort(key=lambda one: -one.axis.total)
     axes = [one.axis for one in found]
     leftover = Leftover(tuple(axes), policy, fit.free_run)
@@ -123,6 +123,29 @@ def left_over(form: Form, fit: Fit, policy: Policy = POLICY) -> Leftover:
         axes[number] = replace(axes[number], imitated=True)
         leftover = replace(leftover, axes=tuple(axes))
     return leftover
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """What every force stands beside: found once, whatever the axis.
+
+    ``basis`` of what is free already and the ``residual`` without it, on the estimation records; ``back`` (shared, n)
+    tells how far the parameters move with a change there; ``starts`` is a basis of what initial states do to the
+    validation records.
+    """
+
+    basis: FloatArray
+    residual: FloatArray
+    back: FloatArray
+    starts: FloatArray
+
+    @classmethod
+    def of(cls, linear: Linearised, basis: FloatArray, residual: FloatArray) -> _Beside:
+        """Return it of the derivatives of a fit."""
+        back = np.linalg.pinv(linear.nuisance["estimation"], rcond=1e-12)[: linear.shared]
+        return cls(
+            basis, residual, np.asarray(back), np.linalg.qr(linear.nuisance["validation"][:, linear.shared :])[0]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +161,9 @@ class _Explained:
     count: float
 
     @classmethod
-    def of(
-        cls, column: Column, basis: FloatArray, residual: FloatArray, linear: Linearised, policy: Policy
-    ) -> _Explained:
+    def of(cls, column: Column, beside: _Beside, linear: Linearised, policy: Policy) -> _Explained:
         """Return what the functions of one axis gain."""
+        basis, residual = beside.basis, beside.residual
         size = np.linalg.norm(column.estimation, axis=0)
         use = size > 0
         unit = column.estimation[:, use] / size[use]
@@ -157,15 +179,11 @@ class _Explained:
         values = np.zeros(len(size))
         values[use] = vt.T @ (s * prior * along / (1.0 + prior * s**2)) / size[use]
         # the parameters move along with the force, as they did on the estimation records
-        own, outside = linear.nuisance["estimation"], linear.nuisance["validation"]
-        moved = np.linalg.lstsq(own, column.estimation @ values, rcond=1e-12)[0][: linear.shared]
-        other = linear.residual["validation"]
-        change = column.validation @ values - outside[:, : linear.shared] @ moved
-        along = outside[:, : linear.shared] @ linear.spread if len(linear.moved) else np.zeros((len(other), 0))
-        starts = outside[:, linear.shared :]
-        if starts.shape[1]:
-            q, _ = np.linalg.qr(starts)
-            other, change, along = (part - q @ (q.T @ part) for part in (other, change, along))
+        moved = beside.back @ (column.estimation @ values)
+        outside, other = linear.nuisance["validation"][:, : linear.shared], linear.residual["validation"]
+        change = column.validation @ values - outside @ moved
+        along = outside @ linear.spread if len(linear.moved) else np.zeros((len(other), 0))
+        other, change, along = (part - beside.starts @ (beside.starts.T @ part) for part in (other, change, along))
         before, after = (_expected(part, along, linear.moved) for part in (other, other + change))
         gain = before - after
         sums = np.array([part.sum() for part in np.array_split(gain, policy.blocks)])

@@ -195,7 +195,7 @@ class FisherScoring:
         z, matrix = at.z[entries], self._matrix
         if self._secant is not None:
             here = Here(z, at.value, gradient, matrix, (by_e, by_s))
-            self._secant.learn(here, lambda derivatives: scored(at.passes, *derivatives)[0])
+            self._secant.learn(here, lambda derivatives: scored(at.passes, *derivatives, second=False)[0])
             matrix = self._secant.added_to(matrix) if self.last else matrix
         stuck = ((z <= self._low) & (gradient > 0)) | ((z >= self._high) & (gradient < 0))
         return Quadratic(by_e, gradient, matrix, ~stuck)
@@ -416,13 +416,23 @@ def joined(found: list[Filtered]) -> tuple[FloatArray, FloatArray]:
     return e, np.concatenate([passed.s.ravel() for passed in found])
 
 
-def scored(found: list[Filtered], by_e: FloatArray, by_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return gradient and Fisher matrix for derivatives of innovations, over their deviations, and log variances."""
-    e, s = joined(found)
-    normal = np.where(np.isfinite(e), e, 0.0) / np.sqrt(s)
-    gradient, matrix = by_e @ normal, by_e @ by_e.T
-    spread = np.flatnonzero(by_s.any(axis=1))
-    part = by_s[spread]
-    gradient[spread] += 0.5 * (part @ (1.0 - normal**2))
-    matrix[np.ix_(spread, spread)] += 0.5 * (part @ part.T)
+def scored(
+    found: list[Filtered], by_e: FloatArray, by_s: FloatArray, *, second: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Return gradient and Fisher matrix for derivatives of innovations, over their deviations, and log variances.
+
+    Record by record: an initial state moves one of many. The matrix stays 0 if nobody asks for it (``second``).
+    """
+    gradient, matrix = np.zeros(len(by_e)), np.zeros((len(by_e), len(by_e)))
+    first = 0
+    for passed in found:
+        here = slice(first, first + passed.e.size)
+        normal = (np.where(np.isfinite(passed.e), passed.e, 0.0) / np.sqrt(passed.s)).ravel()
+        for by, left, share in ((by_e, normal, 1.0), (by_s, 1.0 - normal**2, 0.5)):
+            rows = np.flatnonzero(by[:, here].any(axis=1))
+            part = by[:, here] if len(rows) == len(by) else by[rows, here]
+            gradient[rows] += share * (part @ left)
+            if second:
+                matrix[np.ix_(rows, rows)] += share * (part @ part.T)
+        first = here.stop
     return gradient, matrix
