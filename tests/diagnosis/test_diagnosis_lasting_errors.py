@@ -10,10 +10,9 @@ import pytest
 from linear_form import placed
 from made_fits import FORM, NoForm, a_fit
 from scipy.linalg import solve_discrete_lyapunov
-from scipy.stats import multivariate_normal
 
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.coloured import Before, Coloured, coloured_likelihood, fitted_error
+from harness.diagnosis.search.coloured import Before, Coloured, coloured_likelihood
 from harness.diagnosis.search.compare import coloured_gains, drifts, judged
 from harness.diagnosis.search.fit import Fit, Jump
 from harness.diagnosis.search.refusal import Kind
@@ -50,24 +49,32 @@ def test_a_row_is_told_by_the_rows_before_it_that_count(partial: list[float]) ->
         assert variance[k] == pytest.approx(whole[row, row] - weights @ whole[near, row], rel=1e-6)
 
 
-def test_the_likelihood_is_the_density_of_the_readings_with_an_error_of_each_output() -> None:
-    """An autoregression of order 1 needs the last reading alone, however long ago: the density is exact."""
-    rng = np.random.default_rng(3)
-    errors = {use: [(rng.standard_normal((80, 2)).cumsum(axis=0), np.ones((80, 2)))] for use in USES}
-    errors["validation"][0][0][40:50, 0] = np.nan
-    found, expected = coloured_likelihood(errors, 1), dict.fromkeys(USES, 0.0)
-    for output in range(2):
-        read = {use: errors[use][0][0][:, output] for use in USES}
-        error = fitted_error([read["estimation"]], [Before.of(np.ones(80), 1)], 1, 1e-9)
-        white = error.whitened(read["estimation"], Before.of(np.ones(80), 1))
-        assert np.mean(white**2) == pytest.approx(1.0, rel=1e-9), "the likeliest size"
-        whole = covariance(error.coefficients, error.deviation, 80)
-        for use, values in read.items():
-            there = np.isfinite(values)
-            constant = 0.5 * there.sum() * np.log(2 * np.pi)  # the same for every error, and left out
-            density = multivariate_normal.logpdf(values[there], cov=whole[np.ix_(there, there)])
-            expected[use] += float(density) + constant
-    assert found == pytest.approx(expected, rel=1e-6)
+def filtered(readings: FloatArray, walks: float, noise: float) -> float:
+    """Return the log-likelihood of a random walk read through noise, by a Kalman filter of one state."""
+    level, variance, total = readings[0], noise**2, 0.0
+    for reading in readings[1:]:
+        variance += walks**2
+        if np.isfinite(reading):
+            spread = variance + noise**2
+            total -= 0.5 * (reading - level) ** 2 / spread + 0.5 * np.log(spread)
+            level, variance = level + variance / spread * (reading - level), variance * noise**2 / spread
+    return float(total)
+
+
+@pytest.mark.parametrize(("walks", "noise"), [(0.2, 1.0), (0.05, 2.0), (1.0, 0.1)])
+@pytest.mark.parametrize("lost", [0.0, 0.02])
+def test_an_error_read_through_noise_is_as_likely_as_a_filter_of_it_says(
+    walks: float, noise: float, lost: float
+) -> None:
+    rng, n, expected = np.random.default_rng(3), 2000, dict.fromkeys(USES, 0.0)
+    errors = {}
+    for use in USES:
+        readings = walks * rng.standard_normal((n, 2)).cumsum(axis=0) + noise * rng.standard_normal((n, 2))
+        readings[1:][rng.random((n - 1, 2)) < lost] = np.nan
+        expected[use] = sum(filtered(one, walks, noise) for one in readings.T)
+        errors[use] = [(readings, np.ones((n, 2)))]
+    found = coloured_likelihood(errors, POLICY.order)
+    assert found == pytest.approx(expected, abs=0.015 * 2 * n)
 
 
 def free_run(law: FloatArray, seed: int = 0, **more: object) -> Fit:
