@@ -30,6 +30,7 @@ from harness.diagnosis.steps import (
     Progress,
     again_by_free_runs,
     all_readings,
+    asked_by_all_readings,
     at_full_rate,
     beaten,
     candidates_of,
@@ -137,6 +138,7 @@ def diagnose(
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         share = np.array(thinned.noise)
         whole = None if wrong else all_readings(kind, form, thinned, dataset, policy, folder)
+        outcome = asked_by_all_readings(remembered, whole, outcome, policy)
         outcome = at_full_rate(whole, with_day(form, outcome))
         # grade what is left
         outcome, runs, leftover = what_free_runs_say(

@@ -26,6 +26,7 @@ from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.refusal import Kind as Reason
+from harness.diagnosis.search.refusal import Refusal
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -178,6 +179,31 @@ def with_day(form: WholeForm, outcome: Outcome) -> Outcome:
     """Return an outcome whose model has the friction and the zeros of the day of the validation records there."""
     model = form.with_day(outcome.model)
     return outcome if model is outcome.model else replace(outcome, model=model)
+
+
+def asked_by_all_readings(thin: Remembered, whole: Remembered | None, outcome: Outcome, policy: Policy) -> Outcome:
+    """Return an outcome without the effects that only the rate of the search asked for: all readings gain too little.
+
+    A thinned input takes a mass where it was, but passes a bend, of a drive or of an outlet, otherwise than it did, and
+    a second effect takes up what that leaves.
+    """
+    bends = not thin.form.latent or any("input" in one.placed.effect.kinds for one in outcome.accepted)
+    if whole is None or not bends or len(outcome.accepted) < 2:
+        return outcome
+    found = whole.fit(outcome.model.effects, [outcome.model.values], None)
+    for one in reversed(outcome.accepted):
+        rest = [placed for placed in outcome.model.effects if str(placed) != str(one.placed)]
+        model = None if one.given or not rest else thin.fit(rest, [outcome.model.values], outcome.model)
+        if found is None or model is None:
+            continue
+        fewer = whole.fit(rest, [model.values, found.values], None)
+        if fewer is None or not fewer.converged or any(impossible(whole, placed, fewer) for placed in rest):
+            continue
+        gain = found.penalised - fewer.penalised
+        if gain < policy.evidence:
+            why = Refusal(Reason.FULL_RATE, str(one.placed), (gain, policy.evidence))
+            outcome, found = outcome.dropped(one, model, why), fewer
+    return outcome
 
 
 def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from linear_form import placed
+from made_fits import FORM, a_fit
 
 from harness import api
 from harness.diagnosis import close_loop
@@ -20,10 +23,14 @@ from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.thinning import hat_projection, local_cubics, thinned_by, thinned_dataset
+from harness.diagnosis.report.refusals import refusals_text
 from harness.diagnosis.runs.residual_tests import max_autocorrelation
+from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.steps import all_readings, at_full_rate, form_of
+from harness.diagnosis.search.scores import ScoreTest
+from harness.diagnosis.search.table import Accepted, Round
+from harness.diagnosis.steps import all_readings, asked_by_all_readings, at_full_rate, form_of
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
@@ -246,3 +253,38 @@ def test_a_value_on_a_bound_that_all_readings_set_is_one_of_the_repaired_model()
     whole: Any = SimpleNamespace(fit=lambda effects, starts, base: found)
     told = at_full_rate(whole, Outcome(whole, fit, fit)).model
     assert told.model.with_parameters(told.values).values() == told.values
+
+
+class Fitted:
+    """Stands for a likelihood whose fits are known by the effects in them."""
+
+    def __init__(self, gains: dict[tuple[str, ...], float], *, latent: bool) -> None:
+        self.gains, self.form = gains, SimpleNamespace(latent=latent, damping=lambda fit, at: None)
+        self.damping = self.form.damping
+
+    def fit(self, effects: Sequence[Placed], starts: object, base: object) -> Fit | None:
+        """Return the fit of some effects, none of those that are not known."""
+        gain = self.gains.get(tuple(sorted(one.effect.name for one in effects)))
+        return None if gain is None else a_fit(gains=(np.full(400, gain / 400), np.zeros(400)), effects=effects)
+
+
+@pytest.mark.parametrize(
+    ("gain", "latent", "kept"),
+    [(40.0, False, True), (2.0, False, False), (-30.0, False, False), (2.0, True, True)],
+)
+def test_what_only_the_lower_rate_asks_for_is_dropped(gain: float, latent: bool, kept: bool) -> None:
+    """A second effect stays where all readings ask for it, and where a thinned input takes a mass where it was."""
+    drag, spring = placed("quadratic_drag"), placed("cubic_spring")
+    thin = Fitted({("quadratic_drag",): 100.0, ("cubic_spring", "quadratic_drag"): 200.0}, latent=latent)
+    whole = Fitted({("quadratic_drag",): 100.0, ("cubic_spring", "quadratic_drag"): 100.0 + gain}, latent=latent)
+    model = thin.fit([drag, spring], [], None)
+    assert model is not None
+    accepted = tuple(Accepted(one, ((one,),), 100.0, 0.0) for one in (drag, spring))
+    rounds = tuple(Round(model, ScoreTest([], []), (Judged((one,), model, None, ()),)) for one in (drag, spring))
+    before = Outcome(FORM, a_fit(), model, accepted, rounds)
+    found = asked_by_all_readings(thin, whole, before, POLICY)  # type: ignore[arg-type]
+    assert [str(one.placed) for one in found.accepted] == [str(drag), *[str(spring)] * kept]
+    assert len(found.model.effects) == 1 + kept
+    refused = [row for past in found.rounds for row in past.candidates if row.refusals]
+    assert [row.name for row in refused] == [str(spring)] * (not kept)
+    assert not refused or f"of all readings it gains {gain:.1f}" in refusals_text(refused[0].refusals)

@@ -62,6 +62,10 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
     Kind.WITHDRAWN: lambda r: (
         "with it the model comes no closer to the validation records than the nominal one at its best"
     ),
+    Kind.FULL_RATE: lambda r: (
+        f"only the lower rate of the search asked for it: of all readings it gains {r.numbers[0]:.1f} in "
+        f"log-likelihood (cost of parameters off), {r.numbers[1]:g} needed"
+    ),
 }
 
 

@@ -118,19 +118,27 @@ class Outcome:
         beside an error that remembers.
         """
         names = {str(accepted.placed) for accepted in self.accepted}
-        rounds = tuple(
-            replace(past, candidates=tuple(
-                replace(row, refusals=(*row.refusals, Refusal(Kind.WITHDRAWN)))
-                if row.passed and row.name in names else row
-                for row in past.candidates
-            )) for past in self.rounds
-        )  # fmt: skip
+        rounds = self._refused(names, Refusal(Kind.WITHDRAWN))
         if self.model.free_run:
             gained = sum(coloured_gains(self.model, self.nominal, POLICY.order))
         else:
             gained = sum(self.model.log_likelihood(use) - self.nominal.log_likelihood(use) for use in self.model.terms)
         withdrawn = self.accepted if gained >= sure else ()
         return replace(self, model=self.nominal, accepted=(), withdrawn=withdrawn, rounds=rounds)
+
+    def dropped(self, gone: Accepted, model: Fit, why: Refusal) -> Outcome:
+        """Return the same without one of its effects."""
+        accepted = tuple(one for one in self.accepted if one is not gone)
+        return replace(self, model=model, accepted=accepted, rounds=self._refused({str(gone.placed)}, why))
+
+    def _refused(self, names: set[str], why: Refusal) -> tuple[Round, ...]:
+        """Return the rounds, in which what was accepted of these names is refused."""
+        return tuple(
+            replace(past, candidates=tuple(
+                replace(row, refusals=(*row.refusals, why)) if row.passed and row.name in names else row
+                for row in past.candidates
+            )) for past in self.rounds
+        )  # fmt: skip
 
 
 def _sure_where_fitted(row: Judged, policy: Policy) -> bool:

@@ -52,6 +52,9 @@ class Kind(Enum):
     WITHDRAWN = "withdrawn"
     """It was accepted, and taken back: with it the model runs no nearer to the validation records."""
 
+    FULL_RATE = "full rate"
+    """It was accepted at the rate of the search, and dropped: what it gains of all readings, and what is asked."""
+
 
 WANT_OF_EVIDENCE = frozenset({Kind.EVIDENCE, Kind.ESTIMATION, Kind.VALIDATION, Kind.COLOURED, Kind.SHARE, Kind.SIZE})
 """Kinds that say nothing against a candidate but that the data do not ask for it."""
