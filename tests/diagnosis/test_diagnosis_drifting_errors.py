@@ -78,7 +78,7 @@ def test_a_flow_that_nobody_measured_has_a_law(seed: int, cause: dict[str, float
     (accepted,) = found.outcome.accepted
     assert law in {str(member[0]) for member in accepted.tie} | {str(accepted.placed)}
     assert found.grade == "explained"
-    values = found.final.values
-    size = values[f"{accepted.placed}.{accepted.placed.effect.main.name}"]
-    power = abs(size) * (1.0 if accepted.placed.at == "P" else values["C"])
-    assert power == pytest.approx(next(iter(cause.values())), rel=0.05)
+    row = next(row for row in found.outcome.rounds[0].candidates if row.name == law)  # of a tie, that of the flow
+    assert row.fit is not None
+    (size,) = (abs(row.fit.values[name]) for name in [row.added[0].main()] if name)
+    assert size * row.fit.values["C"] == pytest.approx(next(iter(cause.values())), rel=0.05)
