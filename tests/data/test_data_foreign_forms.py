@@ -154,6 +154,28 @@ def test_a_long_form_reads_its_clock_in_one_way(kind: str, tmp_path: Path) -> No
     assert any("count, not" in note for note in said) == ("clock" not in kind and "row" not in kind)
 
 
+def test_a_long_form_whose_time_stands_in_several_columns(tmp_path: Path) -> None:
+    rows = [
+        f"{channel},{value},{unit},11/29/2024,10:00:{k // 2:02d},{k % 2 * 0.5:.9f}\n"
+        for k in K
+        for channel, value, unit in ((101, U[k], "V"), (102, Y[k], "mm"))
+    ]
+    text = "Channel,Reading,Unit,Date,Time,Fractional Seconds\n" + "".join(rows)
+    said = read(tmp_path / "a.csv", text, input="101", output="102", step=0.5, scale=1e-3)
+    assert any("between its stamps 'Fractional Seconds'" in note for note in said)
+    days = [f"{29 + (k > 29)}.11.2024;{'23:59:' + str(30 + k) if k < 30 else f'00:00:{k - 30:02d}'}" for k in K]
+    text = "Datum;Zeit;Name;Wert\n" + "".join(
+        f"{days[k]};{name};{str(value).replace('.', ',')}\n" for k in K for name, value in (("u", U[k]), ("y", Y[k]))
+    )
+    read(tmp_path / "b.csv", text, step=1.0)
+
+
+def test_a_comment_titles_rows_that_begin_with_a_date_and_a_time(tmp_path: Path) -> None:
+    dates = [at.replace(" ", "T").split("T") for at in stamps(1.0)]
+    text = "# date time u[V] y[mm]\n" + joined([one[0] for one in dates], [one[1] for one in dates], U, Y, sign=" ")
+    read(tmp_path / "a.txt", text, step=1.0, scale=1e-3)
+
+
 def test_numbers_of_channels_are_names_where_they_take_turns(tmp_path: Path) -> None:
     text = long("channel,time [s],reading\n", "{name},{k},{value}").replace("u,", "101,").replace("y,", "102,")
     read(tmp_path / "a.csv", text, input="101", output="102", step=1.0)

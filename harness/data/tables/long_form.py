@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from harness.data.tables.cells import EMPTY, is_number, numbers_of, with_unit
 from harness.data.tables.headers import clock_of, says_time, split_header, words_of
-from harness.data.times.stamps import is_time, is_time_of_day
+from harness.data.tables.named import Columns
+from harness.data.times.stamps import is_date, is_time, is_time_of_day
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -59,7 +61,12 @@ class LongTable:
         few = [f"{one} ({count})" for one, count in counts.items() if count < FEWEST]
         stamps, units = np.full(len(tags), np.nan), dict[str, str]()
         rows = np.sort(np.concatenate(list(own.values())))
-        stamps[rows] = _read(source, clock, source.texts(clock), rows, self._clock, units)
+        kept = _Kept(source, rows)
+        beside = Columns(Path(), kept)
+        together = beside.of_several(clock, turns=True)
+        stamps[rows] = kept.values(clock) if together is None else together
+        if together is not None or kept.units.get(clock):
+            units[self._clock] = "s" if together is not None else kept.units[clock]
         readings, cells = np.full(len(tags), np.nan), source.texts(value)
         for one, rows in own.items():
             readings[rows] = _read(source, value, cells, rows, one, units)
@@ -78,6 +85,7 @@ class LongTable:
         shown = ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
         self.notes = [
             *source.notes,
+            *beside.notes,
             f"{name!r} names the signal of each row, {value!r} its reading: {shown} are columns",
             *([f"names in less than {FEWEST} rows are left out: {', '.join(few[:6])}"] if few else []),
         ]
@@ -95,6 +103,28 @@ class LongTable:
         return str(self._source.where(int(self._rows[row])))
 
 
+class _Kept:
+    """Some rows of a source, all columns as its cells are written."""
+
+    def __init__(self, source: Any, rows: Any) -> None:
+        self._source, self._rows = source, rows
+        self.titles, self.units = list(source.titles), dict[str, str]()
+
+    def texts(self, title: str, most: int | None = None) -> list[str]:
+        """Return the cells of a column, at most so many."""
+        rows = self._rows[:most]
+        cells = self._source.texts(title, int(rows[-1]) + 1)
+        return [cells[row] for row in rows]
+
+    def values(self, title: str) -> FloatArray:
+        """Return one column (n,)."""
+        return _read(self._source, title, self._source.texts(title), self._rows, title, self.units)
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit that the cells of a column carry, s for dates."""
+        return self.units.get(title)
+
+
 def _read(source: Any, title: str, cells: Sequence[str], rows: Any, name: str, units: dict[str, str]) -> FloatArray:
     """Return the numbers (n,) in some rows of a column, and keep by name the unit that they carry, s for dates."""
 
@@ -102,9 +132,23 @@ def _read(source: Any, title: str, cells: Sequence[str], rows: Any, name: str, u
         return f"{source.where(int(rows[row]))}, column {title!r}"
 
     texts = [cells[row] for row in rows]
-    plain = all(is_number(cell) or cell.strip().lower() in EMPTY for cell in texts)
-    found = None if plain else with_unit(texts, name, where, source.notes, units)
+    if (plain := _certain(texts)) is not None:
+        return plain
+    numbers = all(is_number(cell) or cell.strip().lower() in EMPTY for cell in texts)
+    found = None if numbers else with_unit(texts, name, where, source.notes, units)
     return numbers_of(texts, where, source.notes) if found is None else found
+
+
+def _certain(texts: Sequence[str]) -> FloatArray | None:
+    """Return numbers whose points stand before decimals for certain, and no sign between thousands; None for others."""
+    try:
+        found = np.array([text or "nan" for text in texts]).astype(np.float64)
+    except ValueError:
+        return None
+    size = np.abs(found[np.isfinite(found)])
+    fractions = size[size != np.round(size)]
+    certain = not fractions.size or fractions.min() < 1.0 or size.max() >= 1000.0
+    return found if certain and not any("_" in text for text in texts) else None
 
 
 def _units_of(units: Sequence[str], own: dict[str, Any], where: Callable[[int], str]) -> dict[str, str]:
@@ -134,6 +178,9 @@ def _clock_of(source: Any, titles: Sequence[str], taken: Sequence[str]) -> str |
     free = [title for title in titles if title not in taken]
     spoken = [title for title in free if says_time(title)]
     found = [title for title in spoken or free if all(map(_is_dated, source.texts(title, 1 if spoken else FEWEST)))]
+    times = [title for title in spoken if is_time_of_day(source.texts(title, 1)[0])]
+    if len(spoken) == 2 and len(times) == 1 and is_date(source.texts(next(x for x in spoken if x not in times), 1)[0]):
+        return times[0]  # with its dates beside it
     dated = [title for title in found if not set(words_of(title)) & AFTER] if len(found) > 1 else found
     others = [title for title in spoken or found if title not in dated]
     if others and len(dated) == 1:

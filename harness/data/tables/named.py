@@ -240,7 +240,7 @@ class Columns:
         title = self.find(column)
         if title is not None:
             title = column = self._dates_of(title) or title
-            if (together := self._of_several(title)) is not None:
+            if (together := self.of_several(title)) is not None:
                 return together, True
         values, unit = self.read(column if title is None else title)
         own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
@@ -265,10 +265,13 @@ class Columns:
         unit = own or unit
         return convert(values, unit or "s", "s"), unit is not None
 
-    def _of_several(self, title: str) -> FloatArray | None:
-        """Return time stamps [s] that stand in more columns than one, None where they do not."""
+    def of_several(self, title: str, *, turns: bool = False) -> FloatArray | None:
+        """Return time stamps [s] that stand in more columns than one, None where they do not.
+
+        - ``turns``: True where rows of several signals take turns, which may share a stamp
+        """
         dates = self._with_dates(title)
-        return self._of_parts(title) if dates is None else self._with_part(title, dates)
+        return self._of_parts(title) if dates is None else self._with_part(title, dates, turns=turns)
 
     def _clock_unit(self, title: str | None, spelt: str, declared: str | None) -> str | None:
         """Return the unit of a time column by its declaration or its title; None where neither states one."""
@@ -370,12 +373,12 @@ class Columns:
             return None
         return next((one for one in self.titles if one not in ("", title) and all(map(is_time, texts(one, 1)))), None)
 
-    def _with_part(self, title: str, times: FloatArray) -> FloatArray:
+    def _with_part(self, title: str, times: FloatArray, *, turns: bool = False) -> FloatArray:
         """Return dates or times [s] that stand still with the parts of a second that another column counts."""
         for other in self.titles if (np.diff(times) == 0).any() else ():
             unit = part_unit(self.split(other)[0])
             if other != title and unit is not None:
-                found = with_part(times, convert(self.read(other)[0], unit, "s"))
+                found = with_part(times, convert(self.read(other)[0], unit, "s"), turns=turns)
                 if found is not None:
                     self._say(f"time: {title!r}, and between its stamps {other!r}")
                     return found

@@ -47,7 +47,7 @@ from harness.data.tables.stacked import (
     units_among,
 )
 from harness.data.tables.texts import CODINGS, closed_lines, plainly_quoted, text_of
-from harness.data.times.stamps import clock
+from harness.data.times.stamps import clock, is_date, is_time
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -135,7 +135,7 @@ class TextFile:
         """Find the titles, and leave the rows of numbers."""
         self._first = self._lines[0][1]
         titles = self._cells(self._first)
-        numbers = sum(map(is_number, titles))
+        numbers = sum(is_number(title) or is_time(title) or is_date(title) for title in titles)
         mostly = any(titles) and 2 * numbers > len(titles) and not any(map(says_time, titles))
         named = self._named(lines, len(titles)) if mostly else None
         plain = any(titles) and (_are_numbers([cell for cell in titles if cell]) or is_reading(self._head()))
@@ -533,6 +533,8 @@ class TextFile:
     def texts(self, title: str, most: int | None = None) -> list[str]:
         """Return the cells of a column as they are written, at most so many."""
         column = self.titles.index(title)
+        if most is None:
+            return [cell.strip() for cell in self.texts_of(column)]
         rows = (self._cells(line) for _, line in self._lines[:most])
         return [row[column] if column < len(row) else "" for row in rows]
 

@@ -176,12 +176,13 @@ def with_dates(times: Sequence[str], dates: Sequence[str], where: Callable[[int]
     return clock([f"{day} {plain_time(time)}" for day, time in zip(days, times, strict=True)], where=where)
 
 
-def with_part(times: FloatArray, part: FloatArray) -> FloatArray | None:
+def with_part(times: FloatArray, part: FloatArray, *, turns: bool = False) -> FloatArray | None:
     """Return stamps that stand still with what another column counts between them; None if it does not fit them.
 
     - ``times`` (N,): stamps [s], such as whole seconds
     - ``part`` (N,): part of the step of these [s], which begins anew with each; or the time from any instant, at the
       same pace
+    - ``turns``: True where rows of several signals take turns, which may share a stamp
 
     Examples
     --------
@@ -198,7 +199,8 @@ def with_part(times: FloatArray, part: FloatArray) -> FloatArray | None:
     step = max(1.0, float(steps[steps > 0].min(initial=np.inf))) if (steps > 0).any() else 1.0
     for whole in (times + part, part):
         within = (whole is part or (0 <= part).all()) and (np.abs(whole - whole[0] - times + times[0]) < step).all()
-        if within and (np.diff(whole) > 0).all():
+        steps = np.diff(whole)
+        if within and ((steps > 0).all() or (turns and (steps >= 0).all())):
             return np.asarray(whole - whole[0])
     return None
 
