@@ -236,6 +236,10 @@ def _check_description(file: FmuFile) -> None:
             raise _refuse(
                 file.path, "modelIdentifier", expected, repr(identifier), "do not trust it", "modelIdentifier"
             )
+    beyond = next((v for v in d.modelVariables if not 0 <= int(v.valueReference or 0) < 2**32), None)
+    if beyond is not None:  # the call would be of another variable
+        got = f"{beyond.valueReference} of {beyond.name!r}"
+        raise _refuse(file.path, "valueReference", "a number of 32 bits", got, "export it again", "modelVariables")
 
 
 def _without_number(description: Any) -> list[str]:

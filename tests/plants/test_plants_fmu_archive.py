@@ -177,6 +177,12 @@ def test_what_the_check_itself_stumbles_over_is_said_and_runs(tmp_path: Path) ->
         assert plant.reset(rng=np.random.default_rng(0)).shape == (2,)
 
 
+def test_a_reference_that_would_become_another_variables_is_refused(tmp_path: Path) -> None:
+    file = repacked(tmp_path / "far.fmu", described('valueReference="1"', f'valueReference="{2**32 + 1}"'))
+    with pytest.raises(InputError, match=r"valueReference.*32 bits"):
+        FmuPlant(file, sample_time=0.01)
+
+
 def test_only_once_per_process_is_honoured(tmp_path: Path) -> None:
     file = repacked(
         tmp_path / "single.fmu",
