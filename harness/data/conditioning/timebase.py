@@ -329,7 +329,8 @@ def _check_order(keys: npt.NDArray[Any], time: FloatArray, where: Callable[[int]
         if np.mean(np.diff(time) == 0) > REPEATED:
             remedy = (
                 "declare sample_time (sysid: --sample-time) if the stamps are coarser than the steps; a file for each "
-                "record if rows of several stand in turn"
+                "record if rows of several stand in turn; keep the last row of each stamp if a simulation wrote two at "
+                "its events"
             )
         else:
             remedy = f"{twice}, or sample_time where the stamps are coarser than the steps"

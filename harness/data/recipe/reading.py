@@ -395,7 +395,9 @@ class Reader:
             raise error.located(file=self.path, place="time.unit") from error
         if not stated and self.description.sample_time is None:
             refuse_unlikely_seconds(time, str(column))
-            note = f"{column}: no unit is stated: it is taken for seconds"
+            span = float(np.nanmax(time) - np.nanmin(time)) if np.isfinite(time).any() else 0.0
+            rate = f", {(len(time) - 1) / span:.4g} rows a second over {span:.4g} s" if span > 0.0 else ""
+            note = f"{column}: no unit is stated: it is taken for seconds{rate} (else --unit time=UNIT)"
             self.notes += [note] if note not in self.notes else []
         asked_for = declared is not None or "time" in section.columns
         if not asked_for:
