@@ -136,7 +136,7 @@ class _Look:
                 rows = np.flatnonzero(np.abs(values) > ODD.beyond)
                 if not rows.size:
                     continue
-                if rows.size > ODD.most * self.n:
+                if 2 * rows.size > self.n:
                     raise InputError(
                         f"{channel.name} is too large to count with", expected=f"sizes up to {ODD.beyond:g}",
                         got=f"{values[rows[0]]:.3g} in row {rows[0]}, and {rows.size} such rows of {self.n}",
