@@ -120,6 +120,17 @@ def test_a_clock_that_repeats_beside_each_channel_is_one(titles: str, tmp_path: 
         read(tmp_path / "b.csv", f"{titles}\n" + joined(clock, U, other, Y))
 
 
+def test_a_word_that_the_clock_shares_with_its_channel_is_no_unit(tmp_path: Path) -> None:
+    text = "Time - Plot 0\tAmplitude - Plot 0\tTime - Plot 1\tAmplitude - Plot 1\n"
+    names = {"input": "Amplitude - Plot 0", "output": "Amplitude - Plot 1"}
+    said = read(tmp_path / "a.txt", text + joined(SECONDS, U, SECONDS, Y, sign="\t"), **names)
+    assert any("taken for seconds, 50 rows a second" in note for note in said)
+    with pytest.raises(InputError, match="'ticks'"):
+        read(tmp_path / "b.csv", "time ticks,u ticks,y\n" + joined(SECONDS, U, Y), input="u ticks")
+    with pytest.raises(InputError, match="'foo'"):
+        read(tmp_path / "c.csv", "time foo,u,y\n" + joined(SECONDS, U, Y), column={"time": "time foo"})
+
+
 def test_of_two_clocks_the_one_that_runs_on_counts(tmp_path: Path) -> None:
     again = [f"00:00:{k % 25:02d}" for k in K]
     total = [f"00:{k // 60:02d}:{k % 60:02d}" for k in K]

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from harness.data.tables.headers import (
+    COUNTS,
     TIME_UNITS,
     TRUTH,
     behind_slashes,
@@ -24,6 +25,7 @@ from harness.data.tables.headers import (
     stated_unit,
     unit_of_time,
     unlike_remark,
+    words_of,
 )
 from harness.data.times.counts import DIGITS, HALF_DAY, dated, unwrapped
 from harness.data.times.parts import of_parts
@@ -279,7 +281,7 @@ class Columns:
         try:
             stated = clock_unit(field, path=title is None or bool(getattr(self._source, "paths", False)))
         except InputError as error:
-            if declared is None:
+            if declared is None and not self._is_of_channel(spelt, error.got.strip("'")):
                 raise error.located(file=self.path) from error
             stated = None
         declared = declared if declared is None else unit_of_time(declared)
@@ -287,6 +289,11 @@ class Columns:
         if scales and not np.isclose(scales[0], scales[-1]).all():
             self._say(f"the title {spelt!r} says {stated}; {declared}, as declared, counts")
         return declared or stated
+
+    def _is_of_channel(self, clock: str, word: str) -> bool:
+        """Return True if a word of a clock's title names its channel, as in ``Time - Plot 0`` beside ``Plot 0``."""
+        others = {one for title in self.titles if title != clock and not says_time(title) for one in words_of(title)}
+        return word in others and word not in COUNTS and word.isalpha()
 
     def second_clock(self, title: str, rows: int, most: int, *, seconds: bool) -> FloatArray | None:
         """Return the first stamps [s] of another column that tells the time of the same rows; None if it does not.
