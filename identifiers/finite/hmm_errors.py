@@ -16,6 +16,8 @@ _STEP = 1e-4
 
 _LEAST = 1e-4  # Probabilities below are at their bound: they stay there, and what is free is the rest of their row.
 
+_PROBED = 1e-3  # Probability at which it is asked how much the records speak against one that is at its bound.
+
 _NEVER = 1.5
 """Half of the 95 % bound on a probability that was met in none of n cases, times n (rule of three, Hanley 1983)."""
 
@@ -28,7 +30,8 @@ def probability_errors(
     The gradient of the log likelihood is that of the expected complete one (Fisher's identity; Louis 1982, *J. Royal
     Statistical Society B* 44, eq. 2.1), so its differences over log probabilities give the observed information, which
     is inverted where it is positive. What has no information has the error :data:`UNKNOWN`; no error is below the one
-    of an event that its row, visited so many times, has not shown.
+    of an event that its row, visited so many times, has not shown. A probability at its bound is as uncertain as the
+    slope of the likelihood there lets it be, and few cases widen the errors (:func:`_widened`).
 
     - ``records`` sequence of (observations, actions)
     - ``initial`` (S,): held
@@ -38,47 +41,69 @@ def probability_errors(
 
     Examples
     --------
-    A coin that is seen has the binomial error:
+    A coin that is seen has nearly the binomial error:
 
     >>> seen, none = np.array([0, 1, 1, 1] * 25, dtype=np.intc), np.zeros(100, dtype=np.intc)
     >>> one = probability_errors([(seen, none)], np.ones(1), np.ones((1, 1, 1)), np.array([[0.25, 0.75]]))
     >>> one[1].round(4).tolist(), round((0.25 * 0.75 / 100) ** 0.5, 4)
-    ([[0.0433, 0.0433]], 0.0433)
+    ([[0.0438, 0.0438]], 0.0433)
     """
     states, actions, _ = transition.shape
     cut = states * actions
     rows = [*transition.reshape(cut, states), *emission]
     free = [row > _LEAST for row in rows]
-    places = [(number, column) for number, one in enumerate(free) for column in np.flatnonzero(one)]
+    places = [(number, column) for number, one in enumerate(free) for column in np.flatnonzero(one).tolist()]
     basis = _within_rows([int(one.sum()) for one in free])
 
-    def gradient(changed: Sequence[FloatArray]) -> FloatArray:
+    def counted(changed: Sequence[FloatArray]) -> list[FloatArray]:
         tables = np.array(changed[:cut]).reshape(transition.shape), np.array(changed[cut:])
         counts = expected_counts(records, initial, *tables)
-        found = [*(counts.transition + prior).reshape(cut, states), *(counts.emission + prior)]
+        return [*counts.transition.reshape(cut, states), *counts.emission]
+
+    def gradient(changed: Sequence[FloatArray]) -> FloatArray:
+        found = [one + prior for one in counted(changed)]
         slopes = [n - p * n.sum() for n, p in zip(found, changed, strict=True)]
         return np.array([slopes[number][column] for number, column in places])
+
+    def with_one(number: int, column: int, value: float) -> list[FloatArray]:
+        moved = rows[number].copy()
+        moved[column] = value
+        return [*rows[:number], moved / moved.sum(), *rows[number + 1 :]]
 
     at = gradient(rows)
     information = np.empty((len(places), len(places)))
     for k, (number, column) in enumerate(places):
-        moved = rows[number].copy()
-        moved[column] *= np.exp(_STEP)
-        moved /= moved.sum()
-        information[k] = (at - gradient([*rows[:number], moved, *rows[number + 1 :]])) / _STEP
+        there = with_one(number, column, rows[number][column] * np.exp(_STEP))
+        information[k] = (at - gradient(there)) / _STEP
     slope = np.zeros((len(places), len(places)))
     for k, (number, column) in enumerate(places):
         for j, (other, at_column) in enumerate(places):
             if number == other:
                 slope[k, j] = rows[number][column] * (float(k == j) - rows[number][at_column])
     spread = np.sqrt(_variances(basis.T @ (information + information.T) @ basis / 2.0, slope @ basis))
-    counts = expected_counts(records, initial, transition, emission)
-    visits = np.concatenate([counts.transition.sum(axis=2).ravel(), counts.emission.sum(axis=1)])
-    least = _NEVER / np.maximum(visits, 1e-12)
+    least = [_NEVER / max(float(one.sum()), 1e-12) for one in counted(rows)]
     errors = [np.full(len(row), min(one, UNKNOWN)) for row, one in zip(rows, least, strict=True)]
     for value, (number, column) in zip(spread, places, strict=True):
-        errors[number][column] = np.clip(value, errors[number][column], UNKNOWN)
+        errors[number][column] = np.clip(_widened(value, rows[number][column]), errors[number][column], UNKNOWN)
+    for number, error in enumerate(errors):
+        one = free[number]
+        for absent in np.flatnonzero(~one).tolist():
+            there = with_one(number, absent, _PROBED)
+            own = counted(there)[number]
+            against = float(own.sum() - own[absent] / there[number][absent])  # fall of the log likelihood with it
+            error[absent] = np.clip(_NEVER / max(against, 1e-12), error[absent], UNKNOWN)
+        # what those at their bound may have, the others lack
+        error[one] = np.minimum(np.hypot(error[one], rows[number][one] * np.linalg.norm(error[~one])), UNKNOWN)
     return np.array(errors[:cut]).reshape(transition.shape), np.array(errors[cut:])
+
+
+def _widened(error: float, p: float) -> float:
+    """Return a standard error with the variance of a probability nearer to a half (Agresti & Coull 1998, sec. 2)."""
+    if not 0 < error < UNKNOWN:
+        return error
+    cases = p * (1 - p) / error**2  # as many that are seen would leave this error
+    nearer = (cases * p + 2) / (cases + 4)
+    return float(np.sqrt(nearer * (1 - nearer) / max(cases, 1e-12)))
 
 
 def _within_rows(sizes: Sequence[int]) -> FloatArray:
