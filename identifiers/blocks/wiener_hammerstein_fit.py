@@ -253,6 +253,7 @@ def _ways(b: FloatArray, f: FloatArray, first: int) -> Iterator[tuple[Pair, Pair
     Equal real poles of two blocks show in a linear model as a complex pair, so pairs are taken apart as well.
     """
     roots, zeros = np.roots(f), _groups(np.roots(b))
+    roots = roots * np.minimum(RADIUS**2 / np.maximum(np.abs(roots), 1e-300), 1.0)
     apart = np.clip(np.real(roots) + np.imag(roots), -(RADIUS**2), RADIUS**2)
     yield from _shares(_groups(roots), zeros, first)
     if np.any(np.imag(roots)):

@@ -15,7 +15,7 @@ from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.blocks.curve import Knots
 from identifiers.blocks.wiener_hammerstein import WienerHammerstein, WienerHammersteinModel
-from identifiers.blocks.wiener_hammerstein_fit import Blocks
+from identifiers.blocks.wiener_hammerstein_fit import Blocks, shared_out
 from identifiers.linear.prediction_error import PredictionError
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
@@ -121,6 +121,14 @@ def test_beyond_its_knots_a_curve_is_straight() -> None:
     assert np.diff(knots.values(coefficients, x[x <= -1.0]), 2) == pytest.approx(0.0, abs=1e-12)
     slopes = (knots.values(coefficients, x + 1e-6) - knots.values(coefficients, x - 1e-6)) / 2e-6
     assert knots.slopes(coefficients, x) == pytest.approx(slopes, abs=1e-5)
+
+
+def test_a_linear_model_with_a_pole_at_the_rim_is_a_start_all_the_same() -> None:
+    data = record(0.9, 0.5, "tanh", 0, samples=1500)
+    pairs = [((data.u - data.u.mean())[:, 0], (data.y - data.y.mean())[:, 0])]
+    starts = shared_out(np.array([0.1]), np.poly([0.9999, 0.5]), pairs, 8, 1)
+    assert starts
+    assert all(start.stable() for start in starts)
 
 
 def hardening(seed: int, samples: int = 700) -> Trajectory:
