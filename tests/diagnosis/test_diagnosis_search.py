@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from linear_form import (
 
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import judged
-from harness.diagnosis.search.fit import Column, Fit
+from harness.diagnosis.search.fit import Begun, Column, Fit
 from harness.diagnosis.search.leftover import Axis, Leftover, _expected, _Explained, left_over
 from harness.diagnosis.search.moves import climbed, specialise
 from harness.diagnosis.search.scores import projected, score_test
@@ -356,6 +357,21 @@ def test_the_last_law_gives_way_to_its_special_case_where_an_earlier_one_was_exc
     table = table_of(form, nominal, Round(nominal, score_test(form, nominal, ALL), rows))
     found = climbed(table, Answer(form.fit([drag, general], [], nominal), made), specialise, simpler=True)
     assert accepted(found) == {"quadratic_drag", "linear_spring" if exchanged else "cubic_spring"}
+
+
+def test_a_rival_that_begins_far_off_beside_a_later_effect_goes_on_while_its_steps_may_lead_to_a_tie() -> None:
+    """A level of friction that was fitted without the spring costs hundreds beside it, of which a step gains most."""
+
+    class Form(LinearForm):
+        def begin(self, effects: Any, starts: Any, base: Fit | None, hope: float = -np.inf) -> Begun:
+            begun = super().begin(effects, starts, base, hope)
+            again = placed("cubic_spring") in effects and len(effects) > 1
+            return replace(begun, log_likelihood=begun.log_likelihood - 140.0) if again and hope == -np.inf else begun
+
+    hidden = {"linear_spring": 0.4, "quadratic_drag": 0.3}
+    form = Form(linear_records(18, hidden, alike={"cubic_spring": "linear_spring"}))
+    outcome = search(form, form.fit((), [], None), ALL)
+    assert tie_of(outcome, "linear_spring") == {"linear_spring", "cubic_spring"}
 
 
 def test_what_stays_tied_beside_a_later_effect_is_told() -> None:

@@ -206,8 +206,9 @@ def _still_tied(table: Table, model: Fit, placed: Placed, member: tuple[Placed, 
         if row.fit is not None:
             for rival in member:
                 start |= own_values(rival, row.fit)
-    begun = table.begin([*others, *member], [start], model)
-    if begun is None or begun.log_likelihood < model.log_likelihood("estimation") - EFFORT.margin:
+    hope = model.log_likelihood("estimation") - EFFORT.margin
+    begun = table.begin([*others, *member], [start], model, hope)
+    if begun is None or begun.log_likelihood < hope:
         return False
     trial = table.finish(begun, model, model)
     row = table.judged(member, trial)
