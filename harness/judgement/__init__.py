@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-from harness.judgement.feedback import NEW, Feedback, feedback_of, moves
+from harness.judgement.feedback import ALONE, NEW, Feedback, feedback_of, moves, reached_at_once
 from harness.judgement.law import Law, dependence_text, law_of
 from harness.judgement.refusals import refuse_law, refuse_undetermined
 
 __all__ = [
+    "ALONE",
     "NEW",
     "Feedback",
     "Law",
@@ -17,6 +18,7 @@ __all__ = [
     "feedback_of",
     "law_of",
     "moves",
+    "reached_at_once",
     "refuse_law",
     "refuse_undetermined",
 ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.algebra import divisor, unit_columns
+from harness.algebra import divisor, orthonormal, unit_columns
 from harness.signals import FloatArray, Trajectory
 
 # Of an input: what its own past leaves when it follows from it, as a multisine or a free motion does.
@@ -18,9 +18,24 @@ _LAGS, _LONGER, _OWN, _LONG = 4, 4, 40, 200
 # Rows for each regressor that a past of the input has to leave, and their share of all: a short past leaves more rows
 # where a record is in pieces, and tells of loops; a long one tells whether an input follows from itself.
 _ROWS, _KEPT = 3, 2.0 / 3.0
+FOUND = 0.01
+"""Share of what is not foretold, below which nothing is found in it."""
 NEW = 0.01
 """What an input's own past leaves of it, below which nobody answers anything: a sweep of 2000 samples leaves 1e-5, a
 loop that is moved from outside by a tenth of its input 0.14 and more."""
+# Share of the samples in which outputs move and an input rests to the bit, and its moves over its standard deviation,
+# beyond which no linear law sets it: a command rounded to a third of its size rests in a fifth of them.
+_RESTS, _JUMPS = 0.5, 0.3
+ALONE = 0.01
+"""Probability of what outputs before tell of an input, above which it is chance."""
+# Probability of an output that follows inputs of its own sample by chance.
+_SURE = 1e-5
+# Samples of a past that is looked at in full.
+SHORT = 4
+# Witnesses that depend on others up to this share are left out.
+THIN = 1e-8
+# Samples that are looked at: at so many, what an excitation of 5 % of the input does to the outputs shows.
+_SEEN = 10_000
 # Mean fourth power of normal numbers, over the square of their mean square.
 _NORMAL = 3.0
 
@@ -50,7 +65,7 @@ class Feedback:
     @property
     def found(self) -> bool:
         """True if chance is no explanation (less than 1 in 1000) and the share is not negligible (1 %)."""
-        return self.probability < 1e-3 and self.share > 0.01
+        return self.probability < 1e-3 and self.share > FOUND
 
 
 def feedback_of(records: Sequence[Trajectory]) -> Feedback:
@@ -59,7 +74,8 @@ def feedback_of(records: Sequence[Trajectory]) -> Feedback:
     The input's own past is as long as all samples of the outputs are many: a sum of sines follows from a past of twice
     their number, and outputs that only stand for an older past are no feedback. So what is found must stay where the
     input tells all of a long past of its own. Of a record in pieces few are as long: where a shorter past leaves next
-    to nothing of the input (``NEW``), what is found must stay with the longest that any pieces allow.
+    to nothing of the input (``NEW``), what is found must stay with the longest that any pieces allow. Outputs that hold
+    the inputs of the same sample (:func:`reached_at_once`) are no feedback either.
 
     Parameters
     ----------
@@ -81,6 +97,8 @@ def feedback_of(records: Sequence[Trajectory]) -> Feedback:
     found = _of(*granger(records, _LAGS))
     if not found.found:
         return found
+    if reached_at_once(records):
+        return Feedback(0.0, 1.0, found.unforeseen, found.moves)
     for kept in (_KEPT, 0.0):
         long = _of(*granger(records, _LAGS, _LONG, kept))
         if not long.found:
@@ -173,3 +191,85 @@ def moves(departures: FloatArray) -> FloatArray:
     fourth = np.sum(square**2, axis=0)
     counted = _NORMAL * np.sum(square, axis=0) ** 2 / divisor(fourth)
     return np.asarray(np.minimum(counted, len(departures)), dtype=np.float64)
+
+
+def jumps(records: Sequence[Trajectory], column: int) -> bool:
+    """Return True for an input that is held while outputs move, and then jumps: no linear controller's command.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec, rng = PlantSpec((Channel("u"),), (Channel("y"),), 1.0), np.random.default_rng(0)
+    >>> u, t = np.repeat(rng.normal(size=(20, 1)), 5, axis=0), np.arange(100.0)
+    >>> jumps([Trajectory(t, u, rng.normal(size=(100, 1)), spec)], 0), jumps([Trajectory(t, u, u, spec)], 0)
+    (True, False)
+    """
+    change = np.concatenate([np.diff(record.u[:, column]) for record in records])
+    moved = np.concatenate([np.any(np.diff(record.y, axis=0) != 0.0, axis=1) for record in records])
+    rests, size = change == 0.0, np.concatenate([record.u[:, column] for record in records]).std()
+    if not np.mean(rests & moved) > _RESTS or rests.all():
+        return False
+    return bool(np.sqrt(np.mean(change[~rests] ** 2)) > _JUMPS * size)
+
+
+def reached_at_once(records: Sequence[Trajectory]) -> bool:
+    """Return True where outputs hold the inputs of the same sample: crosstalk, or a direct path that is not declared.
+
+    The inputs of the sample foretell an output beyond its past and theirs, and no outputs before foretell them. So does
+    a controller of whose command no earlier output tells more than its own past; but inputs that are held and jump
+    (:func:`jumps`) are none's.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec, rng = PlantSpec((Channel("u"),), (Channel("y"),), 1.0), np.random.default_rng(0)
+    >>> u, noise, t = np.repeat(rng.normal(size=(60, 1)), 5, axis=0), rng.normal(size=(300, 1)), np.arange(300.0)
+    >>> [reached_at_once([Trajectory(t, u, size * u + noise, spec)]) for size in (0.0, 2.0)]
+    [False, True]
+    """
+    spec, records = records[0].spec, [record for record in first_rows(records) if len(record) > SHORT]
+    if spec.feedthrough or spec.nu == 0 or not records or not all(jumps(records, j) for j in range(spec.nu)):
+        return False
+    u, y, past_u, past_y = (
+        np.concatenate(parts)
+        for parts in zip(*((r.u[SHORT:], r.y[SHORT:], _past(r.u), _past(r.y)) for r in records), strict=True)
+    )
+    if len(u) < 3 * (past_u.shape[1] + past_y.shape[1] + spec.nu):
+        return False
+    at_once, share = _beyond(np.hstack([past_u, past_y]), u, y)
+    if not np.any((at_once < _SURE / spec.ny) & (share > FOUND)):
+        return False
+    return bool(_beyond(past_u, past_y, u)[0].min() >= ALONE / spec.nu)
+
+
+def _past(signal: FloatArray) -> FloatArray:
+    """Return the samples before (N - SHORT, SHORT n) of a signal (N, n), and a constant."""
+    n = len(signal)
+    return np.hstack([np.ones((n - SHORT, 1)), *(signal[SHORT - j : n - j] for j in range(1, SHORT + 1))])
+
+
+def _beyond(known: FloatArray, more: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the chance that more regressors tell so much of each target (m,) beyond known ones, and their share."""
+    from scipy.stats import f
+
+    past = orthonormal(known, THIN)
+    base = orthonormal(more - past @ (past.T @ more), THIN)
+    if not base.shape[1]:
+        return np.ones(target.shape[1]), np.zeros(target.shape[1])
+    rest = target - past @ (past.T @ target)
+    told = np.sum((base.T @ rest) ** 2, axis=0)
+    wrong = rest - base @ (base.T @ rest)
+    left, least = np.sum(wrong**2, axis=0), FORETOLD**2 * len(target) * target.var(axis=0)
+    free = np.maximum(moves(wrong) - past.shape[1] - base.shape[1], 1.0)
+    chance = f.sf(told / divisor(left) * free / base.shape[1], base.shape[1], free)
+    return np.where(told > least, chance, 1.0), told / divisor(told + left)
+
+
+def first_rows(records: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return the records up to so many samples in all."""
+    some, left = [], _SEEN
+    for record in records:
+        if left > 0:
+            some.append(record[:left])
+            left -= len(record)
+    return some

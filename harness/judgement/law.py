@@ -9,11 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from harness.algebra import unit_columns
-from harness.judgement.feedback import FORETOLD, granger
+from harness.judgement.feedback import FORETOLD, FOUND, SHORT, THIN, first_rows, granger, jumps
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-# Samples that are looked at: at so many, what an excitation of 5 % of the input does to the outputs shows.
-_ROWS = 10_000
 # Samples before and after the window of a law that bear witness against it.
 _REACH = 3
 # Probability of calling a record of pure feedback excited, and of an open loop that is asked about laws at all.
@@ -30,8 +28,6 @@ _SLOW = 0.2
 _MOST = 16
 # Terms of a dependence that are named: those above this share of the largest.
 _SHOWN = 1e-3
-# Samples of a past that is looked at in full.
-SHORT = 4
 # Probability, in a law without an integral or a filter, of one that is taken to have it.
 _NEEDED = 0.05
 # Estimates between two-stage least squares and limited-information maximum likelihood that are tried.
@@ -40,8 +36,6 @@ _TRIED = 21
 _NOTHING = 1e-11
 # Regressors that depend on others up to this share are left out.
 _RANK = 1e-6
-# Witnesses that depend on others up to this share are left out.
-THIN = 1e-8
 
 
 @dataclass(frozen=True)
@@ -88,7 +82,7 @@ _PLAIN = (_Form(0, False), _Form(1, False), _Form(1, True), _Form(2, True))
 _FORMS = (*_PLAIN, *(replace(form, filtered=True) for form in _PLAIN))
 
 
-def law_of(records: Sequence[Trajectory]) -> Law | None:
+def law_of(records: Sequence[Trajectory], *, held: bool = False) -> Law | None:
     """Return the law that an input follows with nothing beside it, None where something else moves every input.
 
     Asked only where outputs foretell an input beyond its own past (:func:`feedback_of`), or its own past foretells it
@@ -102,6 +96,10 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
 
     An input that its own past foretells wholly is a sum of lines, or part of a motion from a start alone. Lines obey
     any law of as many coefficients as they have dimensions; a law of fewer that holds to rounding is a controller's.
+
+    An output that holds a part of the input of the same sample (crosstalk, or a direct path that is not declared)
+    obeys a law too, the plant turned round. An input that is held and jumps (:func:`jumps`) is no controller's:
+    ``held`` asks such inputs alone, which are else left out.
 
     Examples
     --------
@@ -117,11 +115,13 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
     if spec.nu == 0 or any(channel.kind == "category" for channel in (*spec.inputs, *spec.outputs)):
         return None
     some = first_rows(records)
+    asked = [j for j in range(spec.nu) if np.ptp(np.concatenate([record.u[:, j] for record in some])) > 0]
+    asked = [j for j in asked if jumps(some, j) == held]  # a constant is no answer
+    if not asked:
+        return None
     some = _seen_through_few(some)
     shares, chances, alone, _ = granger(some, 4)
-    for column in range(spec.nu):
-        if not np.ptp(np.concatenate([record.u[:, column] for record in some])) > 0:
-            continue  # a constant is no answer
+    for column in asked:
         found = _law_of_input(some, column, (shares[column], chances[column], alone[column]))
         if found is not None:
             return found
@@ -131,7 +131,7 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
 def _law_of_input(records: Sequence[Trajectory], column: int, told: tuple[float, float, float]) -> Law | None:
     """Return the law that one input follows; ``told`` is what outputs and its own past foretell of it."""
     (share, chance, alone), spec = told, records[0].spec
-    sure = chance < _DOUBT and share > 0.01
+    sure = chance < _DOUBT and share > FOUND
     if not sure and alone > FORETOLD:
         return None
     exact = _EXACT * alone
@@ -353,16 +353,6 @@ def _spread(z: FloatArray, departure: FloatArray, lengths: Sequence[int], lags: 
                 crossed += z[start + j : stop].T @ z[start : stop - j]
         total += (1.0 - j / (2 * lags + 1)) * own / rows * (crossed + crossed.T) / rows
     return np.asarray(total, dtype=np.float64)
-
-
-def first_rows(records: Sequence[Trajectory]) -> list[Trajectory]:
-    """Return the records up to so many samples in all."""
-    some, left = [], _ROWS
-    for record in records:
-        if left > 0:
-            some.append(record[:left])
-            left -= len(record)
-    return some
 
 
 def _before(records: Sequence[Trajectory]) -> list[Trajectory]:

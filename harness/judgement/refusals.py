@@ -8,8 +8,8 @@ import numpy as np
 
 from harness.algebra import divisor, unit_columns
 from harness.errors import FitError
-from harness.judgement.feedback import FORETOLD
-from harness.judgement.law import SHORT, THIN, dependence_text, first_rows, law_of
+from harness.judgement.feedback import FORETOLD, SHORT, THIN, first_rows
+from harness.judgement.law import dependence_text, law_of
 from harness.signals import Trajectory
 
 # What looks like a controller too: an output that holds the input itself.
@@ -40,11 +40,18 @@ def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float
     FitError
         If an input is constant, :func:`law_of` finds a law, or inputs move together and the noise hides what each does.
     """
-    if least_excitation > 0:
-        _refuse_still(records, what)
-        _refuse_together(records, what)
-    law = law_of(records) if least_excitation > 0 else None
-    if law is None:
+    if least_excitation <= 0:
+        return
+    _refuse_still(records, what)
+    _refuse_together(records, what)
+    if (law := law_of(records)) is None:
+        if (law := law_of(records, held=True)) is not None:
+            raise FitError(
+                f"{what}: the data do not determine the model",
+                expected="outputs that respond to an input from the next sample on",
+                got=f"{law.text} up to {law.departure:.1e} of full size, though that input is held and jumps",
+                remedy="declare feedthrough = true, or remove what the input adds to the readings (crosstalk)",
+            )
         return
     raise FitError(
         f"{what}: the data do not determine the model",

@@ -345,7 +345,7 @@ def _undetermined(
     rank: int,
     share: float,
     what: str,
-    remedy: str = "add an excitation to what the controller commands",
+    remedy: str = "use a richer input, added to what a controller commands if there is one, or a lower order",
 ) -> FitError:
     """Return the refusal, with the direction that the data do not tell."""
     seen = list(columns.output_of)

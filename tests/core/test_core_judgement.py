@@ -8,9 +8,10 @@ from scipy.signal import lfilter
 
 from harness import registry
 from harness.data.conditioning.suspicion import swapped_in_and_out
+from harness.data.oddities import examined
 from harness.errors import FitError
 from harness.judgement import feedback_of, law_of, refuse_undetermined
-from harness.signals import Channel, PlantSpec, Trajectory
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 A, B = np.array([[1.02, 0.2], [0.0, 0.9]]), np.array([[0.0], [1.0]])
 SPEC = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 0.1)
@@ -157,6 +158,45 @@ def test_an_output_that_answers_within_the_sample_is_told_how_to_be_declared():
         refuse_undetermined([Trajectory(np.arange(600.0), u, y, spec)], "mine")
     declared = PlantSpec(spec.inputs, spec.outputs, 1.0, feedthrough=True)
     refuse_undetermined([Trajectory(np.arange(600.0), u, y, declared)], "mine")
+
+
+@pytest.mark.parametrize("hold", [3, 25])
+@pytest.mark.parametrize("first_order", [True, False])
+def test_crosstalk_of_a_held_input_is_no_controller(hold, first_order):
+    """The plant turned round is a law too; no controller rests while its outputs move."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.normal(size=1000 // hold + 1), hold)[:1000]
+        y = lfilter([0.0, 0.1], [1.0, -0.9], u) if first_order else lfilter([0.0, 0.02], [1.0, -1.8, 0.85], u)
+        for size in (0.0, 0.3):
+            read = (y + size * y.std() * u + 1e-3 * rng.normal(size=1000))[:, None]
+            record = Trajectory(
+                np.arange(1000) * 1.0, u[:, None], read, PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+            )
+            found = examined(Dataset("x", (Run(record),))).oddities
+            assert law_of([record]) is None
+            assert any(odd.kind == "crosstalk" for odd in found) == (size > 0)
+
+
+def said(name, record):
+    """Return what a fit of the first order warns of, or is refused for."""
+    try:
+        model = registry.create("identifiers", name, order=1).fit([record], rng=np.random.default_rng(0))
+    except FitError as error:
+        return str(error)
+    return model.notes.get("warning", "")
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.2])
+@pytest.mark.parametrize("name", ["arx", "prediction-error"])
+def test_a_fit_says_that_outputs_respond_within_the_sample(name, noise):
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.normal(size=100), 10)
+    y = lfilter([0.0, 0.1], [1.0, -0.9], u) + noise * rng.normal(size=1000)
+    for size in (0.0, 0.3):
+        read = (y + size * u)[:, None]
+        record = Trajectory(np.arange(1000) * 1.0, u[:, None], read, PlantSpec((Channel("u"),), (Channel("y"),), 1.0))
+        assert ("declare feedthrough = true" in said(name, record)) == (size > 0)
 
 
 def pieces_of(record: Trajectory, lost: float, seed: int) -> list[Trajectory]:

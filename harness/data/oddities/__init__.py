@@ -15,8 +15,9 @@
 ``shift``       an input that was written a row late (found with the equations of motion)
 ``between``     an input that moves between its readings where it passed for held (found so too)
 ``mismatch``    runs of one use that follow two models
-``step``, ``slow``, ``fast``, ``trend``
-                no faults: the step of an encoder, sampling beside the pace of the motion, a drift
+``step``, ``slow``, ``fast``, ``trend``, ``crosstalk``
+                no faults: the step of an encoder, sampling beside the pace of the motion, a drift, an output that holds
+                the inputs of the same row
 ==============  ======================================================================================================
 
 Inputs that switch between levels, rest at a rail or jump are meant so: nothing is said of them.

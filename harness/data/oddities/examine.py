@@ -22,6 +22,7 @@ from harness.data.oddities.pace import band_of, line_share, trend_of
 from harness.data.oddities.rows import slips_of
 from harness.data.oddities.spikes import Spikes, alike, spikes_of, unfelt
 from harness.errors import InputError
+from harness.judgement import reached_at_once
 from harness.resolution import resolution
 from harness.signals import Channel, Dataset, FloatArray, Oddity, Trajectory
 from harness.units import behind, own_unit, own_values, told
@@ -124,6 +125,7 @@ class _Look:
                 self._output(column, channel)
         if self.n >= ODD.fewest:
             self._slips()
+            self._crosstalk()
 
     def _beyond_all(self) -> None:
         """Leave out numbers so large that their squares are none: a damaged row, which no average survives.
@@ -369,6 +371,19 @@ class _Look:
             )
             words += "; close-loop takes what follows as a record of its own"
             self._add("leap", self.spec.outputs[real[0]], np.array([slip.row]), words)
+
+    def _crosstalk(self) -> None:
+        """Find outputs that hold the inputs of the same sample."""
+        for column, channel in enumerate(self.spec.outputs):
+            if channel.kind != "real" or self.missing[:, column].mean() > ODD.most:
+                continue
+            spec = replace(self.spec, outputs=(channel,))
+            if reached_at_once([replace(self.record, u=self.u, y=self.y[:, [column]], spec=spec, missing=None)]):
+                words = (
+                    f"{channel.name} responds to held inputs within the same row: crosstalk into its reading, inputs "
+                    "that were written a row late, a relay that it switches, or a direct path (feedthrough = true)"
+                )
+                self._add("crosstalk", channel, np.zeros(0, dtype=np.intp), words, fault=False)
 
     def _leave(self, column: int, fresh: npt.NDArray[np.bool_], plain: FloatArray) -> None:
         """Count readings as missing, with what those beside them foretell in their place."""

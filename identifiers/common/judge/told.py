@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from harness.errors import HarnessError
-from harness.judgement import NEW, Feedback, feedback_of, law_of
+from harness.judgement import ALONE, NEW, Feedback, feedback_of, law_of, reached_at_once
 from harness.models.determined import KEY
 from harness.scoring import predict
 from harness.signals import Dataset, Run, Trajectory
@@ -26,10 +26,10 @@ MOVED = 10
 has the answer to these alone. Four steps of a size are 12 moves, five lines 10 lags."""
 GUESSED, GUESSES = 0.25, 100
 """What a model bends by over what two levels of an input do, from which on it is said, and samples asked for that."""
-ALONE, UNTOLD = 0.01, 0.97
-"""Probability of what outputs before tell of an input, above which it is chance, and what the input's own past leaves
-of it, from which on it is white (0.98 of 1000 samples): a controller's command is neither, in any of 252 loops that are
-moved by a tenth of the input and more (benchmarks/feedback_judge.py, base 300000)."""
+UNTOLD = 0.97
+"""What an input's own past leaves of it, from which on it is white (0.98 of 1000 samples): a controller's command is
+neither that nor told by no earlier output (``ALONE``), in any of 252 loops that are moved by a tenth of the input and
+more (benchmarks/feedback_judge.py, base 300000)."""
 CHECKED = 5_000  # Samples that are looked at.
 
 Fit = TypeVar("Fit", bound=Callable[..., Any])
@@ -117,6 +117,11 @@ def _controlled(records: Sequence[Trajectory], feedback: Feedback) -> str:
 def _at_once(records: Sequence[Trajectory], feedback: Feedback) -> str:
     """Return what is wrong where outputs of the same sample, and nothing before, tell an input."""
     spec = records[0].spec
+    if reached_at_once(records):
+        return (
+            "the outputs respond to the inputs of the same sample, as this model cannot: declare feedthrough = true, "
+            "or remove what the inputs add to the readings (crosstalk); a relay that switches on them looks alike"
+        )
     if spec.feedthrough or not feedback.found or feedback.share <= ANSWERED or feedback.unforeseen < UNTOLD:
         return ""
     before = feedback_of([replace(record, spec=replace(spec, feedthrough=True)) for record in records])
