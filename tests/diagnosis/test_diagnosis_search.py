@@ -26,7 +26,7 @@ from linear_form import (
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.fit import Begun, Column, Fit
-from harness.diagnosis.search.leftover import Axis, Leftover, _expected, _Explained, left_over
+from harness.diagnosis.search.leftover import Axis, Leftover, _Beside, _expected, _Explained, left_over
 from harness.diagnosis.search.moves import climbed, specialise
 from harness.diagnosis.search.scores import projected, score_test
 from harness.diagnosis.search.search import search
@@ -149,7 +149,8 @@ def test_a_free_force_has_as_many_coefficients_as_the_innovations_tell() -> None
     fit = form.fit((), [], None)
     basis, residual = projected(form, fit)
     (column,) = [one for one in form.test_functions(fit) if one.names[1] == "cubic_spring"]
-    found = _Explained.of(column, basis, residual, form.linearised(fit), POLICY)
+    linear = form.linearised(fit)
+    found = _Explained.of(column, _Beside.of(linear, basis, residual), linear, POLICY)
     unit = column.estimation[:, 0] / np.linalg.norm(column.estimation[:, 0])
     left = unit - basis @ (basis.T @ unit)
     size, along = float(left @ left), float(left @ residual)
