@@ -90,6 +90,7 @@ def test_a_late_input_that_an_output_answers_at_once_is_told_by_the_plant_althou
     rates = np.array([[-r / inductance, -gain / inductance, 1.0 / inductance], [gain / inertia, -b / inertia, 0.0]])
     step = expm(dt * np.vstack([rates, np.zeros(3)]))[:2]
     v, y, x = np.repeat(rng.uniform(-8.0, 8.0, n // 25), 25)[:, None], np.zeros((n, 2)), np.zeros(2)
+    v += 1e-6 * np.arange(n)[:, None]  # one that rests to the bit follows no controller's law
     for k in range(n):
         y[k] = x + [0.02, 0.3] * rng.standard_normal(2)
         x = step @ np.append(x, v[k])
