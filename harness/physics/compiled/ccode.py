@@ -157,6 +157,7 @@ def system_source(system: Any, prefix: str = "model") -> str:
 
 
 FINE = 8  # Parts of a step that comes near the zero of a speed whose sign a force takes.
+STEEP = 4.0  # Widths of a sign from its zero within which it is steep: beyond, tanh has 0.1 % of its slope at most.
 
 
 def without_signs(system: Any, p: FloatArray) -> FloatArray:
@@ -167,13 +168,18 @@ def without_signs(system: Any, p: FloatArray) -> FloatArray:
 
 
 def near_zero(system: Any, prefix: str) -> str:
-    """Return the C function that tells whether a step from x to y comes near the zero of a switch of the system."""
+    """Return the C function that tells whether a step from x to y comes near the zero of a switch of the system.
+
+    A mass that stands hardly moves in a step, and the sign is as steep there: what the steps make of small changes, of
+    variances too, is stable in the finer ones alone.
+    """
+    places = {name: number for number, name in enumerate(system.parameter_names)}
     tests = [
-        f"  if (fmin(fabs(x[{k}]), fabs(y[{k}])) < fabs(y[{k}] - x[{k}])) return 1;"
-        for k in dict.fromkeys(k for k, _ in system.switches)
+        f"  if (fmin(fabs(x[{k}]), fabs(y[{k}])) < fmax(fabs(y[{k}] - x[{k}]), {STEEP}*p[{places[name]}])) return 1;"
+        for k, name in system.switches
     ]
-    head = f"static int {prefix}_near_zero(const double *x, const double *y) {{"
-    return "\n".join([head, *tests, "  (void)x; (void)y;", "  return 0;", "}"])
+    head = f"static int {prefix}_near_zero(const double *x, const double *y, const double *p) {{"
+    return "\n".join([head, *tests, "  (void)x; (void)y; (void)p;", "  return 0;", "}"])
 
 
 _STEP = """\
@@ -198,7 +204,7 @@ static void PREFIX_step(double *x, const double *u, const double *p, double t, d
   int i;
   for (i = 0; i < NX; i++) y[i] = x[i];
   PREFIX_runge_kutta(y, u, p, t, h);
-  if (PREFIX_near_zero(x, y))
+  if (PREFIX_near_zero(x, y, p))
     for (i = 0; i < {FINE}; i++) PREFIX_runge_kutta(x, u, p, t + i*(h/{FINE}), h/{FINE});
   else
     for (i = 0; i < NX; i++) x[i] = y[i];

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from harness.physics.compiled.ccode import FINE, dense
+from harness.physics.compiled.ccode import FINE, STEEP, dense
 from harness.physics.compiled.rollout_call import Given
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray
@@ -185,7 +185,7 @@ class Functions:
             state = x
             for count in range(substeps):
                 state = self._advance(
-                    lambda y, w, s: self.derivative(y, w, p, s), state, lambda share: u, t + count * h, h
+                    lambda y, w, s: self.derivative(y, w, p, s), state, p, lambda share: u, t + count * h, h
                 )
             self._machines[key] = ca.Function("step", [x, u, p, t], [state])
         return self._machines[key]
@@ -320,7 +320,7 @@ class Functions:
                 # The end of the sample is the next input itself, to the last bit, as in the C code.
                 return (u_next, d_next) if share == 1.0 else (u + (u_next - u) * share, d + (d_next - d) * share)
 
-            new = self._advance(derivative, new, seen, t + count * h, h, nears)
+            new = self._advance(derivative, new, p, seen, t + count * h, h, nears)
         told = [new]
         if nears is not None:
             told.append(ca.logic_not(ca.logic_not(sum(nears, ca.SX(0)))))
@@ -332,19 +332,22 @@ class Functions:
         look = ca.Function("look", [state, moving, p, t], outputs)
         return step, look
 
-    def _advance(self, derivative: Any, x: Any, inputs: Any, t: Any, h: float, nears: list[Any] | None = None) -> Any:
+    def _advance(
+        self, derivative: Any, x: Any, p: Any, inputs: Any, t: Any, h: float, nears: list[Any] | None = None
+    ) -> Any:
         """Return the state one step later; in finer steps where a force changes its sign.
 
         ``inputs(part)`` is what the derivative sees at a part (0 to 1) of the step. With ``nears`` the step is never
         finer, and whether it should be is added to them.
         """
         new = _runge_kutta(derivative, x, [inputs(part) for part in (0.0, 0.5, 1.0)], t, h)
-        places = list(dict.fromkeys(k for k, _ in self.system.switches))
-        if not places:
+        if not self.system.switches:
             return new
         near, fine = ca.SX(0), x
-        for k in places:
-            near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < ca.fabs(new[k] - x[k]))
+        for k, name in self.system.switches:
+            steep = STEEP * p[self.system.parameter_names.index(name)]
+            far = ca.fmax(ca.fabs(new[k] - x[k]), steep)
+            near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < far)
         if nears is not None:
             nears.append(near)
             return new
