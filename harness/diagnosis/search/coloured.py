@@ -19,7 +19,7 @@ LEAST = 1e-9
 """Smallest deviation of an error over its rms."""
 _LASTS, _NOISE = (-0.5, 0.0, 0.9), (0.0, 0.5, 0.9, 0.99)
 """Partial autocorrelations that an error read through noise is begun from."""
-_DESCENTS = 3
+_DESCENTS = 2
 """Of these starts, how many are followed down."""
 _STEEP = 3.8
 """Hyperbolic arc of the largest of them: a memory of 1000 rows."""
@@ -264,7 +264,7 @@ def coloured_likelihood(errors: Mapping[str, Sequence[tuple[FloatArray, FloatArr
         values = {use: [error[:, output] for error, _ in records] for use, records in errors.items()}
         process = Remembering.of(values["estimation"], order // 2)
         for use, records in values.items():
-            total[use] += sum(process.log_likelihood(one) for one in records)
+            total[use] += process.log_likelihood(records)
     return total
 
 
@@ -291,13 +291,13 @@ class Remembering:
         """Return the likeliest process of some records (N_i,), NaN where nothing was read."""
         from scipy.optimize import minimize
 
-        count = max(sum(int(np.isfinite(one).sum()) for one in records), 1)
-        rms = float(np.sqrt(sum(float(np.nansum(one**2)) for one in records) / count))
-        floor = LEAST * rms + 1e-150  # its square is no 0
+        filled, read = _side_by_side(records)
+        count = max(int(read.sum()), 1)
+        floor = LEAST * float(np.sqrt(np.sum((filled * read) ** 2) / count)) + 1e-150  # its square is no 0
 
         def made(z: FloatArray) -> Remembering:
             process = cls(np.tanh(z[: order - 1]), np.tanh(z[order - 1 :]))
-            power = sum(float(np.sum(white**2)) for white in map(process.innovations, records))
+            power = float(np.sum(process._white(filled, read) ** 2))
             return replace(process, deviation=max(float(np.sqrt(power / count)), floor))
 
         starts = []
@@ -309,31 +309,41 @@ class Remembering:
         ends = [
             descend(
                 lambda z: count * np.log(made(z).deviation), z, method="L-BFGS-B",
-                bounds=[(-_STEEP, _STEEP)] * len(z), options={"maxiter": 60, "ftol": 1e-7},
+                bounds=[(-_STEEP, _STEEP)] * len(z), options={"maxiter": 40, "ftol": 1e-6},
             ).x
             for z in sorted(starts, key=lambda z: made(z).deviation)[:_DESCENTS]
         ]  # fmt: skip
         return min(map(made, [*starts, *ends]), key=lambda process: process.deviation)
 
-    def innovations(self, errors: FloatArray) -> FloatArray:
-        """Return what the rows before do not tell of every row that was read (n,), over a line across those missing.
+    def log_likelihood(self, records: Sequence[FloatArray]) -> float:
+        """Return the log-likelihood of some records (N_i,)."""
+        filled, read = _side_by_side(records)
+        power = float(np.sum(self._white(filled, read) ** 2))
+        return -0.5 * power / self.deviation**2 - int(read.sum()) * float(np.log(self.deviation))
 
-        Before the record the error stood still, where it makes these least.
+    def _white(self, filled: FloatArray, read: FloatArray) -> FloatArray:
+        """Return what the rows before do not tell of every row (records, N), 0 where nothing was read.
+
+        Before a record the error stood still, where it makes these least.
         """
         from scipy.signal import lfilter, lfilter_zi
 
-        read = np.isfinite(errors)
-        if not read.any():
-            return np.zeros(0)
-        rows = np.arange(len(errors))
-        filled = errors if read.all() else np.interp(rows, rows[read], errors[read])
         changes, noise = (np.append(1.0, -Coloured(one, 1.0).coefficients) for one in (self.lasts, self.noise))
         past = np.convolve(changes, (1.0, -1.0))
-        white = lfilter(past, noise, filled)[read]
-        stood = lfilter(past, noise, np.zeros(len(errors)), zi=lfilter_zi(past, noise))[0][read]
-        return np.asarray(white - stood * (stood @ white) / max(float(stood @ stood), 1e-300))
+        white = lfilter(past, noise, filled) * read
+        stood = lfilter(past, noise, np.zeros(filled.shape[1]), zi=lfilter_zi(past, noise))[0] * read
+        level = np.sum(stood * white, axis=1) / np.maximum(np.sum(stood**2, axis=1), 1e-300)
+        return np.asarray(white - stood * level[:, None])
 
-    def log_likelihood(self, errors: FloatArray) -> float:
-        """Return the log-likelihood of a record (N,)."""
-        white = self.innovations(errors) / self.deviation
-        return float(-0.5 * white @ white - len(white) * np.log(self.deviation))
+
+def _side_by_side(records: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return records (n, N) with a line across what is missing, and 1 where something was read, else 0."""
+    longest = max(map(len, records), default=1)
+    filled, read = np.zeros((len(records), longest)), np.zeros((len(records), longest))
+    for row, record in enumerate(records):
+        there = np.isfinite(record)
+        read[row, : len(record)] = there
+        if there.any():
+            rows = np.arange(len(record))
+            filled[row, : len(record)] = record if there.all() else np.interp(rows, rows[there], record[there])
+    return filled, read
