@@ -27,7 +27,10 @@ def check_controller(dataset: Dataset, system: AnySystem) -> list[Doubt]:
     if law is None:
         return []
     words = f"these data show the controller: {law.text} up to {law.departure:.1e} of full size"
-    remedy = "add an excitation to what the controller commands, and record that"
+    remedy = (
+        "add an excitation to what the controller commands, and record that; if the reading takes up the input within "
+        "the sample (crosstalk), declare feedthrough = true"
+    )
     if getattr(system, "starts", None) is not None:
         return [Doubt(f"{words}, and nothing beside it moves that input; {remedy}", certain=True)]
     told = f"what an unmeasured force did and what the input did cannot be told apart; {remedy}"
