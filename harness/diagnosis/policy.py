@@ -105,7 +105,7 @@ class Policy:
     )
     order: int = number(
         4,
-        "coefficients of the autoregressive error of a free run's output, for intervals, or of an arm's joint",
+        "coefficients of the error of a free run's output, or of an arm's joint",
         "two for a drift beside noise, two for a line of the spectrum; every candidate has as many",
     )
     window: float = number(

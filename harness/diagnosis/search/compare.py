@@ -255,8 +255,8 @@ def coloured_gains(fit: Fit, base: Fit, order: int) -> tuple[float, float]:
     """Return what a fit gains of the estimation records, penalised, and of the validation records, beside a memory.
 
     The error of a free run is what nobody modelled, and lasts: taken as noise that is new with every sample it makes
-    any slow law likely that follows it by chance. Beside an autoregressive error, its own for either model, only what
-    an error that remembers cannot tell from its last values counts.
+    any slow law likely that follows it by chance. Beside an error that remembers, its own for either model, only what
+    cannot be told from its last values counts.
     """
     mine, theirs = (_beside_memory(one, order) for one in (fit, base))
     price = 0.5 * (fit.count - base.count) * float(np.log(fit.samples))
