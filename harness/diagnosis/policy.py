@@ -53,10 +53,10 @@ class Policy:
     blocks: int = number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
     second_share: float = number(
         0.03,
-        "a further effect must bring this share of what all bring together where they are fitted, and a law change "
-        "this share of its own beyond a special case: less is the rounded corner of that one",
+        "a further effect must bring this share of what all bring together where they are fitted: less is the rounded "
+        "corner of the first",
         "hidden laws have sharp corners, those of the dictionary rounded ones",
-        "seeds below 1000; base 9900",
+        "seeds below 1000",
     )
     least: float = number(
         3e-4,

@@ -240,21 +240,6 @@ def test_a_law_of_the_wrong_sign_that_explains_more_makes_the_answer_a_stand_in(
         assert "quadratic_drag" in better.name
 
 
-@pytest.mark.parametrize("allowed", [True, False])
-def test_a_forbidden_law_speaks_against_no_answer_that_gave_up_what_an_allowed_one_explains_as_well(
-    allowed: bool,
-) -> None:
-    """A drag that pushes and a spring that looks like it: the answer is worse than either, as it was made simpler."""
-    form = LinearForm(linear_records(5, {"quadratic_drag": -0.4}, alike={"cubic_spring": "quadratic_drag"}))
-    found = search(form, form.fit((), [], None), ALL)
-    rounds = tuple(
-        replace(past, candidates=tuple(row for row in past.candidates if allowed or not row.passed))
-        for past in found.rounds
-    )
-    better = replace(found, model=found.nominal, accepted=(), rounds=rounds).unlawful()
-    assert (None if better is None else better.name) == (None if allowed else "quadratic_drag@theta")
-
-
 @pytest.mark.parametrize("size", [-0.4, -0.02, 0.4])
 def test_a_further_law_of_the_wrong_sign_makes_the_answer_a_stand_in(size: float) -> None:
     """A drag beside which the data ask for a friction that drives is a part of some other law."""

@@ -29,7 +29,7 @@ from harness.diagnosis.search.compare import Comparison, Judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised
 from harness.diagnosis.search.generalised import generalise, starts_of
 from harness.diagnosis.search.leftover import left_over
-from harness.diagnosis.search.moves import _no_more, best_of, pair, preferred
+from harness.diagnosis.search.moves import best_of, pair, preferred
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.race import _best, _Race, _remembered
 from harness.diagnosis.search.refusal import Kind, Refusal
@@ -397,26 +397,6 @@ def test_a_special_case_may_lose_a_share_of_what_all_effects_bring(whole: float,
     rich, simple = worth(whole, ["stribeck_friction"], 6), worth(whole + asked + off, ["coulomb_friction"], 4)
     assert preferred(table, simple, rich, simpler=True) is (off > 0)
     assert best_of(table, rich, [simple], simpler=True) is (simple if off > 0 else None)
-
-
-@pytest.mark.parametrize(("share", "taken"), [(0.9, True), (1.1, False)])
-def test_a_special_case_takes_the_place_of_a_law_that_does_hardly_more_however_sure_the_sensors_are(
-    share: float, taken: bool
-) -> None:
-    """An engine's Coulomb friction has a bump of a hundredth of what it does, which exact sensors see by 120."""
-    form, nominal = NoForm(), a_fit(count=0)
-    form.distance = lambda fit, other: share * POLICY.second_share * 0.04 if other.effects else 0.04
-    rich, simple = worth(1000.0, ["stribeck_friction"], 6), worth(880.0, ["coulomb_friction"], 4)
-    table = table_of(form, nominal, Round(nominal, ScoreTest([], []), ()))  # type: ignore[arg-type]
-    assert preferred(table, simple, rich, simpler=True) is taken
-    assert not preferred(table, simple, rich), "no other move makes an answer simpler"
-    laws = placed("stribeck_friction"), placed("coulomb_friction")
-    best, row = (
-        Judged((law,), one.model, Comparison(value(one.model), 0.0, 1.0, 1.0), ())
-        for law, one in zip(laws, (rich, simple), strict=True)
-    )
-    assert _no_more(table, best, row) is taken
-    assert not _no_more(table, best, replace(row, added=(placed("linear_spring"),))), "it is no special case"
 
 
 def test_of_answers_that_stand_the_likeliest_is_taken() -> None:

@@ -33,18 +33,14 @@ def preferred(table: Table, new: Answer, old: Answer, *, simpler: bool = False) 
     Every effect more must bring the evidence that is asked of one, an exchange more than a tie, and an effect less may
     cost no more than a tie. A law that gives way to its own special case and another law, with no more parameters, is
     exchanged: it stood in for both. A special case of a law takes its place where the data do not tell the two apart,
-    and where the law adds less than the share of a further effect, to the likelihood or to what it changes itself: then
-    it is the corner of the special case.
+    and where the law adds less than the share of a further effect: then it is the corner of the special case.
     """
     policy, more = table.policy, len(new.accepted) - len(old.accepted)
     split = new.model.count <= old.model.count and any(_special(old, placed) for placed in new.model.effects)
     asked = -policy.tie if more < 0 else policy.tie if more == 0 or split else 2 * policy.evidence * more
     if simpler:
         _, error = difference(old.model, new.model, ("estimation", "validation"), policy)
-        asked = -max(policy.tie, policy.tie_z * error)
-        others = [placed for placed in old.model.effects if placed in new.model.effects]
-        if _corner(table, old.model, new.model, table.best(others)):
-            return True
+        asked = -max(policy.tie, policy.tie_z * error, _corner(table, old.model))
     return value(new.model) > value(old.model) + asked
 
 
@@ -61,17 +57,9 @@ def climbed(table: Table, answer: Answer, move: Move, *, simpler: bool = False) 
     return answer
 
 
-def _corner(table: Table, rich: Fit, simple: Fit, without: Fit | None) -> bool:
-    """Return True if a law adds but a corner to a special case: a share of what all effects bring, or of what it does.
-
-    What it does is how far the model goes from the one without it. No law of a machine is exactly one of the
-    dictionary's, and exact sensors are sure of what it leaves of that one: likelihoods are trusted as far as models are
-    (Miller & Dunson 2019, J. Am. Stat. Assoc. 114:1113).
-    """
-    share, form = table.policy.second_share, table.form
-    if value(rich) - value(simple) < share * (value(rich) - value(table.nominal)):
-        return True
-    return without is not None and form.distance(rich, simple) < share * form.distance(rich, without)
+def _corner(table: Table, fit: Fit) -> float:
+    """Return what a law may bring more than a special case and be no other law: a share of what all effects bring."""
+    return table.policy.second_share * (value(fit) - value(table.nominal))
 
 
 # ---- add -------------------------------------------------------------------------------------------------------------
@@ -110,7 +98,7 @@ def _no_more(table: Table, best: Judged, row: Judged) -> bool:
     """Return True for a candidate that the best one is, as far as these data tell, or a corner of it."""
     first, other, fit = best.added[0], row.added[0], best.fit
     special = first.generalises(other)
-    if special and fit is not None and row.fit is not None and _corner(table, fit, row.fit, table.rounds[-1].base):
+    if special and fit is not None and total(best) - total(row) < _corner(table, fit):
         return True
     return (special or same_whole(first, other)) and tied(best, row, table.policy)
 
@@ -313,7 +301,7 @@ def specialise(table: Table, answer: Answer) -> Iterator[Answer]:
             continue
         for simple, alone in {simple: fit for simple, fit in rows if rich.generalises(simple)}.items():
             starts = [start_between(simple, alone, rich, model), {**model.values, **own_values(simple, alone)}]
-            fit = table.fit([*others, simple], starts, model)  # however much it loses, it may be all but a corner
+            fit = table.fit([*others, simple], starts, model, model)
             if fit is not None and table.lawful(fit):
                 yield answer.exchanged(number, simple, fit, earlier.found)
 

@@ -10,6 +10,7 @@ from harness.diagnosis.search.compare import (
     Judged,
     coloured_gains,
     compared,
+    difference,
     expected_difference,
     unremembered,
     violations,
@@ -18,7 +19,7 @@ from harness.diagnosis.search.compare import (
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, Refusal, only
 from harness.diagnosis.search.table import Accepted, Round, named
-from harness.diagnosis.search.ties import close, total
+from harness.diagnosis.search.ties import total
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +39,11 @@ class Outcome:
 
         Where one is, the answer is the best of the laws that were allowed, and not the law of the plant. What has the
         answer in it, as a special case of a law or beside others, is no rival of it, unless it is a further effect that
-        nothing but its law speaks against. Nor is what a law that was allowed beside the same effects explains as well:
-        what the answer then gave up for simpler laws says nothing for it.
+        nothing but its law speaks against.
         """
         best: tuple[float, Judged] | None = None
         answer = named(self.model.effects)
-        for base, rival, rows in ((past.base, row, past.candidates) for past in self.rounds for row in past.candidates):
+        for base, rival in ((past.base, row) for past in self.rounds for row in past.candidates):
             if rival.fit is None:
                 continue
             forbidden = [
@@ -56,11 +56,9 @@ class Outcome:
             has_it = answer <= self.form.laws.contained(rival.fit.effects)
             if has_it and not self._asked_for(rival, base, forbidden, policy):
                 continue
-            others = [self.model, *(row.fit for row in rows if row.passed and row.fit is not None)]
-            if any(close(rival.fit, one, compared(rival.fit, one, policy).total, policy) for one in others):
-                continue
             gap = compared(rival.fit, self.model, policy).total
-            if best is None or gap > best[0]:
+            _, error = difference(rival.fit, self.model, ("estimation", "validation"), policy)
+            if gap > max(policy.tie, policy.tie_z * error) and (best is None or gap > best[0]):
                 best = gap, rival
         return None if best is None else best[1]
 
