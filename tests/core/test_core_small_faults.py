@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.coloured import Before
-from harness.diagnosis.search.leftover import Axis, Leftover, _Explained
+from harness.diagnosis.search.leftover import Axis, Leftover, _Beside, _Explained
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.rounding import with_rounding
 from harness.diagnosis.search.scores import Lead, ScoreTest, score_test
@@ -219,7 +219,8 @@ def test_the_gain_of_a_free_force_and_its_error_over_blocks_by_hand() -> None:
         nuisance={use: np.zeros((n, 0)) for use in residual}, residual=residual, shared=0, moved=np.zeros(0),
         spread=np.zeros((0, 0)),
     )  # fmt: skip
-    got = _Explained.of(column, np.zeros((n, 0)), residual["estimation"], linear, POLICY).axis
+    beside = _Beside.of(linear, np.zeros((n, 0)), residual["estimation"])
+    got = _Explained.of(column, beside, linear, POLICY).axis
     force = float(got.values[0])
     assert 45.0 < force < 50.0  # shrunk a little
     after = residual["validation"] + force

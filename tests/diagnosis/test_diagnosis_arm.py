@@ -30,7 +30,7 @@ def arm() -> ArmModel:
 
 
 @cache
-def record(seed: int, gains: tuple[float, ...] = (1.0,) * 7, **options: Any) -> Dataset:
+def record(seed: int, gains: tuple[float, ...] = (1.0,) * 7, *, seconds: float = SECONDS, **options: Any) -> Dataset:
     """Return a log of a Bullet iiwa that tracks a multisine: noisy torques and positions, nothing else."""
     from harness.rng import Streams
     from harness.rollout import run
@@ -40,7 +40,7 @@ def record(seed: int, gains: tuple[float, ...] = (1.0,) * 7, **options: Any) -> 
     runs: list[Run] = []
     for use in USES:
         with iiwa(outputs=("q",), **options) as plant:
-            scenario = ArmComputedTorque(duration=SECONDS, amplitude=0.4, noise=1e-4)
+            scenario = ArmComputedTorque(duration=seconds, amplitude=0.4, noise=1e-4)
             log = run(plant, scenario, streams=Streams("iiwa", "tracking", seed), role=f"{use}/0")
         rng = np.random.default_rng(seed + len(runs))
         u = log.u / np.asarray(gains) + 0.05 * rng.standard_normal(log.u.shape)
@@ -141,7 +141,7 @@ def test_one_file_of_a_simulated_arm_lacks_nothing(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_flexible_joint_is_named_with_its_compliance() -> None:
     # the motor of a flexible joint stands at the link's position plus torque over stiffness
-    stiff = record(11)
+    stiff = record(11, seconds=2.0 * SECONDS)  # an elastic joint is looked for in 100 rows of clear motion and more
     runs = []
     for one in stiff.runs:
         log = one.trajectory

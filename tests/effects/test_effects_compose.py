@@ -433,8 +433,8 @@ def test_a_lag_is_never_so_short_that_it_costs_many_steps() -> None:
     """A fit that had no use for one followed it to a hundredth of a sample, in 55 steps each."""
     lagging = compose(PENDULUM, [put("actuator_lag", "u")], sizes={"u": {"u": 1.0, "dt": 0.01}})
     shortest = lagging.parameter("actuator_lag@u.tau").minimum
-    assert shortest == pytest.approx(1e-3)
-    assert recommended_substeps(lagging, {"actuator_lag@u.tau": shortest}, 0.01) <= 8
+    assert shortest == pytest.approx(8.3e-4)
+    assert recommended_substeps(lagging, {"actuator_lag@u.tau": shortest}, 0.01) <= 10
 
 
 @pytest.mark.parametrize(

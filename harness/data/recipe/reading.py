@@ -15,7 +15,6 @@ from harness.data.conditioning.clock import TimeRules
 from harness.data.conditioning.timebase import Piece, pieces_of
 from harness.data.conditioning.trends import conditioned
 from harness.data.conditioning.unstated import refuse_unlikely_seconds
-from harness.data.oddities.numbers import ODD
 from harness.data.recipe.beside import BesideFile
 from harness.data.recipe.in_memory import examined_data
 from harness.data.recipe.loaded import LoadedDataset
@@ -245,6 +244,8 @@ class Reader:
 
     def _pieces(self, section: RunSection, table: Table, common: float | None) -> tuple[list[Piece], list[str]]:
         """Return the uninterrupted pieces of one run, in SI units."""
+        from harness.data.oddities.numbers import ODD
+
         names = (*self.plan.inputs, *self.plan.outputs, *self.plan.references)
         columns: dict[str, FloatArray] = {}
         seen: dict[str | int, str] = {}

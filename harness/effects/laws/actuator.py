@@ -79,8 +79,8 @@ def input_delay(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "input",
-    # what is over within a twelfth of a sample is refused; a floor above that keeps a short lag from its place
-    [par("tau", "s", scale="2 dt", floor="0.05 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
+    # a twelfth of a sample: what is over sooner is refused, and a floor above that keeps a short lag from its place
+    [par("tau", "s", scale="2 dt", floor="0.083 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
          meaning="time constant")],
     states={"z": "u"},
     initial={"z": "signal"},

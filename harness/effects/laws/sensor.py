@@ -110,7 +110,7 @@ def sensor_delay(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "output",
-    [par("tau", "s", scale="2 dt", floor="0.05 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
+    [par("tau", "s", scale="2 dt", floor="0.083 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
          meaning="time constant")],
     states={"z": "y"},
     initial={"z": "signal"},
@@ -130,7 +130,7 @@ def sensor_lag(y: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
 @effect(
     "output",
     [
-        par("tau", "s", scale="2 dt", floor="0.05 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
+        par("tau", "s", scale="2 dt", floor="0.083 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
             meaning="delay of slow motion"),
         # 1/4: two equal lags, 1/2: as flat as possible (Butterworth); a mean over m rows is near 1/3
         par("c", "1", scale="0.25", sign="+", minimum=0.02, maximum=2.0, grid=(1.0, 2.0), nuisance=True,

@@ -318,7 +318,8 @@ class FisherScoring:
         """
         gradient, rest = model.gradient, model.live.copy()
         curvature = np.maximum(np.diag(model.matrix), 1e-12)
-        promises = np.where(rest, 0.5 * gradient**2 / curvature, 0.0)
+        with np.errstate(over="ignore"):  # of a place far off its data
+            promises = np.where(rest, 0.5 * gradient**2 / curvature, 0.0)
         for row in np.argsort(-promises)[:_CORNERS]:
             if promises[row] < ENOUGH:
                 break

@@ -170,9 +170,11 @@ class Likelihood:
             found = self.filtered(point)
         if found is None:
             return point
+        errors = np.concatenate([passed.e for passed in found])
+        read = np.isfinite(errors).sum(axis=0)
         with np.errstate(over="ignore"):  # far off its data
-            rms = np.sqrt(np.nanmean(np.concatenate([passed.e for passed in found]) ** 2, axis=0))
-        if not np.isfinite(rms).all():
+            rms = np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(read, 1))
+        if not (np.isfinite(rms) & (read > 0)).all():
             return point
         r = np.clip(rms, self.noise_model.smallest, 10.0 * self.noise_model.output_scale)
         return replace(point, noise=replace(point.noise, r=r))
