@@ -157,7 +157,8 @@ def system_source(system: Any, prefix: str = "model") -> str:
 
 
 FINE = 8  # Parts of a step that comes near the zero of a speed whose sign a force takes.
-STEEP = 4.0  # Widths of a sign from its zero within which it is steep: beyond, tanh has 0.1 % of its slope at most.
+NEAR = 4.0  # Widths of a sign from its zero within which it is steep: beyond, tanh has 0.1 % of its slope at most.
+STEEP = 1.0  # Slope of a speed's rate by itself, times the step, above which a step is too long: 2.8 is the limit.
 
 
 def without_signs(system: Any, p: FloatArray) -> FloatArray:
@@ -167,19 +168,35 @@ def without_signs(system: Any, p: FloatArray) -> FloatArray:
     return smooth
 
 
-def near_zero(system: Any, prefix: str) -> str:
-    """Return the C function that tells whether a step from x to y comes near the zero of a switch of the system.
+def steepness(system: Any) -> Any:
+    """Return the CasADi function of state and parameters that tells how fast the speed of every switch dies away [1/s].
 
-    A mass that stands hardly moves in a step, and the sign is as steep there: what the steps make of small changes, of
-    variances too, is stable in the finer ones alone.
+    What the inputs add to a force that takes a sign is left out.
     """
+    by_itself = [-ca.jacobian(system.f[k], system.x[k]) for k, _ in system.switches]
+    given = ca.vertcat(system.u, system.t)
+    return dense(
+        "steepness", [system.x, system.p], [ca.substitute(ca.vertcat(*by_itself), given, ca.DM.zeros(given.size1()))]
+    )
+
+
+def near_zero(system: Any, prefix: str) -> str:
+    """Return the C functions that tell whether a step from x to y comes near the zero of a switch of the system.
+
+    Nothing of a mass that stands passes the zero, and the sign is as steep there: what a step makes of small changes,
+    of variances too, is stable in finer ones alone.
+    """
+    head = f"static int {prefix}_near_zero(const double *x, const double *y, const double *p, double h) {{"
+    if not system.switches:
+        return "\n".join([head, "  (void)x; (void)y; (void)p; (void)h;", "  return 0;", "}"])
     places = {name: number for number, name in enumerate(system.parameter_names)}
-    tests = [
-        f"  if (fmin(fabs(x[{k}]), fabs(y[{k}])) < fmax(fabs(y[{k}] - x[{k}]), {STEEP}*p[{places[name]}])) return 1;"
-        for k, name in system.switches
-    ]
-    head = f"static int {prefix}_near_zero(const double *x, const double *y, const double *p) {{"
-    return "\n".join([head, *tests, "  (void)x; (void)y; (void)p;", "  return 0;", "}"])
+    lines = [f"  double s[{len(system.switches)}];"]
+    for k, _ in system.switches:
+        lines.append(f"  if (fmin(fabs(x[{k}]), fabs(y[{k}])) < fabs(y[{k}] - x[{k}])) return 1;")
+    near = [f"fabs(x[{k}]) < {NEAR}*p[{places[name]}]" for k, name in system.switches]
+    lines += [f"  if (!({' || '.join(near)})) return 0;", f"  {prefix}_steepness(x, p, s);"]
+    lines += [f"  if ({close} && h*s[{number}] > {STEEP}) return 1;" for number, close in enumerate(near)]
+    return "\n".join([c_function(f"{prefix}_steepness", steepness(system)), "", head, *lines, "  return 0;", "}"])
 
 
 _STEP = """\
@@ -204,7 +221,7 @@ static void PREFIX_step(double *x, const double *u, const double *p, double t, d
   int i;
   for (i = 0; i < NX; i++) y[i] = x[i];
   PREFIX_runge_kutta(y, u, p, t, h);
-  if (PREFIX_near_zero(x, y, p))
+  if (PREFIX_near_zero(x, y, p, h))
     for (i = 0; i < {FINE}; i++) PREFIX_runge_kutta(x, u, p, t + i*(h/{FINE}), h/{FINE});
   else
     for (i = 0; i < NX; i++) x[i] = y[i];

@@ -65,7 +65,7 @@ static void advance(const sample *here, double time, double h, long many, double
   for (j = 0; j < many; j++) {
     const double start = time + (double)j*h, of = (double)many;
     runge_kutta(here, x, next, start, h, (double)j/of, ((double)j + 0.5)/of, ((double)j + 1.0)/of, at);
-    if (sysid_near_zero(x, next, here->p)) { /* a force changes its sign: finer steps */
+    if (sysid_near_zero(x, next, here->p, h)) { /* a force changes its sign: finer steps */
       for (part = 0; part < FINE; part++) {
         const double q = ((double)j + (double)part/FINE)/of, w = ((double)j + ((double)part + 0.5)/FINE)/of;
         const double g = ((double)j + ((double)part + 1.0)/FINE)/of;

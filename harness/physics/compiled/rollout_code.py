@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from harness.physics.compiled.ccode import FINE, STEEP, dense
+from harness.physics.compiled.ccode import FINE, NEAR, STEEP, dense, steepness
 from harness.physics.compiled.rollout_call import Given
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray
@@ -343,11 +343,11 @@ class Functions:
         new = _runge_kutta(derivative, x, [inputs(part) for part in (0.0, 0.5, 1.0)], t, h)
         if not self.system.switches:
             return new
-        near, fine = ca.SX(0), x
-        for k, name in self.system.switches:
-            steep = STEEP * p[self.system.parameter_names.index(name)]
-            far = ca.fmax(ca.fabs(new[k] - x[k]), steep)
-            near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < far)
+        near, fine, slopes = ca.SX(0), x, steepness(self.system)(x[: self.system.nx], p)
+        for number, (k, name) in enumerate(self.system.switches):
+            near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < ca.fabs(new[k] - x[k]))
+            close = ca.fabs(x[k]) < NEAR * p[self.system.parameter_names.index(name)]
+            near = ca.logic_or(near, ca.logic_and(close, h * slopes[number] > STEEP))
         if nears is not None:
             nears.append(near)
             return new

@@ -391,7 +391,7 @@ int sysid_rollout(job *in) {
       for (j = 0; going && k + 1 < n && j < many; j++) {
         const double start = time + (double)j*h, of = (double)many;
         runge_kutta(&here, z, next, start, h, (double)j/of, ((double)j + 0.5)/of, ((double)j + 1.0)/of, at);
-        if (sysid_near_zero(z, next, here.p)) { /* a force changes its sign: finer steps */
+        if (sysid_near_zero(z, next, here.p, h)) { /* a force changes its sign: finer steps */
           for (part = 0; part < FINE; part++) {
             const double a = ((double)j + (double)part/FINE)/of, m = ((double)j + ((double)part + 0.5)/FINE)/of;
             const double b = ((double)j + ((double)part + 1.0)/FINE)/of;
