@@ -178,19 +178,29 @@ def _clock_of(source: Any, titles: Sequence[str], taken: Sequence[str]) -> str |
     free = [title for title in titles if title not in taken]
     spoken = [title for title in free if says_time(title)]
     found = [title for title in spoken or free if all(map(_is_dated, source.texts(title, 1 if spoken else FEWEST)))]
-    times = [title for title in spoken if is_time_of_day(source.texts(title, 1)[0])]
-    if len(spoken) == 2 and len(times) == 1 and is_date(source.texts(next(x for x in spoken if x not in times), 1)[0]):
-        return times[0]  # with its dates beside it
+    if (time := _beside_dates(source, spoken)) is not None:
+        return time
     dated = [title for title in found if not set(words_of(title)) & AFTER] if len(found) > 1 else found
     others = [title for title in spoken or found if title not in dated]
     if others and len(dated) == 1:
         source.notes.append(f"the dates in {dated[0]!r} count, not {', '.join(others)}")
-    if len(spoken) == 1 or len(dated) != 1:
-        try:
-            return clock_of(titles, taken) if len(spoken) < 2 else None
-        except InputError:
-            return None
-    return dated[0]
+    return dated[0] if len(spoken) != 1 and len(dated) == 1 else _only_clock_of(titles, taken, spoken)
+
+
+def _beside_dates(source: Any, spoken: Sequence[str]) -> str | None:
+    """Return the column of times of day of two, the other one of which has their dates."""
+    times = [title for title in spoken if is_time_of_day(source.texts(title, 1)[0])]
+    dates = [title for title in spoken if title not in times]
+    apart = len(spoken) == 2 and len(times) == 1 and is_date(source.texts(dates[0], 1)[0])
+    return times[0] if apart else None
+
+
+def _only_clock_of(titles: Sequence[str], taken: Sequence[str], spoken: Sequence[str]) -> str | None:
+    """Return the column of times by its title alone, None where several say so or none is clear."""
+    try:
+        return clock_of(titles, taken) if len(spoken) < 2 else None
+    except InputError:
+        return None
 
 
 def _take_turns(tags: Sequence[str], names: Sequence[str]) -> bool:

@@ -259,13 +259,17 @@ class Columns:
             if unit is None:
                 self._refuse_remark(spelt)
         values, period, times = unwrapped(values, of_day=own is not None)
-        if times:
-            kind = "clock of twelve hours" if period == HALF_DAY and own is not None else "counter"
-            self._say(f"{spelt} is a {kind} that begins anew after {period:.10g} ({times}x): it is taken to go on")
+        self._say_anew(spelt, period, times, of_day=own is not None)
         if own is not None:
             values = self._with_part(spelt, values)
         unit = own or unit
         return convert(values, unit or "s", "s"), unit is not None
+
+    def _say_anew(self, spelt: str, period: float, times: int, *, of_day: bool) -> None:
+        """Say that a clock begins anew, and how it is read."""
+        if times:
+            kind = "clock of twelve hours" if period == HALF_DAY and of_day else "counter"
+            self._say(f"{spelt} is a {kind} that begins anew after {period:.10g} ({times}x): it is taken to go on")
 
     def of_several(self, title: str, *, turns: bool = False) -> FloatArray | None:
         """Return time stamps [s] that stand in more columns than one, None where they do not.

@@ -87,21 +87,8 @@ class MarkedArm:
                 got="an arm that branches",
                 remedy="cut the URDF to the chain that carries the marker",
             )
-        self.parameters = {f"offset{row + 1}": 0.0 for row in range(arm.n)}
-        for number, joint in enumerate(arm.arm.joints):
-            if np.any(joint.offset):
-                self.parameters[f"length{number + 1}"] = float(np.linalg.norm(joint.offset))
-        if np.any(self.marker) and eye == "room":
-            self.parameters["length_marker"] = float(np.linalg.norm(self.marker))
-        lengths = list(self.parameters.values())[arm.n :]
-        self.parameters |= {f"{word}{row + 1}_{way}": 0.0 for row in range(arm.n)
-                            for word in ("tilt", "shift") for way in "ab"}  # fmt: skip
-        self.parameters |= {f"{self.carried}_{axis}": float(x) for axis, x in zip("xyz", self.marker, strict=True)}
-        if pose or eye == "hand":
-            self.parameters |= {f"{self.carried}_r{axis}": 0.0 for axis in "xyz"}
-        self.parameters |= {f"{self.standing}_{axis}": 0.0 for axis in "xyz"}
-        if pose or eye == "room":
-            self.parameters |= {f"{self.standing}_r{axis}": 0.0 for axis in "xyz"}
+        self.parameters = self._known()
+        lengths = [known for name, known in self.parameters.items() if name.startswith("length")]
         turns = ("tilt", f"{self.carried}_r", f"{self.standing}_r")
         at_joints = dict(zip(self.parameters, (channel.unit for channel in arm.positions), strict=False))
         self.units = tuple(at_joints.get(name, "rad" if name.startswith(turns) else "m") for name in self.parameters)
@@ -112,6 +99,24 @@ class MarkedArm:
             known if name.startswith("length") else 1.0 if name.startswith(("offset", *turns)) else reach
             for name, known in self.parameters.items()
         ])  # fmt: skip
+
+    def _known(self) -> dict[str, float]:
+        """Return every parameter as the URDF has it."""
+        known = {f"offset{row + 1}": 0.0 for row in range(self.arm.n)}
+        for number, joint in enumerate(self.arm.arm.joints):
+            if np.any(joint.offset):
+                known[f"length{number + 1}"] = float(np.linalg.norm(joint.offset))
+        if np.any(self.marker) and self.eye == "room":
+            known["length_marker"] = float(np.linalg.norm(self.marker))
+        known |= {f"{word}{row + 1}_{way}": 0.0 for row in range(self.arm.n)
+                  for word in ("tilt", "shift") for way in "ab"}  # fmt: skip
+        known |= {f"{self.carried}_{axis}": float(x) for axis, x in zip("xyz", self.marker, strict=True)}
+        if self.pose or self.eye == "hand":
+            known |= {f"{self.carried}_r{axis}": 0.0 for axis in "xyz"}
+        known |= {f"{self.standing}_{axis}": 0.0 for axis in "xyz"}
+        if self.pose or self.eye == "room":
+            known |= {f"{self.standing}_r{axis}": 0.0 for axis in "xyz"}
+        return known
 
     @property
     def reported(self) -> bool:
