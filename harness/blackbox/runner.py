@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from harness.blackbox.recent import Recent
 from harness.blackbox.system import FmuSystem
-from harness.recent import Recent
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 

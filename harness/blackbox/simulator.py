@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
+from harness.blackbox.recent import Recent
 from harness.blackbox.runner import KEPT, Runner
 from harness.blackbox.sums import summed
 from harness.blackbox.system import FmuSystem
@@ -23,7 +24,6 @@ from harness.effects.places import port_of
 from harness.errors import HarnessError
 from harness.physics.compiled.rollout_call import Asked, Given, Sums
 from harness.physics.compiled.sampled import BySample, SampledBlocks
-from harness.recent import Recent
 from harness.signals import FloatArray, PlantSpec
 
 STEP = 1e-3  # Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration.

@@ -12,6 +12,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
+from harness.blackbox.recent import Recent
 from harness.blackbox.sums import summed
 from harness.calibration.slopes import OwnSlopes
 from harness.errors import HarnessError, InputError, refuse_unknown
@@ -20,7 +21,6 @@ from harness.physics.compiled.sampled import BySample, SampledBlocks
 from harness.physics.definition.dimensions import Dimensions
 from harness.physics.definition.parameters import Parameter
 from harness.protocols import Feedthrough, Plant
-from harness.recent import Recent
 from harness.signals import Channel, FloatArray, PlantSpec
 from harness.supervision.guarded import alive
 

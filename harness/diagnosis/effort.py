@@ -157,6 +157,16 @@ class Effort:
         "latent force over the typical force below which play and hidden resonances have nothing to explain",
         "a fiftieth of an effect worth finding",
     )
+    push: float = number(
+        1e-3,
+        "size of a push of an FMU in difference quotients, over that of its inputs",
+        "well above what a solver rounds off",
+    )
+    wide_push: float = number(
+        0.1,
+        "and of one that is convolved with others, where the model allows it",
+        "where inputs rest a solver errs by 2 % of what the smaller one does",
+    )
     pushes: int = number(
         16,
         "pushes of an FMU from which on a few runs are spent to learn whether one response tells those to all",
@@ -166,6 +176,11 @@ class Effort:
         0.01,
         "how far a response may be off its convolution with that to a pulse, over its size",
         "a score errs by its square",
+    )
+    descents: int = number(
+        2,
+        "starts from which an error that remembers is followed to its likeliest",
+        "cost; with three the likelihoods of four sets of made-up errors were the same to 0.1",
     )
     pile: float = number(
         0.004,

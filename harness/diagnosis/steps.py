@@ -169,7 +169,7 @@ def what_is_left(form: WholeForm, whole: Remembered | None, outcome: Outcome, po
     of a drive or of an outlet, otherwise than as it was, and what that leaves would be missing.
     """
     if whole is not None and not form.latent:
-        found = whole.fit(outcome.model.effects, [outcome.model.values], None)
+        found = whole.anew(outcome.model)
         if found is not None and found.converged:
             return left_over(whole, found, policy)
     return left_over(form, outcome.model, policy)
@@ -190,7 +190,7 @@ def asked_by_all_readings(thin: Remembered, whole: Remembered | None, outcome: O
     bends = not thin.form.latent or any("input" in one.placed.effect.kinds for one in outcome.accepted)
     if whole is None or not bends or len(outcome.accepted) < 2:
         return outcome
-    found = whole.fit(outcome.model.effects, [outcome.model.values], None)
+    found = whole.anew(outcome.model)
     for one in reversed(outcome.accepted):
         rest = [placed for placed in outcome.model.effects if str(placed) != str(one.placed)]
         model = None if one.given or not rest else thin.fit(rest, [outcome.model.values], outcome.model)
@@ -216,7 +216,7 @@ def at_full_rate(whole: Remembered | None, outcome: Outcome) -> Outcome:
     - ``whole``: the likelihood of all readings; without it the outcome stays as it is
     """
     fit = outcome.model
-    found = None if whole is None else whole.fit(fit.effects, [fit.values], None)
+    found = None if whole is None else whole.anew(fit)
     if whole is None or found is None or not found.converged:
         return outcome
     if any(impossible(whole, one, found) for one in fit.effects):

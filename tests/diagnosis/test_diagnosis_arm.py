@@ -141,7 +141,7 @@ def test_one_file_of_a_simulated_arm_lacks_nothing(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_flexible_joint_is_named_with_its_compliance() -> None:
     # the motor of a flexible joint stands at the link's position plus torque over stiffness
-    stiff = record(11, seconds=2.0 * SECONDS)  # an elastic joint is looked for in 100 rows of clear motion and more
+    stiff = record(11, seconds=2.5 * SECONDS)  # an elastic joint is looked for in 100 rows of clear motion and more
     runs = []
     for one in stiff.runs:
         log = one.trajectory

@@ -110,6 +110,25 @@ def test_nothing_is_kept_without_a_folder(tmp_path: Path) -> None:
     assert len(form.finished) == 2
 
 
+def test_a_model_that_is_begun_anew_twice_is_fitted_once_and_is_its_own_maximum(tmp_path: Path) -> None:
+    """The last steps of a diagnosis asked for one fit to all readings three times."""
+    form = Counted(dataset())
+    remembered, asked = Remembered(form, None), []  # type: ignore[arg-type]
+
+    def fit(effects: Any, starts: Any, base: Any, rival: Any = None) -> Any:
+        asked.append(starts)
+        return a_fit(values={"m": 1.5, "b": 0.25})
+
+    remembered.fit = fit  # type: ignore[method-assign]
+    found = remembered.anew(a_fit(values={"m": 1.0, "b": 0.2}))
+    assert found is not None
+    assert remembered.anew(a_fit(values={"b": 0.2, "m": 1.0})) is found
+    assert remembered.anew(found) is found
+    assert asked == [[{"m": 1.0, "b": 0.2}]]
+    remembered.anew(a_fit(values={"m": 1.1, "b": 0.2}))
+    assert len(asked) == 2
+
+
 def test_a_model_is_its_equations_and_parameters() -> None:
     assert mine(1).fingerprint == mine(1).fingerprint
     assert mine(1).fingerprint != mine(3).fingerprint

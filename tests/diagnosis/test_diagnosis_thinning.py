@@ -250,7 +250,7 @@ def test_a_value_on_a_bound_that_all_readings_set_is_one_of_the_repaired_model()
         Fit((), system, system.values(), (), 0, {}, {}, frozenset(), converged=True, on_bound=())
         for system in (fewer, every.with_parameters({width: every.parameter(width).minimum}))
     )
-    whole: Any = SimpleNamespace(fit=lambda effects, starts, base: found)
+    whole: Any = SimpleNamespace(anew=lambda model: found)
     told = at_full_rate(whole, Outcome(whole, fit, fit)).model
     assert told.model.with_parameters(told.values).values() == told.values
 
@@ -261,6 +261,10 @@ class Fitted:
     def __init__(self, gains: dict[tuple[str, ...], float], *, latent: bool) -> None:
         self.gains, self.form = gains, SimpleNamespace(latent=latent, damping=lambda fit, at: None)
         self.damping = self.form.damping
+
+    def anew(self, fit: Fit) -> Fit | None:
+        """Return the fit of the effects of another one."""
+        return self.fit(fit.effects, [], None)
 
     def fit(self, effects: Sequence[Placed], starts: object, base: object) -> Fit | None:
         """Return the fit of some effects, none of those that are not known."""

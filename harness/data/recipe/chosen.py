@@ -158,14 +158,7 @@ class Chosen:
         wanted = [("input", self._name(table, title), title) for title in self.inputs]
         wanted += [("output", self._name(table, title), title) for title in self.outputs]
         names = [name for _, name, _ in wanted]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise InputError(
-                f"{twice[0]} is chosen twice",
-                expected="each signal once, as an input or as an output",
-                got=f"{names.count(twice[0])} times",
-                remedy="leave out one",
-                place="--input and --output",
-            )
+        _refuse_twice(names)
         known = {} if ports is None else {channel.name: channel.unit for channel in (*ports.inputs, *ports.outputs)}
         placed = self.placed(table, dict.fromkeys(names) | known)
         found: Found = {}
@@ -185,11 +178,16 @@ class Chosen:
         for title in table.titles:
             if title.startswith(REFERENCE):
                 found[title] = table.split(title)[0], SignalSection(role="reference")
+        return found, self._said_of(plain)
+
+    def _said_of(self, plain: Sequence[str]) -> list[str]:
+        """Return what there is to say of signals of which nobody states a unit."""
         seeming = {name: unit for name in plain if (unit := seeming_unit(str(self.columns.get(name, name))))}
         seeming = {name: unit for name, unit in seeming.items() if not fits(unit, "1")}  # those are said where read
         notes = [] if not plain else [f"no unit is stated for {', '.join(plain)}: their numbers count as they are"]
-        notes += [f"{name} seems to say {unit}: --unit {name}={unit} if it does" for name, unit in seeming.items()]
-        return found, notes
+        return notes + [
+            f"{name} seems to say {unit}: --unit {name}={unit} if it does" for name, unit in seeming.items()
+        ]
 
     def _name(self, table: Table, word: str) -> str:
         """Return the name of a signal that a caller calls by its name, or by its column's title with a unit."""
@@ -241,6 +239,18 @@ class Chosen:
             remedy="name them, give --model, or write a dataset.toml; --input none where nothing drives the outputs "
             "(identify and modes fit free motion)",
             file=table.path,
+        )
+
+
+def _refuse_twice(names: Sequence[str]) -> None:
+    """Refuse names of signals that are chosen more than once."""
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(
+            f"{twice[0]} is chosen twice",
+            expected="each signal once, as an input or as an output",
+            got=f"{names.count(twice[0])} times",
+            remedy="leave out one",
+            place="--input and --output",
         )
 
 

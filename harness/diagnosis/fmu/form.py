@@ -32,12 +32,6 @@ from harness.physics.compiled.smoother import Smoothed
 from harness.physics.fitting.likelihood_fit import first_noises, sensor_noise
 from harness.signals import Dataset, FloatArray, Trajectory
 
-PUSH = 1e-3
-"""Size of a push in the difference quotients, over that of the inputs: well above what the solver rounds off."""
-WIDE = 0.1
-"""And of one that is convolved with others, where the model allows it: where its inputs rest the solver errs by 2 % of
-what the smaller one does."""
-
 
 class FmuForm(LikelihoodForm[FmuSystem]):
     """Fits an FMU with effects around it; see :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm`."""
@@ -283,7 +277,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
                 still = run.pushed(np.zeros_like(u))
                 every = [direction.forces[use][number] for direction in found]
                 many = sum(forces.shape[2] for forces in every) > EFFORT.pushes
-                tried = (_convolution(run, still, u, part * rms) for part in (WIDE, PUSH) if many)
+                tried = (_convolution(run, still, u, part * rms) for part in (EFFORT.wide_push, EFFORT.push) if many)
                 convolved = next((one for one in tried if one is not None), None)
                 for direction, columns in zip(found, made, strict=True):
                     response = -direction.readings[use][number]
@@ -295,7 +289,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
                     for k in range(forces.shape[2]):
                         largest = float(np.sqrt(np.mean(forces[..., k] ** 2)))
                         if largest > 0:
-                            step = PUSH * rms / largest
+                            step = EFFORT.push * rms / largest
                             response[..., k] -= (run.pushed(step * forces[..., k]) - still) / step
                     columns[use].append(whitened(response, run.s[..., None]))
         return [

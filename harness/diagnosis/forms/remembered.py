@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.blackbox.recent import Recent
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.number import described
@@ -39,6 +40,8 @@ class Remembered(InOneGo):
         self.proposed: Callable[[], list[Suspect]] = list
         """What else is begun beside the nominal model, whatever a first-order test says."""
 
+        self._anew: Recent[tuple[Any, ...], Fit | None] = Recent(8)
+
     @property
     def nominal(self) -> AnySystem:
         """See :class:`harness.diagnosis.search.fit.Form`, also below."""
@@ -65,6 +68,19 @@ class Remembered(InOneGo):
         fit = self.form.finish(begun, base, rival, least)
         self.store.put(key, {} if fit is None else self.form.record(fit))
         return fit
+
+    def anew(self, fit: Fit) -> Fit | None:
+        """Return a model that was fitted to other records at its maximum for these, begun anew from its values.
+
+        The last ones are kept, and a model that ended here is its own maximum.
+        """
+        names = frozenset(map(str, fit.effects))
+        key = names, *sorted(fit.values.items())
+        if key not in self._anew:
+            found = self._anew[key] = self.fit(fit.effects, [fit.values], None)
+            if found is not None:
+                self._anew[names, *sorted(found.values.items())] = found
+        return self._anew[key]
 
     def without_memory(self, fit: Fit) -> Fit | None:
         """Pass on."""

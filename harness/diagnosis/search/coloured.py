@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.effort import EFFORT
 from harness.signals import FloatArray
 
 STEEPEST = 0.999
@@ -19,10 +20,6 @@ LEAST = 1e-9
 """Smallest deviation of an error over its rms."""
 _LASTS, _NOISE = (-0.5, 0.0, 0.9), (0.0, 0.5, 0.9, 0.99)
 """Partial autocorrelations that an error read through noise is begun from."""
-_DESCENTS = 2
-"""Of these starts, how many are followed down."""
-_STEEP = 3.8
-"""Hyperbolic arc of the largest of them: a memory of 1000 rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,12 +303,13 @@ class Remembering:
             partial[order - 1], partial[: order - 1][:1] = noise, lasts
             starts.append(np.arctanh(partial))
         descend: Any = minimize
+        steepest = float(np.arctanh(STEEPEST))
         ends = [
             descend(
                 lambda z: count * np.log(made(z).deviation), z, method="L-BFGS-B",
-                bounds=[(-_STEEP, _STEEP)] * len(z), options={"maxiter": 40, "ftol": 1e-6},
+                bounds=[(-steepest, steepest)] * len(z), options={"maxiter": 40, "ftol": 1e-6},
             ).x
-            for z in sorted(starts, key=lambda z: made(z).deviation)[:_DESCENTS]
+            for z in sorted(starts, key=lambda z: made(z).deviation)[: EFFORT.descents]
         ]  # fmt: skip
         return min(map(made, [*starts, *ends]), key=lambda process: process.deviation)
 

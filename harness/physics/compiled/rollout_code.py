@@ -127,6 +127,11 @@ class Functions:
         """The function (x, u, p, t) -> derivative of the output by the state (ny, nx)."""
         return ca.Function("output_jacobian", self.arguments, [ca.jacobian(self.h, self.system.x)])
 
+    @functools.cached_property
+    def _steepness(self) -> Any:
+        """See :func:`harness.physics.compiled.ccode.steepness`."""
+        return steepness(self.system)
+
     def rates(self, delay_columns: tuple[int, ...]) -> Linear:
         """Return dx/dt with its derivatives; those by u only if the inputs depend on parameters."""
         return self._linear("rates", self.system.f, bool(delay_columns))
@@ -343,7 +348,7 @@ class Functions:
         new = _runge_kutta(derivative, x, [inputs(part) for part in (0.0, 0.5, 1.0)], t, h)
         if not self.system.switches:
             return new
-        near, fine, slopes = ca.SX(0), x, steepness(self.system)(x[: self.system.nx], p)
+        near, fine, slopes = ca.SX(0), x, self._steepness(x[: self.system.nx], p)
         for number, (k, name) in enumerate(self.system.switches):
             near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < ca.fabs(new[k] - x[k]))
             close = ca.fabs(x[k]) < NEAR * p[self.system.parameter_names.index(name)]
