@@ -7,12 +7,17 @@ import html
 import inspect
 import re
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 import msgspec
 
 import harness
+import identifiers
+import plants
+import scenarios
 from harness import api
 from harness.benchmark import suite
 from harness.data import sections
@@ -170,8 +175,18 @@ def commands() -> list[str]:
 
 
 def python() -> list[str]:
-    """Return what `import harness` shows."""
-    text = ["# Python", "", "What `import harness` shows; each name is loaded when it is used.", ""]
+    """Return what you may rely on from Python: what `import harness` shows, and the rooms of parts."""
+    text = ["# Python", "", "You may rely on the names of this page, on the commands, on parts and their options, and",
+            "on the files that are described here. A name that changes answers with one line for one release. All",
+            "other names may change without a word.", "", "## Classes of parts", "",
+            "`harness.create(kind, id)` makes any part. To import its class, take it from its room:", ""]  # fmt: skip
+    table: list[list[object]] = []
+    for package in (plants, identifiers, scenarios):
+        below = [f"{package.__name__}.{one.name}" for one in iter_modules(package.__path__) if one.ispkg]
+        rooms = {name: getattr(import_module(name), "__all__", ()) for name in (package.__name__, *below)}
+        table += [[f"`{room}`", ", ".join(f"`{name}`" for name in names)] for room, names in rooms.items() if names]
+    text += rows(["room", "names"], table)
+    text += ["## import harness", "", "Each name is loaded when it is used.", ""]
     for name in harness.__all__:
         value = getattr(harness, name)
         doc = inspect.getdoc(value) or ""

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from harness.cosim import Connection, Coupled
-from plants.fmu.plant import FmuPlant
+from plants.fmu import FmuPlant
 from plants.mockups import mockup
-from plants.pymunk.cart_pole import PymunkCartPole
+from plants.pymunk import PymunkCartPole
 
 GAINS = {"K1": -1.414, "K2": 34.91, "K3": -3.151, "K4": 7.463}  # LQR on x, theta - pi and their rates
 STATES = ["x1", "x2", "x3", "x4"]

@@ -12,9 +12,9 @@ from typing import Literal
 import numpy as np
 
 from harness.cosim import Connection, Coupled
-from plants.fmu.plant import FmuPlant
+from plants.fmu import FmuPlant
 from plants.mockups import mockup
-from plants.mujoco.plant import MujocoPlant
+from plants.mujoco import MujocoPlant
 
 HERE = Path(__file__).parent
 SECONDS, PULL = 1.0, 3.0  # duration; a constant force of the motor [N]

@@ -13,9 +13,10 @@ The rooms behind it are packages of their own: ``harness.physics``, ``harness.ef
 
 from __future__ import annotations
 
-from importlib import import_module as _import_module
 from importlib.util import find_spec as _find_spec
 from pathlib import Path as _Path
+
+from harness.extras import on_demand as _on_demand
 
 __version__ = "0.1.0"
 
@@ -79,20 +80,8 @@ _HOMES = {
     "errors": "",
     "testing": "",
 }
-_RENAMED = {"export_fmu": "export"}
-
 __all__ = [*sorted(_HOMES)]
-
-
-def __getattr__(name: str) -> object:
-    """Load what is asked for."""
-    home = _HOMES.get(name)
-    if home is None:
-        raise AttributeError(f"module 'harness' has no attribute {name!r}")
-    found = _import_module(f"harness.{home or name}")
-    value: object = found if not home else getattr(found, _RENAMED.get(name, name))
-    globals()[name] = value
-    return value
+__getattr__ = _on_demand(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:

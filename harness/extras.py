@@ -36,7 +36,7 @@ def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") ->
 
 
 def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package whose public names are loaded when they are asked for.
+    """Return the ``__getattr__`` of a package whose public names are loaded when they are asked for; ``dir`` has them.
 
     - ``package``: its ``__name__``
     - ``homes``: the module below it that has each name (beside it, if it begins with a dot); empty where the name is
@@ -61,4 +61,6 @@ def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
         setattr(sys.modules[package], name, value)
         return value
 
+    shown = vars(sys.modules[package])
+    shown.setdefault("__dir__", lambda: sorted({*shown, *homes}))
     return load

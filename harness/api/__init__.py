@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from harness.api.benches import plan_bench, query, stored_public
     from harness.api.checking import agreement, check, vet
     from harness.api.comparing import arx_orders, compare, modes, order, spectrum
-    from harness.api.exporting import equations, export
+    from harness.api.exporting import equations, export, export_fmu
     from harness.api.fitting import (
         DEFAULT_IDENTIFIER,
         UNDRIVEN_IDENTIFIER,
@@ -65,6 +65,7 @@ __all__ = [
     "describe_system",
     "equations",
     "export",
+    "export_fmu",
     "halve",
     "identify",
     "identify_response",
@@ -91,7 +92,7 @@ _ROOMS = {
     "benches": ("plan_bench", "query", "stored_public"),
     "checking": ("agreement", "check", "vet"),
     "comparing": ("arx_orders", "compare", "modes", "order", "spectrum"),
-    "exporting": ("equations", "export"),
+    "exporting": ("equations", "export", "export_fmu"),
     "fitting": (
         "DEFAULT_IDENTIFIER",
         "UNDRIVEN_IDENTIFIER",

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal, cast
 
 from harness.api.written import refuse_overwrite
 from harness.data.whole_files import write_text
 from harness.errors import refuse_unknown
 from harness.fitted import load_model
 from harness.trust import names_fmu
-
-if TYPE_CHECKING:
-    pass
 
 
 def equations(
@@ -69,3 +66,7 @@ def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: boo
     second = [target.with_name(f"{target.stem}-fmi3.fmu")] if fmi == "both" and names_fmu(target) else []
     refuse_overwrite(target, *second, force=force)
     return room.export(source, out=out, fmi=cast(Any, fmi))
+
+
+export_fmu = export
+"""As ``import harness`` shows it, where ``harness.export`` is the room."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from harness.extras import on_demand
 
 if TYPE_CHECKING:
     from harness.diagnosis.algorithm import diagnose
@@ -10,13 +12,13 @@ if TYPE_CHECKING:
     from harness.diagnosis.diagnosis import Diagnosis
 
 __all__ = ["Diagnosis", "Report", "close_loop", "close_loop_file", "diagnose"]
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name on first use: the loop needs CasADi and SciPy."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    home = {"diagnose": "algorithm", "Diagnosis": "diagnosis"}.get(name, "close")
-    return getattr(import_module(f"harness.diagnosis.{home}"), name)
+__getattr__ = on_demand(
+    __name__,
+    {
+        "Diagnosis": "diagnosis",
+        "Report": "close",
+        "close_loop": "close",
+        "close_loop_file": "close",
+        "diagnose": "algorithm",
+    },
+)

@@ -4,3 +4,15 @@ May import every other family of identifiers. An analysis here closes a loop ove
 one as one file with a frozen dataclass that has ``takes`` and ``of`` (:class:`harness.models.analysis.Analysis`), and
 its entry point ``sysid_harness.analyses`` in ``pyproject.toml``.
 """
+
+from __future__ import annotations
+
+from harness.extras import on_demand
+
+_SHOWN = {
+    "AdaptiveBalance": "adaptive_balance",
+    "LearnedMotion": "learned_motion",
+    "OffsetBound": "offset_bound",
+}
+__all__ = [*_SHOWN]
+__getattr__ = on_demand(__name__, _SHOWN)

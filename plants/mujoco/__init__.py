@@ -4,4 +4,15 @@
 ``robots``.
 """
 
+from __future__ import annotations
+
+from harness.extras import on_demand
+
 NEEDS = ("mujoco",)
+
+_SHOWN = {
+    "MujocoPlant": "plant",
+    "one_joint_arm": "robots",
+}
+__all__ = [*_SHOWN]
+__getattr__ = on_demand(__name__, _SHOWN)

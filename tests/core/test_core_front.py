@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,22 @@ def test_rooms_are_imported_without_what_only_some_of_their_work_needs() -> None
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_class_of_a_part_comes_from_its_room() -> None:
+    for group in ("plants", "identifiers", "scenarios", "analyses"):
+        for point in metadata.entry_points(group=f"sysid_harness.{group}"):
+            parts = point.module.split(".")
+            if parts[0] not in ("plants", "identifiers", "scenarios") or point.attr == parts[-1]:
+                continue
+            room = importlib.import_module(".".join(parts[: 2 if len(parts) > 2 else 1]))
+            assert point.attr in dir(room), point
+            assert point.attr in room.__all__, point
+    from identifiers.linear import Arx, arx
+    from plants.fmu import FmuPlant
+
+    assert Arx is arx.Arx
+    assert FmuPlant.__module__ == "plants.fmu.plant"
 
 
 def test_a_session_reads_as_a_person_would_write_it() -> None:

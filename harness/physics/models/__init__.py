@@ -6,8 +6,9 @@ that returns a mechanism or an ODE, with its entry point in ``pyproject.toml``.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from harness.extras import on_demand
 
 if TYPE_CHECKING:
     from harness.physics.models.catalogue import (
@@ -40,10 +41,4 @@ __all__ = [
     "planar_quadrotor",
     "two_tanks",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """Load a model on first use: listing them must not."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module("harness.physics.models.catalogue"), name)
+__getattr__ = on_demand(__name__, dict.fromkeys(__all__, "catalogue"))
