@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from harness.judgement.feedback import ALONE, NEW, Feedback, feedback_of, moves, reached_at_once
+from harness.judgement.feedback import ALONE, NEW, Feedback, feedback_of, moves, reached_at_once, taken_up_at_once
 from harness.judgement.law import Law, dependence_text, law_of
 from harness.judgement.refusals import refuse_law, refuse_undetermined
 
@@ -21,4 +21,5 @@ __all__ = [
     "reached_at_once",
     "refuse_law",
     "refuse_undetermined",
+    "taken_up_at_once",
 ]

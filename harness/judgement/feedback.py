@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.algebra import divisor, orthonormal, unit_columns
+from harness.algebra import column_norms, divisor, orthonormal, unit_columns
 from harness.signals import FloatArray, Trajectory
 
 # Of an input: what its own past leaves when it follows from it, as a multisine or a free motion does.
@@ -230,16 +230,46 @@ def reached_at_once(records: Sequence[Trajectory]) -> bool:
     spec, records = records[0].spec, [record for record in first_rows(records) if len(record) > SHORT]
     if spec.feedthrough or spec.nu == 0 or not records or not all(jumps(records, j) for j in range(spec.nu)):
         return False
-    u, y, past_u, past_y = (
-        np.concatenate(parts)
-        for parts in zip(*((r.u[SHORT:], r.y[SHORT:], _past(r.u), _past(r.y)) for r in records), strict=True)
-    )
-    if len(u) < 3 * (past_u.shape[1] + past_y.shape[1] + spec.nu):
+    if (rows := _samples_and_past(records)) is None:
         return False
+    u, y, past_u, past_y = rows
     at_once, share = _beyond(np.hstack([past_u, past_y]), u, y)
     if not np.any((at_once < _SURE / spec.ny) & (share > FOUND)):
         return False
     return bool(_beyond(past_u, past_y, u)[0].min() >= ALONE / spec.nu)
+
+
+def taken_up_at_once(records: Sequence[Trajectory]) -> FloatArray | None:
+    """Return the share (nu, ny) of the inputs of the same sample that each output holds; None of too few samples.
+
+    Beside the samples before: what a plant without a direct path answers to an input comes later.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec, rng = PlantSpec((Channel("u"),), (Channel("y"),), 1.0), np.random.default_rng(0)
+    >>> u = np.repeat(rng.normal(size=(60, 1)), 5, axis=0)
+    >>> record = Trajectory(np.arange(300.0), u, 2.0 * u + 1e-3 * rng.normal(size=(300, 1)), spec)
+    >>> taken_up_at_once([record]).round(2).tolist()
+    [[2.0]]
+    """
+    records = [record for record in first_rows(records) if len(record) > SHORT]
+    if records[0].spec.nu == 0 or (rows := _samples_and_past(records)) is None:
+        return None
+    u, y, past_u, past_y = rows
+    regressors = np.hstack([u, past_u, past_y])
+    size = divisor(column_norms(regressors))
+    theta = np.linalg.lstsq(regressors / size, y, rcond=THIN)[0] / size[:, None]
+    return np.asarray(theta[: u.shape[1]], dtype=np.float64)
+
+
+def _samples_and_past(records: Sequence[Trajectory]) -> tuple[FloatArray, ...] | None:
+    """Return inputs and outputs of each sample, and those of the samples before; None of too few samples."""
+    parts = [(record.u[SHORT:], record.y[SHORT:], _past(record.u), _past(record.y)) for record in records]
+    rows = tuple(np.concatenate(part) for part in zip(*parts, strict=True))
+    if not rows or len(rows[0]) < 3 * sum(part.shape[1] for part in (rows[0], *rows[2:])):
+        return None
+    return rows
 
 
 def _past(signal: FloatArray) -> FloatArray:

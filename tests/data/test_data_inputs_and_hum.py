@@ -101,6 +101,33 @@ def test_a_late_input_that_an_output_answers_at_once_is_told_by_the_plant_althou
     assert np.array_equal(found.runs[0].trajectory.u, v[:-1])
 
 
+OVENS = {
+    "one mass": "g = 0.2 K/J\na = 0.03 1/s\nT' = g*P - a*T",
+    "heater and room": "level H [K]\ng = 0.2 K/J\na = 0.1 1/s\nb = 0.03 1/s\n"
+    "H' = g*P - a*(H - T)\nT' = a*(H - T) - b*T",
+}
+
+
+@pytest.mark.parametrize("equations", OVENS.values(), ids=OVENS)
+@pytest.mark.parametrize(("taken_up", "late"), [(1.2, 0), (-0.8, 0), (0.0, 0), (0.0, 1)])
+def test_crosstalk_of_a_held_input_is_told_from_an_input_that_was_written_late(
+    equations: str, taken_up: float, late: int
+) -> None:
+    """Both make a reading move before the plant could: how it goes on from there is not the same."""
+    system = read_equations(f"input P [W]\nlevel T [K]\n{equations}\noutput T", "oven").system()
+    rng, n = np.random.default_rng(5), 500
+    u = np.repeat(rng.uniform(0.0, 10.0, n // 20), 20)[:, None]
+    true = system.simulator(1.0).rollout(system.vector(), [0.0] * system.nx, u) + 0.02 * rng.standard_normal((n, 1))
+    logged = np.vstack([u[:1]] * late + [u])[:n]
+    record = Trajectory(np.arange(float(n)), logged, true + taken_up * logged, _spec(system, 1.0))
+    found = inputs_checked(system, examined(Dataset("oven", (Run(record),))))
+    told = [odd.kind for odd in found.oddities or () if odd.kind in ("shift", "direct")]
+    assert told == (["direct"] if taken_up else ["shift"] if late else [])
+    read = found.runs[0].trajectory
+    assert np.allclose(read.y, true[: len(read)], atol=0.06 * 10.0 if taken_up else 0.0)
+    assert np.array_equal(read.u, u[: len(read)])
+
+
 @pytest.mark.parametrize("law", [0.6, 1.0, 2.0])
 def test_a_controller_in_time_is_no_late_input_although_a_plant_of_other_values_would_say_so(law: float) -> None:
     """Read a row early its law tells the next output to the noise, by a gain of the plant that nobody declared."""

@@ -11,15 +11,16 @@ from harness.data.oddities import ODD, examined
 from harness.data.oddities.dropouts import without
 from harness.diagnosis.policy import DATA_POLICY
 from harness.errors import HarnessError
-from harness.judgement import law_of
+from harness.judgement import law_of, taken_up_at_once
 from harness.physics.compiled.simulator import Intersample
 from harness.physics.compiled.system import System
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.likelihood_fit import fit_likelihood
 from harness.physics.fitting.maximum import LikelihoodFit
 from harness.signals import Dataset, FloatArray, Oddity, Run, Trajectory
+from harness.units import quotient
 
-FOUND = ("shift", "between")
+FOUND = ("shift", "between", "direct")
 """Kinds of oddity that the equations of motion find."""
 _SAMPLES = 2000
 """Rows of a record that are asked; more would tell no other thing."""
@@ -40,8 +41,9 @@ def inputs_checked(system: System, dataset: Dataset) -> Dataset:
     the outputs by a law, that may be a controller, which answers in time, or the plant itself, of which an input that
     was written late is told by an output that answers at once: it is late where the equations, read so, keep their
     declared values within ``DATA_POLICY.own_values``. An input that acts a row later may be a dead time, and is only
-    said. Rows of an input that the outputs alone did not decide (:func:`harness.data.oddities.spikes.unfelt`) are asked
-    alike.
+    said. A reading that takes up a share of the input of its own row (crosstalk) answers too early as well: where the
+    record without that share is far likelier than as it is and with the input read earlier, it is read so. Rows of an
+    input that the outputs alone did not decide (:func:`harness.data.oddities.spikes.unfelt`) are asked alike.
 
     Parameters
     ----------
@@ -53,6 +55,7 @@ def inputs_checked(system: System, dataset: Dataset) -> Dataset:
     -------
     Dataset
         Runs lose as many rows at their end as an input is late; ``intersample`` is ``foh`` where inputs were not held.
+        Readings are without the crosstalk that was found.
     """
     dataset = examined(dataset)
     if not system.nx or not system.inputs or not dataset.estimation:
@@ -111,13 +114,22 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
     cut = record[: min(len(record), _SAMPLES)]
     spare = DATA_POLICY.rows_late + 1
 
-    def read(rows: float) -> Trajectory:
+    def read(rows: float, taken_up: FloatArray | None = None) -> Trajectory:
         """Return the record with its inputs read some rows earlier, without the ends that this may cost."""
-        return replace(cut, u=_earlier(cut.u, rows))[spare : len(cut) - spare]
+        y = cut.y if taken_up is None else cut.y - cut.u @ taken_up
+        return replace(cut, u=_earlier(cut.u, rows), y=y)[spare : len(cut) - spare]
 
     equations = _asked(system, read(0.0), dataset)
-    rows, gained = (0.0, 0.0) if equations is None else _late(equations, read)
-    if not rows or equations is None:
+    if equations is None:
+        return dataset
+    rows, gained = _late(equations, read)
+    at_once = any(odd.kind == "crosstalk" for odd in dataset.oddities or ())
+    without = -np.inf
+    if law is None and (rows > 0 or at_once) and (taken_up := taken_up_at_once([record])) is not None:
+        without = _gain(equations, read(0.0, taken_up))
+        if without >= max(gained, 0.0) + ODD.shift:
+            return _without_crosstalk(dataset, record, taken_up, without)
+    if not rows:
         return dataset
     if law is not None and not (rows >= 1.0 and equations.keeps(read(rows))):
         return dataset
@@ -145,12 +157,35 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
         f"{names} {verb} recorded {many} late: the plant answers before (log-likelihood {gained:.0f} higher with "
         f"the input read {many} earlier, as it is here); write u[k] beside the y[k] that it follows, before the step"
     )
+    if without > gained - ODD.shift:
+        words += "; readings that take up some of the input within the row (crosstalk) would explain it as well"
     runs = [replace(run, trajectory=_reread(run.trajectory, whole)) for run in dataset.runs]
     return _with(replace(dataset, runs=tuple(runs)), [Oddity("shift", number, names, (), words, used=True)])
 
 
+def _without_crosstalk(dataset: Dataset, record: Trajectory, taken_up: FloatArray, gained: float) -> Dataset:
+    """Return the data set whose readings have lost what they take up (nu, ny) of the inputs of their row."""
+    spec, size = record.spec, np.abs(taken_up) * record.u.std(axis=0)[:, None]
+    largest = size.max(axis=0)
+    number = next(k for k, run in enumerate(dataset.runs) if run.trajectory is record)
+    runs = [replace(run, trajectory=replace(run.trajectory, y=run.trajectory.y - run.trajectory.u @ taken_up))
+            for run in dataset.runs]  # fmt: skip
+    found = []
+    for column in np.flatnonzero(largest > 0):
+        output, most = spec.outputs[column], int(np.argmax(size[:, column]))
+        given = spec.inputs[most]
+        words = (
+            f"{output.name} takes up {taken_up[most, column]:.4g} {quotient(output.unit, given.unit)} of "
+            f"{given.name} within the same row (crosstalk): the equations of motion ask for it (log-likelihood "
+            f"{gained:.0f} higher without it, as the record is read here, and less so with the input read earlier)"
+        )
+        found.append(Oddity("direct", number, output.name, (), words, used=True))
+    rest = tuple(odd for odd in dataset.oddities or () if odd.kind != "crosstalk")
+    return _with(replace(dataset, runs=tuple(runs), oddities=rest), found)
+
+
 def _late(equations: _Equations, read: Callable[[float], Trajectory]) -> tuple[float, float]:
-    """Return by how many rows an input is late (below 0: early), and the log-likelihood that says so; 0 if none."""
+    """Return by how many rows an input is late (below 0: early), 0 if none, and the log-likelihood of the likeliest."""
     sides = {sign: _gain(equations, read(0.5 * sign)) for sign in (1.0, -1.0)}
     sign = max(sides, key=lambda side: sides[side])
     if sides[sign] < 0.0:
@@ -163,7 +198,7 @@ def _late(equations: _Equations, read: Callable[[float], Trajectory]) -> tuple[f
     late = max(known, key=lambda rows: known[rows])
     beside = [known[rows] for rows in (0.0, late - 0.5, late + 0.5) if rows in known and rows != late]
     clear = late in (0.5, 1.0, 2.0) and known[late] >= max(beside) + ODD.shift
-    return (sign * late, known[late]) if clear else (0.0, 0.0)
+    return sign * late if clear else 0.0, known[late]
 
 
 def _reread(record: Trajectory, rows: int) -> Trajectory:
