@@ -198,7 +198,7 @@ def compare(models: Mapping[str, Model], dataset: Dataset) -> Comparison:
         miss = residual(dataset.spec.outputs, judged.y, np.asarray(guess))[model.burn_in :]
         kept = np.isfinite(miss).all(axis=1)
         held = {
-            channel.name: correlations(miss[kept, k], judged.u[model.burn_in :][kept])
+            channel.name: correlations(miss[kept, k], judged.u[model.burn_in :][kept], dataset.spec.ny)
             for k, channel in enumerate(dataset.spec.outputs)
         }
         found.append(Compared(name, model, steps, runs, held))

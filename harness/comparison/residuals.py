@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.models.whiteness import white
 from harness.signals import FloatArray
 
 LAGS = 25  # Lags looked at: Ljung's recommendation.
@@ -26,17 +27,15 @@ class Correlation:
         99 % region of ``auto`` for a white residual.
     cross_bound : array (nu,)
         99 % region of each ``cross`` for a residual that is independent of the inputs.
+    white : bool
+        Chance explains how the residual is correlated in time (:func:`harness.models.whiteness.white`).
     """
 
     auto: FloatArray
     cross: FloatArray
     auto_bound: float
     cross_bound: FloatArray
-
-    @property
-    def white(self) -> bool:
-        """True if no more than the expected share of lags lies outside."""
-        return _within(self.auto[1:], self.auto_bound)
+    white: bool
 
     @property
     def independent(self) -> bool:
@@ -51,8 +50,8 @@ def _within(values: FloatArray, bound: float) -> bool:
     return bool(np.count_nonzero(size > bound) <= 1 and size.max(initial=0.0) < 1.5 * bound)
 
 
-def correlations(residual: FloatArray, inputs: FloatArray) -> Correlation:
-    """Return the correlations of one residual (N,) with itself and with the inputs (N, nu).
+def correlations(residual: FloatArray, inputs: FloatArray, outputs: int = 1) -> Correlation:
+    """Return the correlations of one residual (N,), of so many outputs, with itself and with the inputs (N, nu).
 
     Examples
     --------
@@ -82,4 +81,4 @@ def correlations(residual: FloatArray, inputs: FloatArray) -> Correlation:
         own = np.array([float(u[: n - k] @ u[k:]) for k in range(lags + 1)]) / max(float(u @ u), 1e-300)
         spread = 1.0 + 2.0 * float(np.sum(auto[1 : lags + 1] * own[1:]))  # both may be coloured
         bounds[column] = BOUND * np.sqrt(max(spread, 1e-2) / n)
-    return Correlation(auto, cross, BOUND / np.sqrt(n), bounds)
+    return Correlation(auto, cross, BOUND / np.sqrt(n), bounds, white([e], outputs))

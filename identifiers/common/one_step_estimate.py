@@ -10,6 +10,7 @@ import numpy as np
 from harness.algebra import divisor, orthonormal
 from harness.errors import FitError
 from harness.models.estimate import Estimate, RankDecision
+from harness.models.whiteness import DOUBT, white
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.units import quotient
 from identifiers.common.excitation import Columns
@@ -18,11 +19,9 @@ from identifiers.common.records import lagged
 from identifiers.common.regression import Solution
 
 LEVEL = 0.95
-LAGS = 20  # Lags of the residuals' autocorrelation that are tested together (Ljung & Box 1978), as usual in the field.
 LARGEST = 200
 """Coefficients beyond which no record is kept: nobody reads so many, and their covariance fills the stored model."""
 CHECKED = 20_000  # Equations that the test for correlated residuals looks at: at so many it sees a correlation of 0.03.
-DOUBT = 1e-3  # Probability, over all outputs, of calling white residuals correlated.
 EXACT = 1e-9  # Residuals below this share of the outputs are rounding.
 DEPENDENT = 1e-10
 """Singular values of scaled columns below this share of the largest: functions that the data do not tell apart."""
@@ -181,7 +180,9 @@ def foretold_output(
     offset: bool,
     columns: Sequence[Sequence[int]] | None = None,
 ) -> str | None:
-    """Return the output whose residuals those one sample before foretell most, None where chance explains all.
+    """Return the output whose residuals those before foretell most, None where chance explains all.
+
+    Those one sample before, beside the regressors (Breusch and Godfrey), or of more samples (:func:`white`).
 
     - ``records, theta, lags, offset``: as of :func:`least_squares_estimate`
     - ``columns``: regressors of each output, where not all are
@@ -210,7 +211,10 @@ def foretold_output(
     share = (explained[0] if columns is None else np.diag(explained)) / divisor(power)
     probability = chi2.sf(len(now) * share, past.shape[1])
     worst = int(np.argmin(probability))
-    return records[0].spec.outputs[worst].name if probability[worst] < DOUBT / share.size else None
+    names = [channel.name for channel in records[0].spec.outputs]
+    if probability[worst] < DOUBT / share.size:
+        return names[worst]
+    return next((name for i, name in enumerate(names) if not white([now[:, i] for now in later], len(names))), None)
 
 
 def _without(records: Sequence[Trajectory], low: int, high: int) -> list[Trajectory]:
@@ -221,26 +225,3 @@ def _without(records: Sequence[Trajectory], low: int, high: int) -> list[Traject
         kept += [record[part] for part in (slice(0, first), slice(last, len(record))) if part.stop - part.start >= 2]
         place += len(record)
     return kept
-
-
-def whiteness(residuals: Sequence[FloatArray]) -> float:
-    """Return the probability of residuals at least so correlated in time, were they white (Ljung & Box 1978).
-
-    - ``residuals`` sequence of array (N_i,): record by record: no product crosses a seam
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> noise = np.random.default_rng(0).normal(size=500)
-    >>> whiteness([noise]) > 0.01, whiteness([np.cumsum(noise)]) < 1e-6
-    (True, True)
-    """
-    from scipy.stats import chi2
-
-    n = sum(len(miss) for miss in residuals)
-    power = sum(float(miss @ miss) for miss in residuals)
-    lags = min(LAGS, max(len(miss) for miss in residuals) - 2)
-    if power == 0 or lags < 1:
-        return 1.0
-    shares = [sum(float(miss[j:] @ miss[:-j]) for miss in residuals) / power for j in range(1, lags + 1)]
-    return float(chi2.sf(n * (n + 2) * sum(s**2 / (n - j) for j, s in enumerate(shares, 1)), lags))

@@ -14,6 +14,7 @@ from harness.judgement import Feedback, feedback_of, refuse_undetermined
 from harness.models.arx_orders import Delay, input_delays
 from harness.models.determined import KEY, determined_bands
 from harness.models.lqr import spectral_radius
+from harness.models.whiteness import whiteness
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records, unexcited
@@ -24,7 +25,6 @@ from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
 from identifiers.common.neighbours import spread_of, steps_without
 from identifiers.common.observers import innovation_form
-from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable, without_holes
 from identifiers.common.scaling import scaled
 from identifiers.common.stability import RADIUS

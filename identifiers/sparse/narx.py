@@ -13,6 +13,7 @@ from harness.algebra import column_norms, least_squares
 from harness.errors import FitError
 from harness.judgement import refuse_undetermined
 from harness.models.estimate import Estimate, RankDecision
+from harness.models.whiteness import DOUBT
 from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.units import quotient
@@ -22,7 +23,7 @@ from identifiers.common.judge.told import told
 from identifiers.common.lag_state import Scaling
 from identifiers.common.library import Library
 from identifiers.common.normal import NormalEquations
-from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL
+from identifiers.common.one_step_estimate import EXACT, LARGEST, LEVEL
 from identifiers.common.records import lagged, missing_notes, moving, real_signals, usable
 from identifiers.common.scaling import sizes
 from identifiers.sparse.narx_model import NarxModel, argument_names

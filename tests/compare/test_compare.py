@@ -175,6 +175,21 @@ def test_white_residuals_are_called_so_as_often_as_they_should() -> None:
     assert not coloured.white
 
 
+@pytest.mark.parametrize("pole", [0.0, 0.5])
+def test_a_fit_and_a_comparison_on_its_record_agree_on_white_residuals(pole: float) -> None:
+    rng = np.random.default_rng(4)
+    told = []
+    for _ in range(5):
+        u, noise = rng.normal(size=600), lfilter([1.0], [1.0, -pole], rng.normal(size=600))
+        y = lfilter([0.0, 0.5], [1.0, -0.8], u) + 0.3 * noise
+        own = Trajectory(np.arange(600) * DT, u[:, None], y[:, None], SPEC)
+        model = registry.create("identifiers", "prediction-error", structure="oe", order=1).fit([own], rng=rng)
+        row = compare({"oe": model}, Dataset("own", (Run(own),))).rows()[0]
+        told.append((row["white"], "correlated" not in model.notes["estimate"]["method"]))
+    assert all(one == other for one, other in told)
+    assert sum(one for one, _ in told) == (5 if pole == 0.0 else 0)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with data and two stored models, one of them too small."""

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError
-from harness.judgement import law_of
+from harness.judgement import Feedback, law_of
 from harness.registry import create
 from harness.signals import Channel, PlantSpec, Trajectory
+from identifiers.common.judge.own_record import doubt_of_own_record
+from identifiers.common.linear_model import LinearModel
 
 ONE = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
 TWO = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 0.1)
@@ -256,3 +258,16 @@ def test_a_load_that_hides_the_plant_in_a_loop_is_said(name, options):
         except FitError:  # refused is said too
             continue
         assert "warning" in model.notes or off(model) < 0.5
+
+
+@pytest.mark.parametrize(("pole", "said"), [(1e40, "diverges"), (1.02, "its mean predicts better"), (0.5, "")])
+def test_a_short_record_contradicts_a_model_too(pole, said):
+    """30 rows tell hardly what inputs do, and well enough that a free run leaves the record."""
+    u = np.random.default_rng(0).normal(size=(30, 1))
+    y = np.zeros((30, 1))
+    for k in range(29):
+        y[k + 1] = 0.5 * y[k] + u[k]
+    zero, record = np.zeros((1, 1)), Trajectory(np.arange(30) * 0.1, u, y, ONE)
+    model = LinearModel(ONE, np.array([[pole]]), np.ones((1, 1)), np.ones((1, 1)), zero, zero, zero[0], zero[0])
+    doubt = doubt_of_own_record(model, [record], Feedback(0.0, 1.0), [np.ones((30, 1), dtype=bool)])
+    assert said in doubt if said else not doubt

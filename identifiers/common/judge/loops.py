@@ -13,11 +13,11 @@ from harness.algebra import column_norms, divisor, orthonormal, unit_columns
 from harness.errors import FitError, HarnessError
 from harness.judgement import NEW, Feedback
 from harness.models.spread import Matrices, steps
+from harness.models.whiteness import whiteness
 from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.lag_state import LagModel
 from identifiers.common.neighbours import coefficients_without
-from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import lagged_blocks
 from identifiers.common.regression import solve
 

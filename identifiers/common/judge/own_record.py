@@ -58,8 +58,10 @@ def doubt_of_own_record(
     if feedback.found and feedback.share > ANSWERED:
         return None
     linear = getattr(model, "matrices", None) is not None
-    first = int(model.burn_in) + LAGS + PAST
     kept, good, count = [], [], CHECKED if linear else CHECKED_SLOWLY
+    first = int(model.burn_in) + LAGS + PAST
+    if min(max(map(len, records)), count) <= 2 * first:  # of few samples only what a free run leaves is asked
+        first = int(model.burn_in)
     for record, told in zip(records, readings, strict=True):
         if min(len(record), count) > 2 * first:
             kept.append(record[:count])

@@ -12,11 +12,11 @@ from harness.errors import InputError
 from harness.judgement import feedback_of
 from harness.models.analysis import Findings, Takes, as_dataset
 from harness.models.spread import steps
+from harness.models.whiteness import white
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import Columns
 from identifiers.common.named import named
 from identifiers.common.neighbours import GROUPS
-from identifiers.common.one_step_estimate import whiteness
 from identifiers.common.records import lagged, usable, without_holes
 from identifiers.linear.bounds.regressions import ellipsoids, small_ball
 from identifiers.linear.bounds.responses import (
@@ -32,7 +32,6 @@ _SHOWN = 12  # Coefficients that are listed.
 _LAGS, _LONGEST = 10, 100  # Lags of the predictor where the fit tells none, and of a response at most.
 _DIED = 0.01  # A response counts as died away where it stays below this share of its largest value.
 _STATES = ("least-squares", "dmdc")  # Identifiers whose outputs are the states.
-_DOUBT = 1e-3  # Probability of residuals so correlated in time, were they white, below which they count as coloured.
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ class FiniteSample:
         found = ellipsoids(phi, y, self.confidence)
         words, rows = [], []
         rest = y - phi @ np.linalg.lstsq(phi, y, rcond=None)[0]
-        coloured = [c.name for c, one in zip(spec.outputs, rest.T, strict=True) if whiteness([one]) < _DOUBT / spec.ny]
+        coloured = [c.name for c, one in zip(spec.outputs, rest.T, strict=True) if not white([one], spec.ny)]
         if coloured:
             words.append(
                 f"the residuals of {', '.join(coloured)} are correlated in time: neither bound nor interval of the "

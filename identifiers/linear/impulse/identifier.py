@@ -12,13 +12,14 @@ from harness.errors import FitError
 from harness.judgement import feedback_of, refuse_undetermined
 from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
+from harness.models.whiteness import white
 from harness.signals import FloatArray, Trajectory
 from harness.units import quotient
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
-from identifiers.common.one_step_estimate import LARGEST, whiteness
+from identifiers.common.one_step_estimate import LARGEST
 from identifiers.common.records import filled, missing_notes, moving, real_signals, usable
 from identifiers.common.scaling import sizes
 from identifiers.linear.impulse.kernels import (
@@ -45,7 +46,6 @@ fit best, the response of a random system lies outside its band at half of all l
 smoother than the system. Chosen on 240 systems of benchmarks/kernel_responses.py with seeds that are not counted: with
 2.5 they hold 96.6 % of all lags under white inputs and 94.5 % under slow ones, with 2.2 95.6 % and 92.9 %."""
 _LEVEL = 0.95
-_DOUBT = 1e-3  # Probability of residuals so correlated in time, were they white, below which no interval is claimed.
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ def _coloured(records: Sequence[Trajectory], response: FloatArray, level: FloatA
         rests.append(rest[late:])
     spec = records[0].spec
     for output, channel in enumerate(spec.outputs):
-        if whiteness([rest[:, output] for rest in rests]) < _DOUBT / spec.ny:
+        if not white([rest[:, output] for rest in rests], spec.ny):
             return f"the residuals of {channel.name} are correlated in time"
     return None
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.models.estimate import Estimate, RankDecision
+from harness.models.whiteness import DOUBT
 from harness.signals import FloatArray, PlantSpec
 from harness.units import quotient
-from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL
+from identifiers.common.one_step_estimate import EXACT, LARGEST, LEVEL
 from identifiers.common.scaling import Scaling
 from identifiers.linear.polynomials.model import Polynomials
 
