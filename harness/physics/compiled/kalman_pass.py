@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -228,6 +229,25 @@ def _address(array: Any) -> int:
     return int(array.ctypes.data)
 
 
+def _addresses(arrays: Mapping[str, Any]) -> dict[str, int]:
+    return {name: _address(array) for name, array in arrays.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Arrays:
+    """Arrays by their name in a job, and where they begin: a pass over a short record takes less than to ask that."""
+
+    arrays: dict[str, FloatArray]
+    addresses: dict[str, int]
+    begins: float = 0.0
+    """Time of the first sample of a record [s]."""
+
+    @classmethod
+    def of(cls, arrays: dict[str, FloatArray], begins: float = 0.0) -> _Arrays:
+        """Return arrays with where they begin."""
+        return cls(arrays, _addresses(arrays), begins)
+
+
 class KalmanPass:
     """Filters records with a disturbed system.
 
@@ -289,7 +309,8 @@ class KalmanPass:
         if compiled:
             source = filter_source(self.simulator.functions, self.sampled.delay_columns)
             self._compilation = Compilation(source)
-        self._seen: dict[int, tuple[Any, Any, FloatArray, FloatArray | None]] = {}
+        self._seen: dict[int, tuple[Trajectory, tuple[float, ...], _Arrays]] = {}
+        self._noise: tuple[Noise, _Arrays] | None = None
 
     def prepare(self) -> None:
         """Start the compiler in the background."""
@@ -317,60 +338,67 @@ class KalmanPass:
         - ``by_noise``: differentiate by the noise too
         - returns None if the state diverged
         """
-        p = np.ascontiguousarray(p, dtype=float)
-        start, variance = np.zeros(self.nx), np.zeros((self.nx, self.nx))
+        p, start = np.ascontiguousarray(p, dtype=float), np.zeros(self.nx)
         start[: self.start_size] = x0
-        variance[range(self.start_size, self.nx), range(self.start_size, self.nx)] = noise.s**2
-        u, input_jacobian, every = self._inputs(record, p)
-        step = self.dt / every
-        decay = np.exp(-step / noise.tau)
-        gained = noise.s**2 * -np.expm1(-2 * step / noise.tau)
-        fade = step / noise.tau
+        read = self._read(record, p)
+        disturbing = self._disturbing(noise)
         samples, chosen = len(record), 0 if columns is None else len(columns)
         made = Filtered(np.empty((samples, self.ny)), np.empty((samples, self.ny)))
+        given = {"p": p, "x0": start, "e": made.e, "s": made.s}
         if columns is not None:
-            made.j = np.zeros((samples, self.ny, chosen))
+            made.j = given["j"] = np.zeros((samples, self.ny, chosen))
+            given["columns"] = np.ascontiguousarray(columns, dtype=np.intc)
         if by_noise:
             lanes = (samples, self.ny, 3 * self.nl + self.ny)
-            made.e_noise, made.s_noise = np.empty(lanes), np.empty(lanes)
+            made.e_noise, made.s_noise = given["e_noise"], given["s_noise"] = np.empty(lanes), np.empty(lanes)
         if keep:
             wide, square, tall = (samples, self.nx), (samples, self.nx, self.nx), (samples, self.ny, self.nx)
             made.path = Path(*(np.empty(shape) for shape in (wide, square, wide, square, square, tall, tall)))
-        given = {
-            "p": p, "x0": start, "p0": variance, "u": u, "d": input_jacobian,
-            "measured": np.ascontiguousarray(record.readings),
-            "columns": np.ascontiguousarray([] if columns is None else columns, dtype=np.intc),
-            "r": noise.r**2, "period": self._period, "a": decay, "q": gained, "w": noise.w**2,
-            "fade": fade, "q_tau": -2 * noise.s**2 * fade * np.exp(-2 * fade),
-            "e": made.e, "s": made.s, "j": made.j, "e_noise": made.e_noise, "s_noise": made.s_noise,
-        }  # fmt: skip
         library = None if self._compilation is None else self._compilation.library()
         steps = None if library is None else filter_kernels(self.nx, self.ny, self.nl)
         if library is None or steps is None:
-            return self._in_casadi(record, given, made, columns, every)
+            whole = {**given, **read.arrays, **disturbing.arrays, "e_noise": made.e_noise}
+            return self._in_casadi(record, whole, made, columns)
         if made.path is not None:
             given |= {name: getattr(made.path, name) for name in _STORES}
+        every = self.simulator.pieces
         job = _Job(
-            n=len(u), substeps=1 if every > 1 else self.substeps, every=every, chosen=chosen,
-            foh=int(self.intersample != "zoh"), dt=step, t0=float(record.t[0]), run=steps.run,
-            **{name: _address(value) for name, value in given.items() if value is not None},
+            n=len(read.arrays["u"]), substeps=1 if every > 1 else self.substeps, every=every, chosen=chosen,
+            foh=int(self.intersample != "zoh"), dt=self.dt / every, t0=read.begins, run=steps.run,
+            **read.addresses, **disturbing.addresses, **_addresses(given),
         )  # fmt: skip
         return None if library.sysid_filter(ctypes.byref(job)) else made
 
-    def _inputs(self, record: Trajectory, p: FloatArray) -> tuple[FloatArray, FloatArray | None, int]:
-        """Return the inputs that the equations see, their derivatives by the delays, and rows for each sample."""
-        delays = tuple(p[list(self.sampled.delay_columns)])
+    def _disturbing(self, noise: Noise) -> _Arrays:
+        """Return what the pass needs of a noise, made once for all records that are filtered with it."""
+        if self._noise is None or self._noise[0] is not noise:
+            variance = np.zeros((self.nx, self.nx))
+            variance[range(self.start_size, self.nx), range(self.start_size, self.nx)] = noise.s**2
+            fade = self.dt / self.simulator.pieces / noise.tau
+            self._noise = noise, _Arrays.of(
+                {
+                    "p0": variance, "r": noise.r**2, "period": self._period, "a": np.exp(-fade),
+                    "q": noise.s**2 * -np.expm1(-2 * fade), "w": noise.w**2, "fade": fade,
+                    "q_tau": -2 * noise.s**2 * fade * np.exp(-2 * fade),
+                }
+            )  # fmt: skip
+        return self._noise[1]
+
+    def _read(self, record: Trajectory, p: FloatArray) -> _Arrays:
+        """Return readings of a record and the inputs that the equations see, with their derivatives by the delays."""
+        delays = tuple(p[k] for k in self.sampled.delay_columns)
         known = self._seen.get(id(record))
         if known is None or known[0] is not record or known[1] != delays:
             seen, input_jacobians = self.simulator.seen(record.u[None], p[None], True)
-            input_jacobian = None if input_jacobians is None else np.ascontiguousarray(input_jacobians[0])
-            known = self._seen[id(record)] = record, delays, np.ascontiguousarray(seen[0]), input_jacobian
-        return known[2], known[3], self.simulator.pieces
+            arrays = {"u": np.ascontiguousarray(seen[0]), "measured": np.ascontiguousarray(record.readings)}
+            if input_jacobians is not None:
+                arrays["d"] = np.ascontiguousarray(input_jacobians[0])
+            known = self._seen[id(record)] = record, delays, _Arrays.of(arrays, float(record.t[0]))
+        return known[2]
 
-    def _in_casadi(
-        self, record: Trajectory, given: dict[str, Any], made: Filtered, columns: Any, every: int
-    ) -> Filtered | None:
+    def _in_casadi(self, record: Trajectory, given: dict[str, Any], made: Filtered, columns: Any) -> Filtered | None:
         """Do the same on CasADi's virtual machine."""
+        every = self.simulator.pieces
         known: dict[Any, FilterMachine] = self.simulator.functions.__dict__.setdefault("_filter_machines", {})
         key = (self.dt, self.substeps, every, self.intersample, self.nl)
         if key not in known:
