@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -303,19 +303,27 @@ def _sensor(placed: Placed, trace: Along, y: FloatArray, values: Mapping[str, fl
 
 def _sensor_states(placed: Placed, trace: Along, y: FloatArray, values: Mapping[str, float]) -> list[FloatArray]:
     """Return the hidden states of a sensor (K,) along readings, which are straight from row to row."""
-    effect = placed.effect
-    if not effect.states:
+    if not placed.effect.states:
         return []
+    begun = np.array([y[0] if name in placed.effect.initial else 0.0 for name in placed.effect.states])
+    step = _sensor_step(placed, tuple(values.items()), trace.dt)
+    run = step.mapaccum(len(y) - 1)(begun, y[None, :-1], y[None, 1:], trace.record.t[None, :-1])
+    return list(np.column_stack([begun, run.full()]))
+
+
+@lru_cache(maxsize=8)
+def _sensor_step(placed: Placed, values: tuple[tuple[str, float], ...], dt: float) -> ca.Function:
+    """Return the hidden states of a sensor a sample later: the same for every record."""
+    effect = placed.effect
     z, here, there, t = ca.SX.sym("z", len(effect.states)), *map(ca.SX.sym, ("here", "there", "t"))
 
     def derivative(now: Any, share: float) -> Any:
-        read, time = here + share * (there - here), t + share * trace.dt
-        return ca.vertcat(*effect.evaluate(read, ca.vertsplit(now), values, read, 0.0, t=time, a=0.0, load=0.0)[1])
+        read, time = here + share * (there - here), t + share * dt
+        return ca.vertcat(
+            *effect.evaluate(read, ca.vertsplit(now), dict(values), read, 0.0, t=time, a=0.0, load=0.0)[1]
+        )
 
-    step = ca.Function("step", [z, here, there, t], [advanced(derivative, z, trace.dt, _PARTS)])
-    begun = np.array([y[0] if name in effect.initial else 0.0 for name in effect.states])
-    run = step.mapaccum(len(y) - 1)(begun, y[None, :-1], y[None, 1:], trace.record.t[None, :-1])
-    return list(np.column_stack([begun, run.full()]))
+    return ca.Function("step", [z, here, there, t], [advanced(derivative, z, dt, _PARTS)])
 
 
 def _rates(around: _Around, placed: Placed) -> list[Direction]:
@@ -328,13 +336,10 @@ def _rates(around: _Around, placed: Placed) -> list[Direction]:
     directions = []
     for wave in settled:
         for given, linear in choices(placed, at, {**wave, **turns[0]}):
-            forces = {
-                use: [
-                    np.concatenate([change(trace, {**given, **turn}, linear) for turn in turns], axis=2)
-                    for trace in parts
-                ]
-                for use, parts in around.traces.items()
-            }
+            forces = {}
+            for use, parts in around.traces.items():
+                sides = [change(parts, {**given, **turn}, linear) for turn in turns]
+                forces[use] = [np.concatenate(side, axis=2) for side in zip(*sides, strict=True)]
             names = linear or ("effect",)
             kind: ColumnKind = "linear"
             if phase is not None:  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
@@ -348,38 +353,50 @@ def _rates(around: _Around, placed: Placed) -> list[Direction]:
 
 def _rate_changes(
     nominal: System, known: Mapping[str, float], placed: Placed, at: Mapping[str, float]
-) -> Callable[[Trace, Mapping[str, float], Sequence[str]], FloatArray]:
-    """Return what an effect adds to the rates along a record (K, nx, k), by its linear parameters or as a whole."""
+) -> Callable[[Sequence[Trace], Mapping[str, float], Sequence[str]], list[FloatArray]]:
+    """Return what an effect adds to the rates along records (K, nx, k), by its linear parameters or as a whole.
+
+    Rates follow from the instant: all records of a use, which may be many short ones, are asked at once.
+    """
     base = ca.Function("f", [nominal.x, nominal.u, nominal.p, nominal.t], [nominal.f])
     whole = None if port_of(nominal, placed).kind == "input" else compose(nominal, [placed], sizes={"": at})
     made = None if whole is None else ca.Function("g", [whole.x, whole.u, whole.p, whole.t], [whole.f[: nominal.nx]])
 
-    def along(trace: Trace, function: ca.Function, x: FloatArray, u: FloatArray, p: FloatArray) -> FloatArray:
-        n = len(trace.record)
-        return np.asarray(function.map(n)(x.T, u.T, np.tile(p[:, None], n), trace.record.t).full().T)
-
-    def plain(trace: Trace, u: FloatArray) -> FloatArray:
-        return along(trace, base, trace.x[:, : nominal.nx], u, nominal.vector(known))
+    @cache
+    def along(function: ca.Function, n: int) -> ca.Function:
+        return function.map(n)
 
     @cache
-    def without(trace: Trace) -> FloatArray:
-        return plain(trace, trace.record.u)
+    def motion(traces: tuple[Trace, ...], hidden: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        states = np.concatenate([trace.x[:, : nominal.nx] for trace in traces])
+        inputs, times = (np.concatenate([getattr(trace.record, name) for trace in traces]) for name in ("u", "t"))
+        return np.hstack([states, np.zeros((len(states), hidden))]).T, inputs, times
 
-    def rates(trace: Trace, case: Mapping[str, float]) -> FloatArray:
+    def plain(traces: tuple[Trace, ...], u: FloatArray | None = None) -> FloatArray:
+        x, inputs, t = motion(traces, 0)
+        p = np.tile(nominal.vector(known)[:, None], len(t))
+        return np.asarray(along(base, len(t))(x, (inputs if u is None else u).T, p, t).full().T)
+
+    without = cache(plain)
+
+    def rates(traces: tuple[Trace, ...], case: Mapping[str, float]) -> FloatArray:
         if whole is None or made is None:
-            return plain(trace, input_behind(placed, trace, nominal, case))
-        hidden = np.zeros((len(trace.record), whole.nx - nominal.nx))
+            behind = [input_behind(placed, trace, nominal, case) for trace in traces]
+            return plain(traces, np.concatenate(behind))
+        x, u, t = motion(traces, whole.nx - nominal.nx)
         p = whole.vector({**known, **{placed.name(name): value for name, value in case.items()}})
-        return along(trace, made, np.hstack([trace.x[:, : nominal.nx], hidden]), trace.record.u, p)
+        return np.asarray(along(made, len(t))(x, u.T, np.tile(p[:, None], len(t)), t).full().T)
 
-    def change(trace: Trace, given: Mapping[str, float], linear: Sequence[str]) -> FloatArray:
-        complete = placed.effect.complete(given, at)
-        if not linear:
-            return (rates(trace, complete) - without(trace))[:, :, None]
+    def change(parts: Sequence[Trace], given: Mapping[str, float], linear: Sequence[str]) -> list[FloatArray]:
+        if not parts:
+            return []
+        traces, complete = tuple(parts), placed.effect.complete(given, at)
         nothing = {**complete, **{name: placed.effect.parameter(name).neutral or 0.0 for name in linear}}
-        gone = placed.effect.neutral(nothing) == nothing
-        before = without(trace) if gone else rates(trace, nothing)
-        return np.stack([rates(trace, {**nothing, n: nothing[n] + 1.0}) - before for n in linear], axis=2)
+        gone = not linear or placed.effect.neutral(nothing) == nothing
+        before = without(traces) if gone else rates(traces, nothing)
+        cases = [{**nothing, name: nothing[name] + 1.0} for name in linear] or [complete]
+        changes = np.stack([rates(traces, case) - before for case in cases], axis=2)
+        return np.split(changes, np.cumsum([len(trace.record) for trace in traces])[:-1])
 
     return change
 
@@ -397,11 +414,11 @@ def input_behind(placed: Placed, trace: Along, nominal: AnySystem, values: Mappi
         slow = {
             k: max(v, dt) if placed.effect.parameter(k).unit == "s" else v for k, v in values.items()
         }  # an Euler step of a time constant below a sample would not settle
-        z = [float(signal[0])] * len(placed.effect.states)
-        for k in range(len(signal)):
-            value, rates = placed.effect.evaluate(float(signal[k]), z, slow, 0.0, 0.0, t=0.0, a=0.0, load=0.0)
-            u[k, column] = float(value)
-            z = [a + dt * float(b) for a, b in zip(z, rates, strict=True)]
+        z, here = ca.SX.sym("z", len(placed.effect.states)), ca.SX.sym("here")
+        value, rates = placed.effect.evaluate(here, ca.vertsplit(z), slow, 0.0, 0.0, t=0.0, a=0.0, load=0.0)
+        step = ca.Function("step", [z, here], [z + dt * ca.vertcat(*rates), value])
+        begun = np.full(len(placed.effect.states), signal[0])
+        u[:, column] = step.mapaccum(len(signal))(begun, signal[None])[1].full().ravel()
     return u
 
 
