@@ -25,7 +25,7 @@ from harness.diagnosis.records.starts import with_known_starts
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.rounding import with_rounding
 from harness.diagnosis.search.search import search
-from harness.diagnosis.second import halved, searched_unless_carried, second_opinion
+from harness.diagnosis.second import Hope, halved, searched_unless_carried, second_opinion
 from harness.diagnosis.steps import (
     Progress,
     again_by_free_runs,
@@ -91,8 +91,25 @@ def diagnose(
     FitError
         If the nominal model cannot be simulated along the data.
     """
+    found = _diagnosed(dataset, system, kind or Equations(), progress, folder, dictionary, wanted or Wanted(), policy)
+    assert found is not None, "nothing was asked of its search"
+    _add_doubts(found)
+    return found
+
+
+def _diagnosed(
+    dataset: Dataset,
+    system: AnySystem,
+    kind: Kind,
+    progress: Progress | None,
+    folder: Path | None,
+    dictionary: Sequence[Effect] | None,
+    wanted: Wanted,
+    policy: Policy,
+    hope: Hope | None = None,
+) -> Diagnosis | None:
+    """Return what the closed loop found; None where there is no ``hope`` for what its search did."""
     began, say = time.monotonic(), teller(progress)
-    kind = kind or Equations()
     with one_thread():
         # fit
         dataset, doubts = kind.prepared(with_known_starts(checked(dataset, system)), system)
@@ -101,7 +118,7 @@ def diagnose(
         thinned = kind.thinned(dataset)
         form, cut = form_of(kind, system, thinned.dataset, policy, laws.dictionary)
         candidates, faults = candidates_of(form, laws)
-        given, candidates = (wanted or Wanted()).chosen(candidates)  # a wrong name is refused before anything is kept
+        given, candidates = wanted.chosen(candidates)  # a wrong name is refused before anything is kept
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = nominal_fit(remembered, form, doubts)
@@ -114,17 +131,10 @@ def diagnose(
         looking, rival, other = not (wrong or given), "", kind.by_free_runs()
 
         @functools.cache
-        def again(*, halves: bool = False) -> Diagnosis:
-            return diagnose(
-                halved(dataset) if halves else dataset,
-                system,
-                kind=other,
-                progress=again_by_free_runs(progress),
-                folder=folder,
-                dictionary=dictionary,
-                wanted=wanted,
-                policy=policy,
-            )
+        def again(*, halves: bool = False, hope: Hope | None = None) -> Diagnosis | None:
+            assert other is not None
+            data, told = halved(dataset) if halves else dataset, again_by_free_runs(progress)
+            return _diagnosed(data, system, other, told, folder, dictionary, wanted, policy, hope)
 
         asked = again if looking and form.latent and other is not None else None
         searched = functools.partial(
@@ -133,6 +143,8 @@ def diagnose(
         outcome, instead = searched_unless_carried(form, nominal, policy, searched, asked)
         if instead is not None:
             return replace(instead, seconds=time.monotonic() - began)
+        if hope is not None and not hope(outcome):
+            return None
         # what drifts in the free runs of a process is followed by any slow law: there no other fit denies an answer
         if looking and (form.latent or other is None):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
@@ -172,13 +184,10 @@ def diagnose(
         alarms=tuple(alarms),
         rival=rival,
         thinned=thinned,
-        wanted=wanted or Wanted(),
+        wanted=wanted,
     )
     instead = None if asked is None else second_opinion(diagnosis, simple, asked)
-    if instead is not None:
-        return replace(instead, seconds=time.monotonic() - began)
-    _add_doubts(diagnosis, thinned.factor)
-    return diagnosis
+    return diagnosis if instead is None else replace(instead, seconds=time.monotonic() - began)
 
 
 def _alarms(doubts: Sequence[Doubt], system: AnySystem, outcome: Outcome) -> list[str]:
@@ -186,9 +195,9 @@ def _alarms(doubts: Sequence[Doubt], system: AnySystem, outcome: Outcome) -> lis
     return [doubt.words for doubt in doubts if not doubt.certain] if doubts else sizes_off(system, outcome.model)
 
 
-def _add_doubts(diagnosis: Diagnosis, factor: int) -> None:
+def _add_doubts(diagnosis: Diagnosis) -> None:
     """Add warnings of what the two uses want apart, and of columns that may be wrong though the model follows them."""
-    model = diagnosis.final
+    model, factor = diagnosis.final, 1 if diagnosis.thinned is None else diagnosis.thinned.factor
     if diagnosis.apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(diagnosis.apart.words(model.values))
     if diagnosis.verdict == "unexplained" or (diagnosis.stand_in and not diagnosis.misfit):

@@ -17,13 +17,15 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.signals import Dataset
 
 JUDGED = "so the model is judged by its free runs: what they do not show is not looked for"
+Hope = Callable[[Outcome], bool]
+"""Whether what a search found may still become the answer: else it is not graded."""
 
 
 class Again(Protocol):
     """Makes the diagnosis of the same data by free runs, once; or of the halves of every record."""
 
-    def __call__(self, *, halves: bool = False) -> Diagnosis:
-        """Return it."""
+    def __call__(self, *, halves: bool = False, hope: Hope | None = None) -> Diagnosis | None:
+        """Return it; None where there is no hope for what its search found."""
 
 
 def searched_unless_carried(
@@ -43,7 +45,9 @@ def searched_unless_carried(
     weak = overwhelmed(form, outcome.model, policy)
     if not weak:
         return outcome, None
-    return (outcome, _told(again(), _carried(weak))) if not again().misfit else (searched(begun=outcome), None)
+    other = again()
+    follows = other is not None and not other.misfit
+    return (outcome, _told(other, _carried(weak))) if other and follows else (searched(begun=outcome), None)
 
 
 def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) -> Diagnosis | None:
@@ -55,36 +59,53 @@ def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) ->
     1999, sec. 7.4), sees less, and errs otherwise. It stands where it brings free runs nearer; what the halves of all
     records tell has to bring the validation records as near as the others were, or they are of another machine.
 
+    The search by free runs comes first, and is all where its answer would not be taken.
+
     - ``simple``: what compares the two in free runs
     """
     policy, weak = first.policy, overwhelmed(first.form, first.final, first.policy)
     if weak:
-        return None if again().misfit else _told(again(), _carried(weak))
-    if first.rival:
         other = again()
-        able, why = (
-            not other.misfit,
-            (
-                "the likeliest answer beside an unmeasured force is further from the validation records than "
-                f"{first.rival} alone"
-            ),
+        return None if other is None or other.misfit else _told(other, _carried(weak))
+
+    def comes_nearer(found: Outcome) -> bool:
+        """Return whether a search led nearer to the validation records, or the nominal model by itself."""
+        return any(nearer(simple, fit, first.final, policy) for fit in (found.model, found.nominal))
+
+    halves = False
+    if first.rival:
+        why = (
+            "the likeliest answer beside an unmeasured force is further from the validation records than "
+            f"{first.rival} alone"
         )
     elif first.outcome.withdrawn:
         names = " and ".join(str(one.placed) for one in first.outcome.withdrawn)
         why = f"the likeliest answer beside an unmeasured force, {names}, runs no nearer to the validation records"
-        other = again()
-        able = other.verdict == "effects_found" or bool(first.misfit and not other.misfit)
     elif first.astray:
-        why = (
-            "the likelihood finds nothing missing, but the error of free runs is "
-            f"{first.runs.further:.2g} times as large on the validation records as on the others: every record is "
-            "halved, the first parts to fit and the others to validate"
+        halves, why = (
+            True,
+            (
+                "the likelihood finds nothing missing, but the error of free runs is "
+                f"{first.runs.further:.2g} times as large on the validation records as on the others: every record is "
+                "halved, the first parts to fit and the others to validate"
+            ),
         )
-        other = again(halves=True)
-        able = other.verdict == "effects_found" and first.runs.cured_by(other.final, policy)
     else:
         return None
-    return _told(other, why) if able and nearer(simple, other.final, first.final, policy) else None
+    other = again(halves=halves, hope=comes_nearer)
+    if other is None or not _able(first, other) or not nearer(simple, other.final, first.final, policy):
+        return None
+    return _told(other, why)
+
+
+def _able(first: Diagnosis, other: Diagnosis) -> bool:
+    """Return whether a diagnosis by free runs is an answer to what speaks against the first one."""
+    found = other.verdict == "effects_found"
+    if first.rival:
+        return not other.misfit
+    if first.outcome.withdrawn:
+        return found or bool(first.misfit and not other.misfit)
+    return found and first.runs.cured_by(other.final, first.policy)
 
 
 def _carried(weak: Mapping[str, float]) -> str:
