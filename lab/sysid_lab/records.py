@@ -13,7 +13,7 @@ from harness.rng import stream
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, Use
 from sysid_lab.engines import BALANCE_BAND, OPTIONS, balanced_run, engine_run
 from sysid_lab.plan import NOISE, Task
-from sysid_lab.truths.applied import STEP, actuated, force_law
+from sysid_lab.truths.applied import STEP, actuated
 from sysid_lab.truths.context import PRE, Context, Hidden, rms
 from sysid_lab.truths.disturbances import disturbance, named, natural_frequency
 from sysid_lab.truths.hardware import as_hardware
@@ -233,8 +233,7 @@ def _simulated(
         motion: Motion = simulate(applied, u, start=start, disturbance=disturbance)
         return motion.reading
     force = actuated(applied, u) + np.repeat(disturbance, SUBSTEPS)
-    law = force_law(applied, task.plant)
-    y = engine_run(task.engine, task.plant, parameters, options, force, start, law)
+    y = engine_run(task.engine, task.plant, parameters, options, force, start, applied)
     samples = np.arange(len(u)) * SUBSTEPS
     late = [round(applied.get(f"sdelay{i}", 0.0) / STEP) for i in range(y.shape[1])]
     return np.column_stack([y[np.maximum(samples - late[i], 0), i] for i in range(y.shape[1])])
