@@ -153,14 +153,15 @@ def test_an_effect_that_nobody_would_miss_is_not_named_however_sure_it_is() -> N
 
 
 def test_a_line_that_wanders_is_no_periodic_force() -> None:
-    def reasons(evidence: float) -> tuple[Refusal, ...]:
+    def reasons(*evidence: float) -> tuple[Refusal, ...]:
         one = placed("periodic_disturbance")
         values = {"a": 1.0, **dict.fromkeys(map(one.name, one.effect.parameter_names), 1.0)}
-        fit = a_fit((np.full(400, 1.0), GAIN), [one], values=values, incoherence={str(one): evidence})
+        fit = a_fit((np.full(400, 1.0), GAIN), [one], values=values, line_rivals={str(one): evidence})
         return judged(FORM, [one], fit, a_fit(), a_fit()).refusals
 
-    assert reasons(-0.1) == ()
-    assert reasons(0.1) == (Refusal(Kind.INCOHERENT, "periodic_disturbance@theta", (0.1,)),)
+    assert reasons(-0.1, -0.1) == ()
+    assert reasons(0.1, -0.1) == (Refusal(Kind.INCOHERENT, "periodic_disturbance@theta", (0.1,)),)
+    assert reasons(-0.1, 0.1) == (Refusal(Kind.ANSWERING, "periodic_disturbance@theta", (0.1,)),)
 
 
 def with_errors(share: float, uses: int) -> FloatArray:

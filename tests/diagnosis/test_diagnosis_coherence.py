@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,14 +13,14 @@ from sysid_lab.plan import Task
 from sysid_lab.records import make_records
 
 from harness.diagnosis.algorithm import diagnose
-from harness.diagnosis.directions.coherence import in_parts, incoherence, without
+from harness.diagnosis.directions.coherence import answering, in_parts, incoherence, of_inputs, without
 from harness.diagnosis.directions.directions import Direction
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.fit import WAVE, Column, Linearised
 from harness.diagnosis.search.refusal import Kind
 from harness.effects import builtin
 from harness.physics import load_model
-from harness.signals import FloatArray
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
 N, DT = 2000, 0.01
 T = np.arange(N) * DT
@@ -45,6 +46,56 @@ def evidence(estimation: FloatArray, validation: FloatArray) -> float:
     residual = {"estimation": estimation, "validation": validation}
     linear = Linearised(residual, nuisance, ("bias",), spread=np.ones((1, 1)))
     return incoherence(linear, line(1), [line(parts) for parts in PARTS])
+
+
+def answer(lines: Sequence[FloatArray], inputs: Sequence[FloatArray], seed: int) -> float:
+    """Evidence that lines of 1 Hz in two records are a part of the answer to their inputs."""
+    rng = np.random.default_rng(seed)
+    spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
+    uses = ("estimation", "validation")
+    records = {use: [Trajectory(T, u[:, None], u[:, None], spec)] for use, u in zip(uses, inputs, strict=True)}
+    wave = np.stack([np.sin(2 * np.pi * T), np.cos(2 * np.pi * T)], axis=1)[:, None]
+    whole = Direction(None, {}, WAVE, {use: [wave] for use in uses}, {use: [0 * wave] for use in uses})
+    (part,) = of_inputs(whole, records, 2 * np.pi)
+    column = Column(None, {}, WAVE, *(part.forces[use][0][:, 0] for use in uses), kind="wave")
+    residual = {use: one + rng.standard_normal(N) for use, one in zip(uses, lines, strict=True)}
+    nuisance = {use: np.ones((N, 1)) for use in uses}
+    return answering(Linearised(residual, nuisance, ("bias",), spread=np.ones((1, 1))), line(1), [[column]])
+
+
+def multisine(rng: np.random.Generator, at: tuple[float, ...] = (0.4, 1.0, 1.7)) -> tuple[FloatArray, FloatArray]:
+    """Return an input with lines [Hz], and the line of 1 Hz of the answer of a plant to it."""
+    turns = rng.uniform(-np.pi, np.pi, len(at))
+    u = np.sum([np.sin(2 * np.pi * f * T + turn) for f, turn in zip(at, turns, strict=True)], axis=0)
+    return u, np.sin(2 * np.pi * T + turns[min(1, len(at) - 1)] + 0.8)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6), size=st.floats(0.3, 5.0))
+def test_a_line_that_goes_with_the_input_in_every_record_is_no_periodic_force(seed: int, size: float) -> None:
+    """What the model lacks of an answer, in records whose inputs have other phases."""
+    rng = np.random.default_rng(seed)
+    inputs, answers = zip(*(multisine(rng) for _ in range(2)), strict=True)
+    assert answer([size * one for one in answers], inputs, seed) > 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6), size=st.floats(0.5, 5.0), phases=st.tuples(st.floats(-3, 3), st.floats(-3, 3)))
+def test_a_force_that_the_input_has_nothing_to_do_with_stays_periodic(
+    seed: int, size: float, phases: tuple[float, float]
+) -> None:
+    rng = np.random.default_rng(seed)
+    lines = [size * np.sin(2 * np.pi * T + phase) for phase in phases]
+    apart = [multisine(rng, (0.4, 1.7, 2.3))[0] for _ in range(2)]
+    assert answer(lines, apart, seed) < 0
+    noise = [rng.standard_normal(N) for _ in range(2)]  # which has this frequency, among all others
+    assert answer(lines, noise, seed) < 0
+
+
+def test_a_force_at_a_line_of_the_input_is_told_by_its_phases() -> None:
+    rng = np.random.default_rng(3)
+    inputs, answers = zip(*(multisine(rng) for _ in range(2)), strict=True)
+    assert answer([answers[0], np.roll(answers[1], 25)], inputs, 3) < 0  # a quarter of a period later in one of them
 
 
 @settings(max_examples=30, deadline=None)

@@ -215,8 +215,8 @@ def test_what_was_refused_does_not_say_how_little_an_answer_may_gain() -> None:
 
     class Form(LinearForm):
         def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit:
-            lines = {str(one): 1.0 for one in begun.effects if one.effect.name == "cubic_spring"}
-            return replace(super().finish(begun, base, rival, least), incoherence=lines)
+            lines = {str(one): (1.0,) for one in begun.effects if one.effect.name == "cubic_spring"}
+            return replace(super().finish(begun, base, rival, least), line_rivals=lines)
 
     form = Form(linear_records(4, {"cubic_spring": 1.0, "linear_spring": 0.3}))
     outcome = search(form, form.fit((), [], None), ALL)

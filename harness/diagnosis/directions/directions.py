@@ -109,6 +109,9 @@ def line_directions(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the sine and the cosine of an effect with a phase whose other values are given."""
+    if port_of(nominal, line).kind == "output":
+        given = list(line.values.values())
+        return reading_directions(traces, nominal, line, sizes, ports=_ports(traces), lines=lambda: given)
     return _blocks(_Around(traces, nominal, values, sizes), line, line.effect.parameter_of("phase"))
 
 

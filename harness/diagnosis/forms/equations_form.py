@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from harness.diagnosis.directions.changed import changed_share
-from harness.diagnosis.directions.coherence import in_parts, incoherence, without
+from harness.diagnosis.directions.coherence import answering, in_parts, incoherence, of_inputs, without
 from harness.diagnosis.directions.damping import damping_along
 from harness.diagnosis.directions.directions import Direction, directions, line_directions, test_functions
 from harness.diagnosis.directions.jumps import jumps
@@ -218,22 +218,26 @@ class EquationsForm(LikelihoodForm[System]):
         x = np.concatenate([trace.x for trace in self._traces(fit, USES[:1])["estimation"]])
         return damping_along(system, fit.values, at, x[:, row.q], x[:, row.v])
 
-    def incoherence_of(self, fit: Fit, placed: Placed) -> float:
-        """Return the evidence that the amplitude and the phase of a line change along the records."""
+    def line_rivals_of(self, fit: Fit, placed: Placed) -> tuple[float, ...]:
+        """Return the evidence that a line changes along the records, and that it is a part of an answer to an input."""
         main, frequency, turn = placed.effect.main, *map(placed.effect.parameter_of, WAVE_ROLES)
         if main is None or frequency is None or turn is None:
-            return 0.0
+            return ()
         size, omega, phase = (placed.name(parameter.name) for parameter in (main, frequency, turn))
         line = placed.with_values({frequency.name: fit.values[omega]})
-        waves = line_directions(self._traces(fit, USES), self.nominal, fit.values, line, self.sizes)
+        traces = self._traces(fit, USES)
+        waves = line_directions(traces, self.nominal, fit.values, line, self.sizes)
         if not waves:
-            return 0.0
+            return ()
         (wave,) = waves
         phases = {"estimation": fit.values[phase], "validation": fit.own[phase]}
         (column,) = self._answered(fit, [wave])
         linear = without(self.linearised(fit), (size, omega, phase), column, fit.values[size], phases)
-        whole, *cuts = (self._answered(fit, in_parts(wave, parts)) for parts in (1, *POLICY.line_parts))
-        return incoherence(linear, whole, cuts)
+        anew = POLICY.line_parts if any(np.any(force) for force in wave.forces["estimation"]) else ()
+        whole, *cuts = (self._answered(fit, in_parts(wave, parts)) for parts in (1, *anew))  # no force, no narrow band
+        records = {use: [trace.record for trace in parts] for use, parts in traces.items()}
+        inputs = [self._answered(fit, [one]) for one in of_inputs(wave, records, fit.values[omega])]
+        return incoherence(linear, whole, cuts), answering(linear, whole, inputs)
 
     def _traces(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Trace]]:
         """Return the smoothed motion of every record of some uses."""

@@ -347,7 +347,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         repeating = [placed for placed in effects if per_record([placed], "phase")]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit
-        return replace(fit, incoherence={str(placed): self.incoherence_of(fit, placed) for placed in repeating})
+        return replace(fit, line_rivals={str(placed): self.line_rivals_of(fit, placed) for placed in repeating})
 
     def with_day(self, fit: Fit) -> Fit:
         """See :class:`harness.diagnosis.forms.form.WholeForm`."""

@@ -91,6 +91,6 @@ class SystemForm(ABC, Generic[SystemT]):
         """Return places along the motion of a coordinate and what brakes it there; None where forces have no text."""
         return None
 
-    def incoherence_of(self, fit: Fit, placed: Placed) -> float:
-        """Return the evidence that the amplitude and the phase of a line change along the records."""
-        return 0.0
+    def line_rivals_of(self, fit: Fit, placed: Placed) -> tuple[float, ...]:
+        """Return the evidence of what a line may be instead; none is known where forces have no text."""
+        return ()

@@ -46,6 +46,10 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
     Kind.INCOHERENT: lambda r: (
         f"it does not repeat: amplitude and phase change along the records (evidence {r.numbers[0]:.1f})"
     ),
+    Kind.ANSWERING: lambda r: (
+        "the input has this frequency too, and the wave goes with it in every record: it may be a part of the plant's "
+        f"answer that the model lacks (evidence {r.numbers[0]:.1f})"
+    ),
     Kind.SIGN: lambda r: f"{r.subject} = {r.numbers[0]:.3g} has a sign that physics forbids",
     Kind.BOUND: lambda r: f"{r.subject} ended on its bound, {r.numbers[0]:.3g}: these data do not determine it",
     Kind.UNDETERMINED: lambda r: (

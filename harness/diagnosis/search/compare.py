@@ -12,7 +12,7 @@ from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.coloured import coloured_likelihood
 from harness.diagnosis.search.fit import Fit, Form
-from harness.diagnosis.search.refusal import Kind, Refusal
+from harness.diagnosis.search.refusal import LINE_RIVALS, Kind, Refusal
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -146,9 +146,9 @@ def judged(
     reasons = [*_ended(fit), *unseen(fit), *_wanting(fit, base, nominal, comparison, policy)]
     for placed in added:
         reasons += impossible(form, placed, fit) + _traded(placed, fit, base)
-        incoherence = fit.incoherence.get(str(placed), 0.0)
-        if incoherence > 0.0:  # likelier a line drawn anew in every part than one that repeats
-            reasons.append(Refusal(Kind.INCOHERENT, str(placed), (incoherence,)))
+        for kind, evidence in zip(LINE_RIVALS, fit.line_rivals.get(str(placed), ()), strict=False):
+            if evidence > 0.0:  # likelier than a line that is drawn once in every record
+                reasons.append(Refusal(kind, str(placed), (evidence,)))
     reasons += [  # what was found before must stay what it is
         Refusal(Kind.OTHER_LAW, str(placed), cause=refusal)
         for placed in fit.effects

@@ -60,9 +60,9 @@ class Fit:
         Parameters of the validation records themselves.
     day : dict
         Levels of dry friction and zeros of instruments on the day of the validation records, where it is another day.
-    incoherence : dict
-        By full name of an effect that repeats: the logarithm of the evidence for amplitude and phase that are drawn
-        anew in every part of the records, against ones that stay.
+    line_rivals : dict
+        By full name of an effect that repeats: the logarithm of the evidence of what a line that is drawn once in every
+        record is held against, in the order of :data:`~harness.diagnosis.search.refusal.LINE_RIVALS`.
     detail : object
         What the form itself needs to go on from here.
     unseen : float
@@ -83,7 +83,7 @@ class Fit:
     innovations: dict[str, list[tuple[FloatArray, FloatArray]]] = field(default_factory=dict, repr=False)
     own: dict[str, float] = field(default_factory=dict)
     day: dict[str, float] = field(default_factory=dict)
-    incoherence: dict[str, float] = field(default_factory=dict)
+    line_rivals: dict[str, tuple[float, ...]] = field(default_factory=dict)
     detail: object = field(default=None, repr=False)
     beyond: bool = False
     free_run: bool = False

@@ -17,7 +17,7 @@ from harness.diagnosis.search.compare import (
     wrong_signs,
 )
 from harness.diagnosis.search.fit import Fit, Form
-from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, Refusal, only
+from harness.diagnosis.search.refusal import LINE_RIVALS, WANT_OF_EVIDENCE, Kind, Refusal, only
 from harness.diagnosis.search.table import Accepted, Round, named
 from harness.diagnosis.search.ties import total
 
@@ -67,7 +67,7 @@ class Outcome:
 
         The data prefer it by all that is asked of an effect: it is no answer, and without it something is missing.
         """
-        asked = {*WANT_OF_EVIDENCE, Kind.INCOHERENT, Kind.OTHER_LAW, Kind.AGAIN, Kind.LASTING}
+        asked = {*WANT_OF_EVIDENCE, *LINE_RIVALS, Kind.OTHER_LAW, Kind.AGAIN, Kind.LASTING}
         rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.refusals]
         held = [
             row

@@ -31,6 +31,8 @@ class Kind(Enum):
     """It changes a negligible share of rates or readings: the share and what is asked."""
     INCOHERENT = "incoherent"
     """Amplitude and phase of a line change along the records: the evidence for that."""
+    ANSWERING = "answering"
+    """A line stands to the input in all records as an answer to it would: the evidence for that."""
     SIGN = "sign"
     """A parameter, the ``subject``, has a sign that its law does not have: the value."""
     BOUND = "bound"
@@ -58,6 +60,8 @@ class Kind(Enum):
 
 WANT_OF_EVIDENCE = frozenset({Kind.EVIDENCE, Kind.ESTIMATION, Kind.VALIDATION, Kind.COLOURED, Kind.SHARE, Kind.SIZE})
 """Kinds that say nothing against a candidate but that the data do not ask for it."""
+LINE_RIVALS = (Kind.INCOHERENT, Kind.ANSWERING)
+"""What a line that is drawn once in a record is held against: one that is drawn anew, and the input's own."""
 
 
 @dataclass(frozen=True)
