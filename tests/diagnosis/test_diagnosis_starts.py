@@ -43,6 +43,18 @@ def test_the_dead_time_is_that_of_the_plant(dead: int, pole: float, hold: int, s
 
 
 @settings(max_examples=25, deadline=None)
+@given(hold=st.integers(5, 60), direct=st.floats(0.2, 3.0), seed=st.integers(0, 10_000))
+def test_an_input_that_acts_at_once_in_even_steps_has_no_dead_time(hold: int, direct: float, seed: int) -> None:
+    """A step says that the next one comes ``hold`` rows later, and what it comes from."""
+    rng, n = np.random.default_rng(seed), 3000
+    u, slow = np.repeat(rng.uniform(-1.0, 2.0, n // hold + 1), hold)[:n], np.zeros(n)
+    for k in range(1, n):
+        slow[k] = 0.97 * slow[k - 1] + 0.03 * u[k - 1]
+    y = slow + direct * u + 0.01 * rng.standard_normal(n)
+    assert max(dead_times([Trajectory(np.arange(n, dtype=float), u[:, None], y[:, None], SPEC)])) < 2
+
+
+@settings(max_examples=25, deadline=None)
 @given(stiffness=st.floats(3e3, 3e4), load=st.floats(0.3, 1.5), seed=st.integers(0, 10_000))
 def test_a_resonance_is_no_dead_time(stiffness: float, load: float, seed: int) -> None:
     """A few lags follow a mass and its load badly through noise, and inputs of a period ago help them."""

@@ -89,7 +89,7 @@ def test_latent_forces_act_on_the_shaft_alone() -> None:
         ({"shaft": ("omega", "J")}, "expected \\(speed, inertia\\)"),
         ({"shaft": ("i", "J")}, "rad/s or m/s"),
         ({"shaft": ("w", "M")}, "inertia of 'shaft'"),
-        ({"w": ("w", "J")}, "motion 'w'"),
+        ({"w": ("w", "J")}, "motion 'w'.*the name of its speed"),
         ({"v": ("w", "J")}, "v"),
     ],
 )

@@ -39,7 +39,8 @@ def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
     An ARX model of a few lags beside every dead time of one input, the others without, is fitted to all outputs. The
     one with the least loss counts among those whose loss is clearly less than without dead time (Ljung 1999, sec. 4.2
     and 16.4) and beside which later inputs tell nothing, by Schwarz' criterion (ibid., sec. 16.4): a mode that the
-    model has no lags for wants inputs of long ago too, and those of just now all the same.
+    model has no lags for wants inputs of long ago too, and those of just now all the same. The input of the same row is
+    among these: where it acts at once and comes in steps of even length, the step before foretells it.
 
     Examples
     --------
@@ -73,7 +74,7 @@ def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
     size = np.where(target.std(axis=0) > 0, target.std(axis=0), 1.0)
     found = []
     for column in range(spec.nu):
-        others = [inputs(other, 1) for other in range(spec.nu) if other != column]
+        others = [inputs(other, 0) for other in range(spec.nu) if other != column]
         known, _ = np.linalg.qr(np.hstack([past, *others]))
         left = (target - known @ (known.T @ target)) / size
 
@@ -81,9 +82,9 @@ def dead_times(records: Sequence[Trajectory]) -> tuple[int, ...]:
             own = own - known @ (known.T @ own)
             return float(np.sum((left - own @ np.linalg.lstsq(own, left, rcond=None)[0]) ** 2))
 
-        soon = inputs(column, 1)
-        losses = {dead: loss(inputs(column, dead)) for dead in range(1, most + 1)}
-        clear = [dead for dead in losses if losses[dead] < DATA_POLICY.clearer * losses[1]]
+        soon = np.hstack([inputs(column, 0), inputs(column, 1)[:, -1:]])
+        losses = {dead: loss(inputs(column, dead)) for dead in range(most + 1)}
+        clear = [dead for dead in losses if losses[dead] < DATA_POLICY.clearer * min(losses[0], losses[1])]
         dearer = len(target) ** (-lags / len(target))  # what the later inputs have to bring the loss down by
         alone = (
             dead for dead in sorted(clear, key=losses.__getitem__)

@@ -131,7 +131,14 @@ class Ode:
         """
         names, known = [str(state) for state in self.x], {str(parameter): parameter for parameter in self.p}
         unit = self.units.get(speed, "1")
-        if speed not in names or coordinate == speed or not unit.endswith("/s"):
+        if coordinate == speed:
+            raise InputError(
+                f"motion {coordinate!r} of {self.name!r}",
+                expected="a name for what moves, such as its position or a new one",
+                got="the name of its speed",
+                remedy=f"call it something else: effects will act on that name, with the speed {speed}",
+            )
+        if speed not in names or not unit.endswith("/s"):
             raise InputError(
                 f"motion {coordinate!r} of {self.name!r}",
                 expected="(speed, inertia): a state with a unit such as rad/s or m/s, and a parameter",
