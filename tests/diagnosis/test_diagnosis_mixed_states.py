@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from harness.diagnosis import close_loop
+from harness.diagnosis.directions.directions import directions
+from harness.diagnosis.directions.trace import Trace
 from harness.diagnosis.records.motion import motion_is_state
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.runs.errors import equation_error
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.effects import Placed, builtin, compose
 from harness.physics import load_model
+from harness.physics.compiled.kalman_pass import KalmanPass
+from harness.physics.compiled.latent import without_latent_forces
 from harness.physics.compiled.system import System
 from harness.physics.symbolic.typed import read_equations
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
@@ -101,6 +105,45 @@ def test_a_spring_behind_a_coil_is_found_and_no_force_is_claimed_of_the_equation
     assert report.data["parameters"]["after"][hard.name("k3")]["value"] == pytest.approx(4e7, rel=0.01)
     errors = report.data["errors"]["after"]["equation_error"]["validation"]
     assert {one["unit"] for one in errors.values()} == {"A", "m"}, "of readings one step ahead, not of a force"
+
+
+def test_pieces_of_a_record_are_asked_at_once_and_each_as_by_itself() -> None:
+    """Hidden states of a drive or a sensor begin anew with every piece, and no force crosses a seam."""
+    nominal, rng = read_equations(HEATER, "heater").system(), np.random.default_rng(3)
+    values = {"C1": 360.0, "C2": 170.0, "g12": 3.6, "g2": 1.2}
+    inputs = [np.repeat(rng.uniform(0, 150, many), 10) for many in (6, 9)]
+    data = recorded(nominal, values, inputs, np.array([0.05]), 2.0)
+    data = Dataset("pieces", tuple(Run(run.trajectory) for run in data.runs))
+    named = {"P": ("actuator_lag", "rate_limit", "input_compression"), "T2": ("sensor_lag",), "T1": ("leak",)}
+    laws = [Placed(builtin()[name], at) for at, names in named.items() for name in names]
+    passes = KalmanPass(without_latent_forces(nominal), 2.0)
+    ports = tuple(state.name for state in nominal.states)
+    pieces = [
+        Trace(
+            run.trajectory,
+            rng.uniform(10, 60, (len(run.trajectory), nominal.nx)),
+            passes,
+            nominal.vector(values),
+            ports,
+        )
+        for run in data.runs
+    ]
+    sizes = sizes_of(nominal, values, data)
+    together, *alone = (
+        directions({"estimation": some}, nominal, values, laws, sizes) for some in (pieces, *([one] for one in pieces))
+    )
+    assert len(together) > len(laws)
+    for number, parts in enumerate(alone):
+        for one, other in zip(together, parts, strict=True):
+            for mine, theirs in ((one.forces, other.forces), (one.readings, other.readings)):
+                np.testing.assert_array_equal(mine["estimation"][number], theirs["estimation"][0])
+    lag = next(one for one in together if str(one.placed) == "actuator_lag@P")
+    u, tau = pieces[1].record.u[:, 0], max(lag.given["tau"], 2.0)
+    behind = [u[0]]
+    for now in u[:-1]:
+        behind.append(behind[-1] + 2.0 / tau * (now - behind[-1]))
+    pushed = lag.forces["estimation"][1][:, 0, 0]
+    np.testing.assert_allclose(pushed, (np.array(behind) - u) / values["C1"], atol=1e-12)
 
 
 def test_a_process_has_the_values_that_all_readings_tell() -> None:

@@ -78,6 +78,20 @@ def test_compiled_and_interpreted_passes_agree(make, intersample) -> None:
         np.testing.assert_allclose(getattr(fast.path, name), getattr(slow.path, name), rtol=1e-8, atol=1e-13)
 
 
+def test_a_pass_keeps_nothing_of_another_noise_another_delay_or_another_record() -> None:
+    late = compose(pendulum().system(), [Placed(builtin()["input_delay"], "u")])
+    values, x0 = late.values(), np.array([0.1, 0.0])
+    records = [record(pendulum().system(), pendulum().system().vector(), x0, n=60, seed=seed) for seed in (0, 1)]
+    delays = [late.vector({**values, "input_delay@u.tau": tau}) for tau in (0.004, 0.013)]
+    noises = [some_noise(late, s=0.05), some_noise(late, s=0.2, w=0.0)]
+    kept = KalmanPass(with_latent_forces(late), DT)
+    for data, p, noise in [(d, p, n) for d in (*records, *records) for p in delays for n in noises]:
+        fresh = KalmanPass(with_latent_forces(late), DT)
+        one, other = (each(data, p, x0, noise, by_noise=True) for each in (kept, fresh))
+        for name in ("e", "s", "e_noise", "s_noise"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
 def discretised(system, p, noise) -> tuple[np.ndarray, ...]:
     """Transition, input, process noise, output and sensor noise of a linear system with latent forces, input held."""
     simulator, nx, nl = system.simulator(DT), system.nx, len(noise.s)
