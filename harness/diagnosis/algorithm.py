@@ -36,6 +36,7 @@ from harness.diagnosis.steps import (
     candidates_of,
     day_warnings,
     form_of,
+    lawful,
     nominal_fit,
     over_nothing,
     run_freely,
@@ -145,6 +146,7 @@ def _diagnosed(
             return replace(instead, seconds=time.monotonic() - began)
         if hope is not None and not hope(outcome):
             return None
+        outcome = lawful(remembered, outcome, policy)
         # what drifts in the free runs of a process is followed by any slow law: there no other fit denies an answer
         if looking and (form.latent or other is None):
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)

@@ -21,12 +21,13 @@ from harness.diagnosis.records.stretches import stretched, windowed
 from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
 from harness.diagnosis.runs.simple_fits import SimpleFits
-from harness.diagnosis.search.compare import impossible
+from harness.diagnosis.search.compare import impossible, judged
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.refusal import Kind as Reason
 from harness.diagnosis.search.refusal import Refusal
+from harness.diagnosis.search.table import Accepted
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -131,6 +132,35 @@ def what_free_runs_say(
     outcome = outcome.taken_back(0.0 if runs.worse(policy) else policy.misfit_gain)
     runs = run_freely(kind, form, outcome, dataset, simple, share)
     return outcome, runs, what_is_left(form, whole, outcome, policy)
+
+
+def lawful(remembered: Remembered, outcome: Outcome, policy: Policy) -> Outcome:
+    """Return an outcome without the effects that end where their laws do, and what does not stand without these.
+
+    On a bound, or of a sign that it does not have, a law is another one: it stood in for what was found beside it, or
+    for what no law of the dictionary is.
+    """
+    form, left = remembered.form, outcome
+    for one in outcome.accepted:
+        broken = [why for why in impossible(form, one.placed, left.model) if why.kind is not Reason.UNDETERMINED]
+        if broken and not one.given:
+            left = _without(remembered, left, one, broken[0])
+    if left is outcome:
+        return outcome
+    for one in tuple(left.accepted):
+        base = _without(remembered, left, one, Refusal(Reason.WITHDRAWN)).model
+        row = judged(form, [one.placed], left.model, base, left.nominal, policy)
+        if not row.passed and not one.given:
+            left = _without(remembered, left, one, row.refusals[0])
+    return left
+
+
+def _without(remembered: Remembered, outcome: Outcome, gone: Accepted, why: Refusal) -> Outcome:
+    """Return an outcome without one of its effects, the others fitted anew; as it was if they cannot be."""
+    rest = [placed for placed in outcome.model.effects if str(placed) != str(gone.placed)]
+    starts = [outcome.model.values, {**outcome.model.values, **outcome.nominal.values}]
+    model = remembered.fit(rest, starts, outcome.model) if rest else outcome.nominal
+    return outcome if model is None else outcome.dropped(gone, model, why)
 
 
 def untold(form: WholeForm, outcome: Outcome) -> bool:

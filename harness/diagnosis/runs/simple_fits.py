@@ -15,7 +15,8 @@ import numpy as np
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import Policy
-from harness.diagnosis.runs.compare import seen_values
+from harness.diagnosis.records.horizon import Horizon
+from harness.diagnosis.runs.compare import FreeRuns, seen_values
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.search.fit import Fit, Suspect
@@ -173,17 +174,23 @@ class SimpleFits:
     def further(self, mine: Fitted | None, other: Fitted | None, policy: Policy, share: float | None = None) -> bool:
         """Return True if free runs of a model are further from the validation records than those of another.
 
-        By a share of what the nominal model leaves, one that is worth it unless another is given. Errors of a free run
-        remember what came before:
-        a standard error over blocks says nothing of them. What diverges is further than anything.
+        By a share of what the nominal model leaves, one that is worth it unless another is given; of more effects, what
+        one more must bring. Errors of a free run remember what came before: a standard error over blocks says nothing
+        of them. What diverges is further than anything.
         """
         assert self.nominal is not None
         if other is None or not other.finite:
             return False
         if mine is None or not mine.finite:
             return True
+        if share is None:
+            share = policy.second_share if len(mine.effects) > len(other.effects) else policy.explained
         more = _mean_square(mine.validation) - _mean_square(other.validation)
-        return more > (policy.explained if share is None else share) * self.nominal.error("validation")
+        return more > share * self.nominal.error("validation")
+
+    def left(self, fit: Fit) -> float:
+        """Return the share of the motion of the validation records that free runs of a fit leave, the worst output."""
+        return FreeRuns.of(Horizon(self._form.horizon, ""), self._form, None, self.seen(fit)).left
 
     def scattered(self) -> list[dict[str, float]]:
         """Return values of the nominal model from which free runs come near, of many starts around the declared ones.
