@@ -81,7 +81,7 @@ def test_a_scope_writes_its_settings_beside_the_first_rows(tmp_path: Path) -> No
     data = load_dataset(path, input="none", output="CH1").dataset
     assert np.concatenate([run.trajectory.y[:, 0] for run in data]) == pytest.approx(DRIVE)
     assert (data.spec.sample_time, data.spec.outputs[0].unit) == (pytest.approx(DT), "V")
-    with pytest.raises(InputError, match="columns beside the channel of the scope"):  # not left out without a word
+    with pytest.raises(InputError, match="columns beside the channels of the scope"):  # not left out without a word
         load_dataset(table(tmp_path, [], [f"{row},0.5," for row in rows]), input="none", output="CH1")
     rows[7] = rows[7].replace("Units,s", "Units,Hz")  # a spectrum
     with pytest.raises(InputError):
@@ -263,11 +263,13 @@ def test_what_is_switched_is_nought_and_one(off: str, on: str, tmp_path: Path) -
         load_dataset(mixed, input="valve", output="y")
 
 
-def test_dashes_hold_nothing_and_hexadecimal_numbers_are_named(tmp_path: Path) -> None:
+def test_dashes_hold_nothing_and_hexadecimal_numbers_are_read_where_they_have_no_sign(tmp_path: Path) -> None:
     rows = [f"{t},{u},{'---' if k == 40 else y}" for k, (t, u, y) in enumerate(CELLS)]
     assert np.flatnonzero(np.isnan(Table(table(tmp_path, ["t,u,y"], rows)).read("y")[0])).tolist() == [40]
     rows = [f"{t},{u},0x{k:02X}" for k, (t, u, _) in enumerate(CELLS)]
-    with pytest.raises(InputError, match="'0x00'; remedy: export decimal numbers"):
+    assert Table(table(tmp_path, ["t,u,y"], rows)).read("y")[0].tolist() == list(range(len(CELLS)))
+    rows[40] = rows[40][:-2] + "D4"  # 212, or -44
+    with pytest.raises(InputError, match="'0xD4'; remedy: export decimal numbers, as the first bit may be a sign"):
         Table(table(tmp_path, ["t,u,y"], rows)).read("y")
 
 

@@ -20,6 +20,7 @@ _LEVER = 3.0
 _FAR = 1e6  # Squared error over its variance beyond which it is no matter how far.
 _USUAL = 1e-3  # Chance that errors as usual are taken for an answer to a glitch: it then stays as it was logged.
 _BESIDE = 1e-3  # Spike over a larger one beside it below which it is what the estimate of that one leaves.
+_LOOKED_AT, _WRITTEN = 500, 12  # Readings whose digits are counted, and digits beyond which nobody wrote them.
 _MOSTLY = 0.9  # Rows of one word after which the outputs go on as usual, from which on none was felt.
 
 
@@ -56,7 +57,7 @@ def spikes_of(y: FloatArray, u: FloatArray) -> Spikes:
     if len(y) < ODD.fewest or np.mean(np.diff(y) != 0.0) < 0.5:
         return nothing
     bound = ODD.heavy * float(norm.isf(0.5 * ODD.rate / len(y)))
-    smallest = ODD.smallest * float(np.subtract(*np.percentile(y, [90, 10])))
+    smallest = np.maximum(ODD.smallest * float(np.subtract(*np.percentile(y, [90, 10]))), 2.0 * last_digits(y))
     refused = np.zeros(len(y), dtype=bool)
     for _ in range(_PASSES):
         found = foretold(mended, u, odd | _gross(mended, u))
@@ -88,6 +89,23 @@ def spikes_of(y: FloatArray, u: FloatArray) -> Spikes:
     crowd = np.convolve(odd, np.ones(len(found.own) + 1), mode="same") > ODD.together
     odd &= ~maximum_filter1d(crowd, 2 * len(found.own) + 1)  # so many beside each other are a stretch
     return Spikes(np.flatnonzero(odd), np.where(odd, mended, y))
+
+
+def last_digits(y: FloatArray) -> FloatArray:
+    """Return what the last digit of each reading counts (N,); 0 where readings have as many digits as numbers hold.
+
+    An instrument that writes three digits rounds 0.998 to 0.001 and 1.02 to 0.01.
+
+    Examples
+    --------
+    >>> last_digits(np.array([0.998, 1.02, -12.4])).round(3).tolist(), last_digits(np.array([1 / 3, 2.0])).tolist()
+    ([0.001, 0.01, 0.1], [0.0, 0.0])
+    """
+    shown = y[:: max(len(y) // _LOOKED_AT, 1)]
+    most = max(len(f"{abs(one):.14e}".partition("e")[0].replace(".", "").rstrip("0")) for one in shown.tolist())
+    if most > _WRITTEN:
+        return np.zeros(len(y))
+    return np.asarray(10.0 ** (np.floor(np.log10(np.maximum(np.abs(y), 1e-300))) - most + 1))
 
 
 def _gross(y: FloatArray, u: FloatArray) -> npt.NDArray[np.bool_]:

@@ -26,6 +26,14 @@ EMPTY = {
 _THOUSANDS = (re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+"), re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+"))
 _COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
 _FORTRAN = re.compile(r"([+-]?\d+\.?\d*|[+-]?\.\d+)[dD]([+-]?\d+)")
+_HEX = re.compile(r"0[xX](?![89a-fA-F](?:[\da-fA-F]|[\da-fA-F]{3}|[\da-fA-F]{7})$)([\da-fA-F]{1,13})")
+"""Hexadecimal digits but for those whose first bit may be a sign."""
+_ANY_HEX = re.compile(r"0[xX][\da-fA-F]+")
+_SPAN = re.compile(
+    r"(?:(?P<d>\d+)\s*d(?:ays?)?)?\s*(?:(?P<h>\d+)\s*(?:h|hr|hours?))?\s*(?:(?P<min>\d+)\s*(?:m|min|minutes?|'))?\s*"
+    r"(?:(?P<s>\d+(?:[.,]\d*)?)\s*(?:s|sec|seconds?|\"|''))?\s*(?:(?P<ms>\d+(?:\.\d*)?)\s*ms)?"
+)
+_SECONDS = {"d": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3}  # Of the parts of such a span.
 _WHOLE = re.compile(r"[+-]?\d{1,3}")
 _GROUPS = "[ \u00a0\u2009\u202f'\u2019]"
 """Signs between thousands that are no decimal signs: spaces of any width, and apostrophes."""
@@ -164,12 +172,15 @@ def numbers_of(
     commas = not thousands and not any("." in cell for cell in cells)
     refuse_thousands(cells, where, commas=commas and style is None)
     numbers = []
+    hexadecimal = all(_ANY_HEX.fullmatch(cell) for cell in cells if cell.lower() not in EMPTY)
     for row, cell in enumerate(cells):
         if cell.lower() in EMPTY:
             numbers.append(np.nan)
             continue
-        plain = _FORTRAN.sub(r"\1e\2", cell)
+        plain = cell if hexadecimal else _FORTRAN.sub(r"\1e\2", cell)
         try:
+            if _HEX.fullmatch(cell) and not hexadecimal:
+                raise ValueError(cell)
             numbers.append(_number(plain.replace(",", ".") if commas and _COMMA.fullmatch(plain) else plain))
         except ValueError:
             more = " with one kind of decimal sign, and none for thousands" if "," in cell else ""
@@ -268,6 +279,9 @@ def with_unit(
     if (stamps := clock(cells, notes, where)) is not None:
         stated[title] = "s"
         return stamps
+    if (spans := _spans(cells)) is not None:
+        stated[title] = "s"
+        return spans
     if (truths := _truths(cells)) is not None:
         say_truths(notes, title, next(cell.strip() for cell in cells if cell.strip().lower() not in EMPTY))
         return truths
@@ -276,6 +290,27 @@ def with_unit(
         return None
     stated[title] = found[1]
     return found[0]
+
+
+def _spans(cells: Sequence[str]) -> FloatArray | None:
+    """Return the seconds of spans of time in parts, as in ``1m 5s``; None where no cell has several parts.
+
+    Examples
+    --------
+    >>> _spans(["58s", "1m 3.5s", "1h 0m 2s", ""]).tolist(), _spans(["1m", "2m"])
+    ([58.0, 63.5, 3602.0, nan], None)
+    """
+    found = [_SPAN.fullmatch(cell.strip()) if cell.strip().lower() not in EMPTY else None for cell in cells]
+    parts = [{name: part for name, part in one.groupdict().items() if part} if one else {} for one in found]
+    if any(not one and cell.strip().lower() not in EMPTY for one, cell in zip(parts, cells, strict=True)):
+        return None
+    if not any(len(one) > 1 for one in parts):
+        return None
+    spans = [
+        sum(_SECONDS[name] * float(part.replace(",", ".")) for name, part in one.items()) if one else np.nan
+        for one in parts
+    ]
+    return np.array(spans)
 
 
 TRUTHS = tuple(pair.split() for pair in ("false true", "off on", "aus ein", "arrêt marche", "выкл вкл"))
@@ -342,13 +377,16 @@ def _number(text: str) -> float:
     """Return a number as tables hold it; Python's own underscores are none."""
     if "_" in text:
         raise ValueError(text)
+    if (digits := _HEX.fullmatch(text.strip())) is not None:
+        return float(int(digits[1], 16))
     return float(_APART.sub(r"\1", text.strip() if text.isascii() else _DASH.sub("-", text.strip()), count=1))
 
 
 def _no_number(cell: str, place: str, expected: str, why: str) -> InputError:
     """Return the refusal of a cell."""
     remedies = {
-        "hexadecimal": "export decimal numbers; what a count measures, scale and offset in a dataset.toml say",
+        "hexadecimal": "export decimal numbers, as the first bit may be a sign; what a count measures, scale and "
+        "offset in a dataset.toml say",
         "comma": "export with decimal points, and without signs between thousands",
         "thousands": "export without signs between thousands, or every number with as many decimals",
     }

@@ -67,7 +67,7 @@ _BESIDE = frozenset(
     "rec publish header msg system sys local utc gps gmt ros sim simulation run test total measured measurement value "
     "values val data array vec vector axis col column base code seit ab beginn messung écoulé ecoule écoulée depuis "
     "début debut transcurrido decorrido desde inicio trascorso da inizio en em i achse axe eje asse 轴 軸 "
-    "real wall date datum fecha today de du la le el il da di der die das and".split()
+    "real wall source date datum fecha today de du la le el il da di der die das and".split()
 )
 """Words beside one for time that say nothing of its unit, in small letters."""
 
@@ -414,8 +414,10 @@ def _counts_time(title: str) -> bool:
     words = words_of(title) or [""]
     if words[0] == "in":
         return len(words) == 2 and words[1] in TIME_UNITS
+    if len(words) == 2 and words[0] in COUNTS:  # tick_ms
+        words.reverse()
     first = words[0] in TIME_UNITS and words[0] not in _OTHERWISE and len(words[0]) > 1
-    return first and all(word in _BESIDE for word in words[1:])
+    return first and all(word in _BESIDE or word in COUNTS for word in words[1:])
 
 
 def _leads(name: str, unit: str | None) -> bool:

@@ -21,6 +21,8 @@ PAIRED_STEPS = {"sampletime[ms]": "ms", "interval": "s"}
 STARTS = ("hoffset", "x0")
 UNEVEN = 0.01  # Part of the stated step by which the first step of a clock may differ: else it counts something else.
 _END = "***End_of_Header***"
+MOST_CELLS = 48  # Of a row of eight channels.
+BLOCK = 6  # Columns that a Tektronix gives a channel: two of settings, time and readings between two empty ones.
 SETTINGS = 30  # Rows beside which a scope writes its settings.
 
 
@@ -183,7 +185,7 @@ def siglent_titles(lines: Sequence[str]) -> tuple[str, int] | None:
     ('time [s],CH1 [V],CH2 [A]', 4)
     """
     rows = {line.split(",")[0]: [cell.strip() for cell in line.split(",")[1:]] for line in lines}
-    end = next((row for row, line in enumerate(lines, start=1) if line.startswith("Second,Value")), None)
+    end = next((row for row, line in enumerate(lines, start=1) if line.startswith("Second,")), None)
     if end is None or not lines[0].startswith("Record Length,") or "Source" not in rows:
         return None
     units = dict(cell.partition(":")[::2] for cell in rows.get("Vertical Units", []))
@@ -197,10 +199,10 @@ Cells = Callable[[list[str]], list[str]]
 def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str] | None:
     """Return the titles of a scope's waveform, its rows above, what takes the cells of a row, and what to say of it.
 
-    Rigol counts the samples, and start and increment of the time stand once, behind the titles. Tektronix writes its
-    settings beside the first rows, in the first three columns.
-
     Raises InputError if other columns stand beside those of a Tektronix.
+
+    Rigol counts the samples, and start and increment of the time stand once, behind the titles. Tektronix writes its
+    settings beside the first rows, in the first three columns; further channels stand beside it, six columns each.
 
     Examples
     --------
@@ -221,16 +223,28 @@ def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str]
             return [time, *cells[1 : len(titles) + 1]]
 
         return ["time [s]", *titles], 2, counted, f"time: sample 0 at {start:g} s, every {step:g} s, as line 2 says"
-    settings = {row[0]: row[1] for row in rows if len(row) > 4 and row[0]}
-    if names[:1] + units[:1] != ["Record Length", "Sample Interval"] or settings.get("Horizontal Units") != "s":
+    if names[:1] + units[:1] != ["Record Length", "Sample Interval"]:
         return None
-    if further := next((cell for row in rows for cell in row[5:] if cell.strip()), ""):
+    each = {k: {row[k]: row[k + 1] for row in rows if len(row) > k + 4 and row[k]} for k in range(0, MOST_CELLS, BLOCK)}
+    each = {k: settings for k, settings in each.items() if settings.get("Horizontal Units") == "s"}
+    if 0 not in each:
+        return None
+    known = {k + place for k in each for place in range(BLOCK - 1)}
+    if further := next((cell for row in rows for k, cell in enumerate(row) if cell.strip() and k not in known), ""):
         raise InputError(
-            "columns beside the channel of the scope",
-            expected="five columns, as a Tektronix writes them: settings, time and readings of one channel",
+            "columns beside the channels of the scope",
+            expected="five columns for each, as a Tektronix writes them: settings, time and readings",
             got=repr(further),
             remedy="give each channel a file of its own",
             place="line 1",
         )
-    titles = ["time [s]", f"{settings.get('Source', 'y')} [{settings.get('Vertical Units', '1')}]"]
-    return titles, 0, lambda cells: cells[3:5], "the settings of the scope beside the first rows are left aside"
+    titles = [
+        title
+        for settings in each.values()
+        for title in ("time [s]", f"{settings.get('Source', 'y')} [{settings.get('Vertical Units', '1')}]")
+    ]
+
+    def read(cells: list[str]) -> list[str]:
+        return [cell for k in each for cell in cells[k + 3 : k + 5]]
+
+    return titles, 0, read, "the settings of the scope beside the first rows are left aside"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import json
+import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -43,11 +45,14 @@ _ITEM = re.compile(
     r'(?P<value>"[^"]*"|\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d[^\s,;|]*|[^\s,;|]+)'
     r"(?:[ ]?(?P<unit>(?:[^\W\d_]|[°%])[^\s,;|:=]*)(?=\s*(?:[,;|]|$)|\s+[^\W\d][^\s:=]*\s*[:=]))?[\s,;|]*"
 )
+_KEY, _TEXT = r"(?:\\.|[^\s,=\\])+", r'(?:"(?:\\.|[^"\\])*"|(?:\\.|[^\s,"\\])+)'
 _INFLUX = re.compile(
-    r"(?P<series>[^\s,=]+(?:,[^\s,=]+=[^\s,]+)*) (?P<fields>[^\s,=]+=[^\s,]+(?:,[^\s,=]+=[^\s,]+)*)(?: (?P<at>\d+))?"
+    rf"(?P<series>{_KEY}(?:,{_KEY}={_TEXT})*) (?P<fields>{_KEY}={_TEXT}(?:,{_KEY}={_TEXT})*)(?: (?P<at>\d+))?"
 )
+_FIELD = re.compile(rf"({_KEY})=({_TEXT})")
 _EPOCH_UNITS = {19: "ns", 16: "us", 13: "ms", 10: "s"}
 """Units of the time from 1970 by the number of its digits, until 2286."""
+_SENTENCE = re.compile(r"\s*[$!](?P<words>[^*]+)\*(?P<sum>[0-9A-Fa-f]{2})\s*")
 _VECTOR = re.compile(r"base\s+(?:hex|dec)\s+timestamps\s+(?P<kind>absolute|relative)", re.IGNORECASE)
 _CANDUMP = re.compile(r"\s*\(\d+\.\d+\)\s+\w+\s+[\dA-F]+(?:##?[\dA-FR]*|\s+\[\d+\](?:\s+[\dA-F]{2})*)\s*.*")
 """A message as candump of Linux's can-utils writes it."""
@@ -77,6 +82,8 @@ def labelled(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
         return _of_bus(lines, bus["kind"].lower())
     if lines and all(_CANDUMP.fullmatch(line) for _, line in lines[:FEWEST]):
         return _of_bus(lines, "absolute")
+    if lines and all(_SENTENCE.fullmatch(line) for _, line in lines[: MOST_ABOVE + FEWEST]):
+        return _of_sentences(lines)
     for read in (_of_json, _of_influx, _of_items):
         if len(lines) < FEWEST or not (last := _names_in(lines[-2][1], read)):
             continue  # settings above a table may read so, its rows do not
@@ -224,12 +231,29 @@ def _of_influx(line: str) -> Named | None:
     found = _INFLUX.fullmatch(line.strip())
     if found is None or len(found["at"] or "") not in _EPOCH_UNITS:
         return None  # "t=1 u=2,y=3" is no point of a series
-    fields = [pair.split("=", 1) for pair in found["fields"].split(",")]
+    fields = _FIELD.findall(found["fields"])
     values = [(name, re.sub(r"(?<=\d)[iu]$", "", value)) for name, value in fields]
     if not any(is_number(value) for _, value in values):
         return None
     stamp = f"time [{_EPOCH_UNITS[len(found['at'])]}]", found["at"]
-    return [("series", found["series"]), stamp, *((f"{found['series']}.{name}", value) for name, value in values)]
+    series = re.sub(r"\\(.)", r"\1", found["series"])
+    return [("series", series), stamp, *((f"{series}.{name}", value) for name, value in values)]
+
+
+def _of_sentences(lines: Sequence[Line]) -> tuple[list[Line], str]:
+    """Return the words of NMEA 0183's sentences (``$WORD,1.5,2*5A``) whose sums are right, and what to say."""
+    kept, wrong = [], []
+    for number, line in lines:
+        found = _SENTENCE.fullmatch(line)
+        said = -1 if found is None else int(found["sum"], 16)
+        if found is not None and functools.reduce(operator.xor, found["words"].encode(), 0) == said:
+            kept.append((number, found["words"]))
+        else:
+            wrong.append(number)
+    text = "sentences of NMEA 0183: their words are columns"
+    if wrong:
+        text += f"; {len(wrong)} whose sums are wrong are left out (line {wrong[0]}{' ...' if len(wrong) > 1 else ''})"
+    return kept or list(lines), text
 
 
 def _of_bus(lines: Sequence[Line], kind: str) -> tuple[list[Line], str]:

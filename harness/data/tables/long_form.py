@@ -18,10 +18,11 @@ from harness.signals import FloatArray
 
 NAMES = frozenset(
     "name signal signalname variable varname tag tagname channel channelname field key parameter sensor kanal "
-    "displayname pointname parametername itemname "
+    "displayname pointname parametername itemname nodeid browsename tagpath "
     "messstelle entityid".split()
 )
 """Titles of the column that names the signal, in small letters without what parts their words."""
+NODE = "nodeid"  # Of OPC UA.
 VALUES = frozenset("value val varvalue reading wert messwert valeur valor state".split())
 """Titles of the column of readings, in small letters."""
 UNITS = frozenset("unit units einheit unité unidad".split())  # Titles of the column of units, in small letters.
@@ -219,6 +220,7 @@ def in_long_form(source: Any) -> LongTable | None:
         [title for title in titles if split_header(title)[0].lower().replace(" ", "").replace("_", "") in words]
         for words in (NAMES, VALUES, UNITS)
     ]
+    found[0] = [title for title in found[0] if title.lower() != NODE] or found[0]  # beside a name that people read
     if len(found[0]) != 1 or len(found[1]) != 1 or len(found[2]) > 1 or not hasattr(source, "texts"):
         return None
     taken = [title for some in found for title in some]

@@ -69,7 +69,7 @@ def titles_of(line: str, sign: str | None, width: int) -> list[str]:
 
 
 def sign_of(lines: Sequence[str]) -> str | None:
-    """Return the sign that parts the cells of a table, None for blanks: by it most cells of its last rows are readings.
+    """Return the sign that parts the cells of a table, None for blanks: by it most of its last rows is readings.
 
     Of several, the one that parts a line above into as many cells counts, then the one that makes more cells.
 
@@ -86,7 +86,9 @@ def sign_of(lines: Sequence[str]) -> str | None:
     for sign in SIGNS:
         rows = _sample([cells_of(line, sign) for line in lines[-SAMPLE - 1 :]])
         width = len(rows[-1])
-        share = sum(map(_is_reading, (cell for row in rows for cell in row))) / sum(map(len, rows))
+        cells = [cell for row in rows for cell in row]
+        # by letters: one long cell of words may hold several readings
+        share = sum(len(cell) + 1 for cell in cells if _is_reading(cell)) / sum(len(cell) + 1 for cell in cells)
         above = (cells_of(line, sign) for line in lines[: min(MOST_ABOVE, len(lines) - len(rows))])
         titled = any(len(row) == width and any(row) and not any(_is_reading(c) for c in row if c) for row in above)
         if share and (width > 1 or sign is None) and (rank := (round(share, 6), titled, width)) > best:
@@ -305,9 +307,15 @@ def is_reading(rows: Sequence[Sequence[str]]) -> bool:
     for k, cell in enumerate(titles):
         column = [row[k] for row in below]
         kind = next((kind for kind in (_is_plain, is_time) if kind(cell)), None)
-        if not (all(map(kind, column)) if kind is not None else set(column) == {cell}):
+        if not (all(map(kind, column)) if kind is not None else {*column} == {cell} or _is_made_alike(cell, column)):
             return False
     return True
+
+
+def _is_made_alike(cell: str, column: Sequence[str]) -> bool:
+    """Return True if all cells of a column hold digits and other signs, and are like the first but for these digits."""
+    made = {re.sub(r"\w+", "w", one.lstrip("+-")) for one in (cell, *column)}
+    return len(made) == 1 and all(re.search(r"\d", one) for one in (cell, *column)) and "w" not in made
 
 
 def are_stamps(rows: Sequence[Sequence[str]]) -> bool:

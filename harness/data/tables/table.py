@@ -10,7 +10,7 @@ from harness.data.tables.named import Columns, Source
 from harness.data.tables.packing import unzipped
 from harness.errors import InputError, no_file
 
-_TEXT = (".csv", ".tsv", ".txt", ".lvm", ".log", ".asc", ".prn", ".tab", ".jsonl", ".ndjson")
+_TEXT = (".csv", ".tsv", ".txt", ".lvm", ".log", ".asc", ".prn", ".tab", ".jsonl", ".ndjson", ".lp")
 _PACKED = (".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
 BARE = (*_TEXT, ".dat", *_PACKED, ".parquet", ".pq", ".feather", ".arrow", ".xlsx", ".xlsm", ".json", ".zip")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""

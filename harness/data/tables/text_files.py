@@ -26,6 +26,7 @@ from harness.data.tables.cells import (
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
 from harness.data.tables.keyed import keyed
 from harness.data.tables.labelled import labelled
+from harness.data.tables.printed import printed
 from harness.data.tables.stacked import (
     CERTAIN,
     MOST_ABOVE,
@@ -97,7 +98,7 @@ class TextFile:
             self.notes.append(f"the text is no UTF-8: its letters are read as {coding} ({CODINGS[coding]})")
         self._lines = _of_tables(closed_lines(lines) if '"' in text else enumerate(lines, start=1))
         self._leave_out_below()
-        for other in (labelled, keyed):
+        for other in (printed, labelled, keyed):
             if (found := other(self._lines)) is not None:
                 self._lines = found[0]
                 self.notes.append(found[1])
@@ -249,6 +250,8 @@ class TextFile:
         """Leave out what a logger writes above its table."""
         head = [cells_of(line, self._delimiter) for _, line in self._lines[: MOST_ABOVE + MOST_ROWS + CERTAIN]]
         last = [cells_of(line, self._delimiter) for _, line in self._lines[-SAMPLE - 1 :]]
+        width = min(map(len, last))  # a sign may end the lines above alone
+        head = [row[:-1] if len(row) == width + 1 and not row[-1] else row for row in head]
         if logger_titles(head) is None and (begin := begin_of(head, last) or self._begin_untitled(head, last)):
             self._leave_out(begin)
 
