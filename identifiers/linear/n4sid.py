@@ -13,12 +13,12 @@ from harness.judgement import Feedback, feedback_of, refuse_law
 from harness.models.determined import KEY, determined_bands
 from harness.models.lqr import spectral_radius
 from harness.models.spread import Matrices
-from harness.scoring import equation_error, simulation_error
+from harness.scoring import predict
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.neighbours import spread_of
+from identifiers.common.neighbours import GROUPS, spread_of
 from identifiers.common.records import learnable, missing_notes
 from identifiers.common.scaling import Scaling, scaled
 from identifiers.common.stability import clip_eigenvalues
@@ -37,11 +37,12 @@ from identifiers.linear.projections import (
 )
 from identifiers.linear.state_space_estimate import state_space_estimate
 
-# Without an order the candidates are those up to here; a larger one is taken only for this gain in validated error.
+# Without an order the candidates are those up to here; a later method is taken only for this gain in validated error.
 _MOST = 12
 _GAIN = 0.99
 # The last order that few lines can tell is not needed if a smaller one comes so near.
 _NEAR = 1.1
+_FAR = 1e70  # An error that counts as any larger one: the variance of its square is a number still.
 PASTS = (12, 20, 30, 50)  # Lengths of the past that are tried where none is given.
 SHORTER = (8, 5, 3)  # Lengths that are tried where missing readings leave no stretch of that length.
 # A longer past is taken only if it lowers the error by this much: it costs variance and time.
@@ -153,18 +154,26 @@ class Subspace:
         orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1, lags // 2) + 1))
         found = self._models(data.records, window, methods, orders, what)
         ladders = {
-            name: {len(model.a_matrix): _error(model, data.records, window, data.feedback.found) for model, _ in models}
+            name: {
+                len(model.a_matrix): _squares(model, data.records, window, data.feedback.found) for model, _ in models
+            }
             for name, models in found.items()
         }
+        judged = ladders
         if self.order is None:
-            ladders = self._left_out(ladders, data.records, window, data.feedback.found, what)
-        chosen = {name: _order(ladder) for name, ladder in ladders.items()}
-        method = _best({name: ladder[chosen[name]] for name, ladder in ladders.items()})
+            judged = self._left_out(ladders, data.records, window, data.feedback.found, what)
+            ladders = {
+                name: {size: np.concatenate([ladders[name][size], held]) for size, held in own.items()}
+                for name, own in judged.items()
+            }
+        chosen = {name: _order(ladder) for name, ladder in judged.items()}
+        method = _best({name: _rms(ladder[chosen[name]]) for name, ladder in ladders.items()})
         order = chosen[method]
         if self.order is None and lags < 2 * wanted and order == orders[-1]:
-            order = _enough(ladders[method], order, lags, what)
+            order = _enough(judged[method], order, lags, what)
         model, values = next(candidate for candidate in found[method] if len(candidate[0].a_matrix) == order)
-        return _Found(data, model, values, method, window, ladders[method])
+        ladder = {size: _rms(squares) for size, squares in ladders[method].items()}
+        return _Found(data, model, values, method, window, ladder)
 
     def _window(self, past: int, what: str) -> int:
         """Return the length of past and future for these options; refuse those that make no sense."""
@@ -251,13 +260,13 @@ class Subspace:
 
     def _left_out(
         self,
-        ladders: Mapping[Method, Mapping[int, float]],
+        ladders: Mapping[Method, Mapping[int, FloatArray]],
         records: Sequence[Trajectory],
         window: int,
         feedback: bool,
         what: str,
-    ) -> dict[Method, dict[int, float]]:
-        """Return the errors of methods and orders, counted also on stretches that a fit on the others left out."""
+    ) -> dict[Method, dict[int, FloatArray]]:
+        """Return the errors of methods and orders on stretches that a fit on the others left out."""
         fit, held = _parted(records, window)
         fit, held = (
             [record for record in fit if len(record) > 2 * window + 1],
@@ -271,11 +280,11 @@ class Subspace:
                 remedy="give the order, or a smaller past",
             )
         orders = list(range(1, max(max(ladder) for ladder in ladders.values()) + 1))
-        both: dict[Method, dict[int, float]] = {}
+        found: dict[Method, dict[int, FloatArray]] = {}
         for method, models in self._models(fit, window, tuple(ladders), orders, what).items():
-            errors = {model.a_matrix.shape[0]: _error(model, held, window, feedback) for model, _ in models}
-            both[method] = {n: float(np.hypot(e, errors[n])) for n, e in ladders[method].items() if n in errors}
-        return both
+            errors = {model.a_matrix.shape[0]: _squares(model, held, window, feedback) for model, _ in models}
+            found[method] = {n: errors[n] for n in ladders[method] if n in errors}
+        return found
 
     def _models(
         self, records: Sequence[Trajectory], window: int, methods: Sequence[Method], orders: Sequence[int], what: str
@@ -374,33 +383,48 @@ def _parted(records: Sequence[Trajectory], window: int) -> tuple[list[Trajectory
     return fit, held
 
 
-def _error(model: LinearModel, records: Sequence[Trajectory], skip: int, feedback: bool) -> float:
-    """Return the rms over records and outputs of the errors one step ahead, or in open loop of free runs.
+def _squares(model: LinearModel, records: Sequence[Trajectory], skip: int, feedback: bool) -> FloatArray:
+    """Return the mean squares in 20 stretches of the errors one step ahead, or in open loop of free runs.
 
     A free run shows modes that grow, which one step ahead hides; under feedback it would leave the records by itself.
+    Its start is fitted to every record: as many degrees of freedom as there are states.
     """
-    scores = [
-        equation_error(model, record, burn_in=skip) if feedback else simulation_error(model, record)
-        for record in records
-    ]
-    with np.errstate(over="ignore"):
-        error = float(np.sqrt(np.mean([np.square(score.rms) for score in scores])))
-    return error if np.isfinite(error) else 1e300
+    fitted = 0 if feedback else len(model.a_matrix) * len(records)
+    misses = []
+    for record in records:
+        with np.errstate(over="ignore", invalid="ignore"):
+            ahead = predict(model, record, 1 if feedback else None)
+        first = skip if feedback else int(model.burn_in)
+        misses.append((record.y - np.where(np.isfinite(ahead), ahead, _FAR))[first:])
+    squares = np.clip(np.concatenate(misses), -_FAR, _FAR) ** 2
+    squares = squares[np.isfinite(squares).all(axis=1)].mean(axis=1)  # where readings are missing nothing is known
+    squares = squares * len(squares) / max(len(squares) - fitted / model.spec.ny, 1.0)
+    return np.array([np.mean(part) for part in np.array_split(squares, min(GROUPS, len(squares)))])
 
 
-def _order(errors: Mapping[int, float]) -> int:
-    """Return the order of least error; a larger one only for a gain that is more than chance or rounding."""
-    best = (np.inf, 1)
-    for order, error in errors.items():
-        if error < _GAIN * best[0] and best[0] > ROUNDING:
-            best = (error, order)
-    return best[1]
+def _rms(squares: FloatArray) -> float:
+    """Return the root of the mean of mean squares."""
+    return float(np.sqrt(np.mean(squares)))
 
 
-def _enough(errors: Mapping[int, float], last: int, lags: int, what: str) -> int:
+def _order(squares: Mapping[int, FloatArray]) -> int:
+    """Return the smallest order that errs no more than that of least error does, by more than one standard error.
+
+    Of the difference over the stretches (Breiman, Friedman, Olshen & Stone 1984, *Classification and Regression Trees*,
+    sec. 3.4.3): the least of many errors is so by chance.
+    """
+    best = squares[min(squares, key=lambda order: _rms(squares[order]))]
+    for order, own in squares.items():
+        more = own - best
+        if _rms(own) <= ROUNDING or more.mean() * np.sqrt(len(more)) <= more.std():
+            return order
+    return max(squares)
+
+
+def _enough(squares: Mapping[int, FloatArray], last: int, lags: int, what: str) -> int:
     """Return the order below the last that inputs of so many lags can tell; refuse if the last is clearly better."""
-    smaller = {order: error for order, error in errors.items() if order < last}
-    if not smaller or smaller[_order(smaller)] > _NEAR * errors[last]:
+    smaller = {order: own for order, own in squares.items() if order < last}
+    if not smaller or _rms(smaller[_order(smaller)]) > _NEAR * _rms(squares[last]):
         raise _unexcited(what, f"{lags + 1} or more, which tells whether {last} states are enough", lags)
     return _order(smaller)
 

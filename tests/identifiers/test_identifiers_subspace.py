@@ -455,3 +455,19 @@ def test_fast_sampling_gets_a_longer_past_and_white_excitation_does_not():
     assert model.notes["past"] > 12
     assert simulation_error(model, seen(2, 1000)).nrmse[0] < 0.08
     assert Subspace().fit([run(800, 0, noise=0.1)], rng=RNG).notes["past"] == 12
+
+
+def test_n4sid_takes_few_more_poles_than_the_plant_has():
+    """The start of a free run fits noise as well, the better the more states there are."""
+    orders, w = [], 0.2 * np.pi
+    (b,), a, _ = cont2discrete(([w * w], [1.0, 0.6 * w, w * w]), 1.0)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.0], 750), 2)[:, None]
+        y = lfilter(b, a, u, axis=0)
+        y = y + 0.1 * y.std() * rng.normal(size=y.shape)
+        spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+        model = Subspace().fit([Trajectory(np.arange(1500.0), u, y, spec)], rng=rng)
+        orders.append(len(model.a_matrix))
+    assert min(orders) >= 2
+    assert np.median(orders) <= 4
