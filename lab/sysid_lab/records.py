@@ -20,7 +20,8 @@ from sysid_lab.truths.hardware import as_hardware
 from sysid_lab.truths.hidden import falling_damping, force_size, hide, hide_outside, sagging_gain
 from sysid_lab.truths.simulation import DT, SUBSTEPS, Motion, simulate
 
-SAMPLES = 5000  # Of one record: 20 s at 250 Hz.
+SAMPLES = 5040
+"""Of one record: 20 s at 250 Hz. Every 2nd to 10th row make as long a record, in which slow changes take as long."""
 BAND = (0.1, 3.0)  # Of the multisine [Hz].
 _ANGLE = Channel("theta", "rad", period=2 * math.pi)
 SPECS = {
@@ -28,6 +29,8 @@ SPECS = {
     "cart-pole": PlantSpec((Channel("u", "N"),), (Channel("x", "m"), _ANGLE), DT),
 }
 USES: tuple[Use, ...] = ("estimation", "validation")
+_CUTS = ("sensor_saturation", "sensor_rectification")
+"""Errors of a sensor that come after those that bend its reading, wherever these belong."""
 _HEAVY_ROD = 0.03  # Inertia of the pole beyond that of a point mass, over it.
 
 
@@ -92,7 +95,7 @@ def make_records(task: Task, *, samples: int = SAMPLES) -> Records:
         shaken = disturbance(task.shape, len(u), DT, natural_frequency(values), stream(*key, use, "disturbance"))
         unknown = task.disturbance * rms(u) * shaken
         reading = _simulated(task, parameters, values, hidden, use, u, unknown, starts[use])
-        y = _measured(task.plant, (*wrong, *hidden), reading[PRE:], noise, stream(*key, use, "noise"))
+        y = _measured(task.plant, (*hidden, *wrong), reading[PRE:], noise, stream(*key, use, "noise"))
         t: FloatArray = np.arange(samples, dtype=np.float64) * DT
         recorded = u[PRE:] + task.input_noise * rms(u) * stream(*key, use, "input-noise").standard_normal(samples)
         runs.append(Run(Trajectory(t, recorded[:, None], y, SPECS[task.plant]), use, use))
@@ -242,10 +245,10 @@ def _simulated(
 def _measured(
     plant: str, hidden: tuple[Hidden, ...], reading: FloatArray, noise: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Return what is recorded: the sensors' errors, then noise; rounding comes last."""
+    """Return what is recorded: the sensors' errors in their order, then noise; rounding comes last."""
     names = [channel.name for channel in SPECS[plant].outputs]
     y = reading.copy()
-    for effect in hidden:
+    for effect in sorted(hidden, key=lambda one: one.name in _CUTS):
         if effect.sensor is not None and not effect.late:
             y[:, names.index(effect.at)] = effect.sensor(y[:, names.index(effect.at)])
     y = y + noise * rng.standard_normal(y.shape)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from sysid_lab.catalogue import places, sources
 from sysid_lab.plan import BASES, NOISE, SHARES, Task, plan
-from sysid_lab.records import make_records
+from sysid_lab.records import SAMPLES, make_records
 from sysid_lab.truths.context import rms
 from sysid_lab.truths.disturbances import KINDS, disturbance
 from sysid_lab.truths.simulation import SUBSTEPS
@@ -206,7 +207,7 @@ def test_forces_have_the_size_that_is_said(plant):
     force = made.hidden[0].named["Fc"]
     u = made.dataset.estimation[0].u
     assert 0.05 < force / rms(u) < 0.11
-    assert made.dataset.spec.sample_time * len(u) == pytest.approx(20.0)
+    assert made.dataset.spec.sample_time * len(u) == pytest.approx(20.16)
 
 
 @pytest.mark.parametrize(("plant", "engine"), [("pendulum", "bullet"), ("cart-pole", "pymunk"), ("cart-pole", "fmu")])
@@ -232,3 +233,20 @@ def test_a_force_that_is_put_on_an_engine_is_not_late(law):
     theirs = engines.engine_run("fmu", "pendulum", values, {}, force, start, truth)[::SUBSTEPS]
     error = np.abs(theirs - records.simulate(truth, u, start=start).q).max()
     assert error < 0.02 * min(NOISE.values()), "half a fine step late, a spring drives, and a drag takes mass away"
+
+
+def test_errors_of_a_sensor_come_in_the_order_in_which_an_answer_names_them():
+    from sysid_lab.records import _measured
+
+    sensor = task("pendulum", effects=("sensor_gain@theta",), level="nominal")
+    made = make_records(replace(sensor, structure="eccentric-encoder"), samples=600)
+    gain, cyclic = made.known
+    y = np.linspace(-1.0, 1.0, 50)[:, None]
+    assert {gain.name, cyclic.name} == {"sensor_gain", "sensor_cyclic_error"}
+    read = _measured("pendulum", made.known, y, 0.0, np.random.default_rng(0))
+    scaled = gain.named["gain"] * y
+    assert np.allclose(read, scaled + cyclic.named["A"] * np.sin(cyclic.named["k"] * scaled + cyclic.named["phi"]))
+
+
+def test_a_thinned_record_is_as_long_as_it_was():
+    assert all(len(range(0, SAMPLES, factor)) * factor == SAMPLES for factor in range(2, 11))

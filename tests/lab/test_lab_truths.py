@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sysid_lab.truths.simulation import DT, simulate
+from sysid_lab.truths.applied import actuated
+from sysid_lab.truths.simulation import DT, SUBSTEPS, simulate
 
 from harness.errors import InputError
 
@@ -182,3 +183,13 @@ def test_parameters_have_true_values_where_the_model_has_the_truth_in_it(engine,
                 structure=structure)  # fmt: skip
     placed = [Placed(builtin()[name], at) for name, at in (one.split("@") for one in accepted)]
     assert _holds(task, placed, make_records(task, samples=500)) is (holds == "yes")
+
+
+def test_a_lag_passes_on_all_that_it_is_given_no_later_than_it_is():
+    tau, u = 0.0025, np.repeat([0.0, 1.0], [1, 5])
+    t = np.maximum(np.arange(6) * DT - DT, 0.0)
+    moved = simulate({"J": 1.0, "tau": tau}, u, start=np.zeros(2)).v[:, 0]
+    exact = t - tau * (1.0 - np.exp(-t / tau))
+    assert np.abs(moved - exact).max() < 1e-12, "late by a thousandth of itself, a lag has another true value"
+    passed = actuated({"tau": tau}, u).reshape(-1, SUBSTEPS).mean(axis=1).cumsum() * DT
+    assert np.abs(passed[:-1] - exact[1:]).max() < 1e-12

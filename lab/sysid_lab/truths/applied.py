@@ -78,7 +78,8 @@ def actuated(values: Mapping[str, float], u: FloatArray) -> FloatArray:
         from scipy.signal import lfilter
 
         pole = math.exp(-STEP / values["tau"])
-        f = lfilter([0.5 * (1 - pole), 0.5 * (1 - pole)], [1.0, -pole], f - f[0]) + f[0]
+        z = lfilter([0.0, 1 - pole], [1.0, -pole], f - f[0]) + f[0]
+        f = f + (z - f) * (1 - pole) * values["tau"] / STEP  # the mean over a step
     if "R" in values:
         most, z, limited = values["R"] * STEP, float(f[0]), np.empty_like(f)
         for k, wanted in enumerate(f.tolist()):

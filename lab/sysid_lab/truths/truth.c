@@ -303,8 +303,11 @@ __attribute__((visibility("default"))) int simulate(const double *p, const doubl
         const double change = share * (f - z), most = p[P_R] * h;
         const double old = z;
         z += fabs(change) > most ? copysign(most, change) : change;
-        /* halfway between old and new state: right to second order, where a held value would be half a step late */
-        f = p[P_tau] > 0 || p[P_R] < 1e29 ? 0.5 * (old + z) : f;
+        /* the mean over the step: of a lag exactly, of a limited rate halfway between old and new state */
+        if (p[P_R] < 1e29)
+            f = 0.5 * (old + z);
+        else if (p[P_tau] > 0)
+            f += (old - f) * share * p[P_tau] / h;
         f *= p[P_gain];
         if (s % substeps == 0) {
             for (int i = 0; i < 4; i++) states[4 * k + i] = x[i];
