@@ -18,7 +18,7 @@ from harness.diagnosis.search.fit import Fit, Jump
 from harness.diagnosis.search.leftover import Axis, Leftover
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.scores import Lead, ScoreTest
-from harness.diagnosis.stand_in import stand_in_reasons
+from harness.diagnosis.stand_in import stand_in_reasons, traded
 from harness.diagnosis.systems import AnySystem
 from harness.diagnosis.wanted import Wanted
 from harness.signals import Dataset, FloatArray
@@ -189,6 +189,8 @@ class Diagnosis:
         reasons = stand_in_reasons(
             [accepted.placed for accepted in self.outcome.accepted], None if self.left is None else self.left.name
         )
+        trade = traded(self.final)
+        reasons = reasons if trade is None else (*reasons, trade)
         for name, share in self.outcome.denied(self.policy):
             reasons = (*reasons, f"the validation records want {100 * share:.0f} % of the size of {name}")
         unlawful = self.outcome.unlawful(self.policy) if self.outcome.accepted else None

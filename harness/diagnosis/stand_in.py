@@ -3,13 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from harness.effects.effect import Placed
+
+if TYPE_CHECKING:
+    from harness.diagnosis.search.fit import Fit
 
 
 def same_whole(one: Placed, other: Placed) -> bool:
     """Return True for two laws at one place that each are the whole law of the same thing there: dry friction, say."""
     return bool(one.effect.whole) and (one.at, one.effect.whole) == (other.at, other.effect.whole)
+
+
+def of_nothing(fit: Fit) -> list[tuple[Placed, tuple[float, float]]]:
+    """Return the effects of a fit whose size may be nothing at all, with its 95 % interval."""
+    found = []
+    for one in fit.effects:
+        main, name = one.effect.main, one.main()
+        if main is None or name not in fit.free or name in fit.on_bound or not np.isfinite(fit.deviations[name]):
+            continue
+        low, high = fit.interval(name)
+        if main.neutral is not None and low <= main.neutral <= high:
+            found.append((one, (low, high)))
+    return found
+
+
+def traded(fit: Fit) -> str | None:
+    """Return why effects that stand beside each other imitate another law: of none of them is a size told, if so."""
+    names = [one.effect.name.replace("_", " ") for one, _ in of_nothing(fit)]
+    if len(names) < 2:
+        return None
+    return f"each of {', '.join(names)} may be nothing by all readings: they trade with each other"
 
 
 def stand_in_reasons(accepted: Sequence[Placed], left: str | None) -> tuple[str, ...]:

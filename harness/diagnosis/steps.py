@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
 from harness.diagnosis.contested import explains_nothing, follows_whole
 from harness.diagnosis.dictionary import Laws, placed
 from harness.diagnosis.forms.fit_records import reading_noise
@@ -28,6 +26,7 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.refusal import Kind as Reason
 from harness.diagnosis.search.refusal import Refusal
 from harness.diagnosis.search.table import Accepted
+from harness.diagnosis.stand_in import of_nothing
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -275,18 +274,12 @@ def over_nothing(fit: Fit) -> list[str]:
 
     What was accepted was told beside fewer readings, or before the rounding of the sensors was known.
     """
-    warnings = []
-    for one in fit.effects:
-        main, name = one.effect.main, one.main()
-        if main is None or name not in fit.free or name in fit.on_bound or not np.isfinite(fit.deviations[name]):
-            continue
-        low, high = fit.interval(name)
-        if main.neutral is not None and low <= main.neutral <= high:
-            warnings.append(
-                f"the 95 % interval of {name}, {low:.3g} to {high:.3g}, holds {main.neutral:g}: by all readings "
-                f"{one.effect.name.replace('_', ' ')} may not be there"
-            )
-    return warnings
+    return [
+        f"the 95 % interval of {one.main()}, {low:.3g} to {high:.3g}, holds {main.neutral:g}: by all readings "
+        f"{one.effect.name.replace('_', ' ')} may not be there"
+        for one, (low, high) in of_nothing(fit)
+        if (main := one.effect.main) is not None
+    ]
 
 
 def day_warnings(fit: Fit, runs: FreeRuns) -> list[str]:

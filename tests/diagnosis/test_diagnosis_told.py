@@ -12,6 +12,7 @@ from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.runs.form import FreeRunForm
+from harness.diagnosis.stand_in import traded
 from harness.diagnosis.steps import over_nothing
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -33,6 +34,23 @@ def test_a_size_that_may_be_nothing_by_all_readings_is_said(half: float, bound: 
     warnings = over_nothing(fit)
     assert bool(warnings) == told
     assert all("x.Fc" in words and "coulomb friction may not be there" in words for words in warnings)
+    assert traded(fit) is None
+
+
+def test_effects_of_which_none_is_told_stand_in_for_another_law() -> None:
+    """A stop at one side was a quadratic spring of 240 +- 5000, a wave of 64 +- 1400 and an error of the sensor."""
+    both = (FRICTION, Placed(builtin()["linear_spring"], "x"))
+    names = tuple(one.name(main.name) for one in both if (main := one.effect.main) is not None)
+
+    def fit(*halves: float) -> Any:
+        ends = {name: (0.5 - half, 0.5 + half) for name, half in zip(names, halves, strict=True)}
+        return SimpleNamespace(effects=both, free=names, on_bound=(), deviations=dict.fromkeys(names, 1.0),
+                               interval=ends.__getitem__)  # fmt: skip
+
+    assert traded(fit(0.6, 0.4)) is None
+    assert traded(fit(0.6, 9.0)) == (
+        "each of coulomb friction, linear spring may be nothing by all readings: they trade with each other"
+    )
 
 
 def test_the_motion_of_a_level_is_about_where_it_stood() -> None:
