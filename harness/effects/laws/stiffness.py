@@ -236,7 +236,7 @@ def mass_step(m: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
             meaning="damping of the stop"),
         par("centre", "q", scale="0", fixed=True, meaning="middle of the free travel"),
     ],
-    formula="F = -k dz(q) - d dz'(q) v, dz: how far |q - centre| lies beyond the stop (corner rounded over stop/500)",
+    formula="F = -k dz(q) - d dz'(q) v, dz: how far |q - centre| lies beyond the stop (corner rounded over stop/5000)",
     family=("cubic_spring", "sensor_saturation"),
     limits={"cubic_spring": "if only the rounded edge of the stop is touched"},
     experiment="drive slowly against both ends",
@@ -245,5 +245,5 @@ def mass_step(m: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
 )  # fmt: skip
 def end_stop(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Elastic limit of the travel."""
-    x, smoothing = q - p.centre, 2e-3 * p.stop + 1e-9
+    x, smoothing = q - p.centre, 2e-4 * p.stop + 1e-9
     return -p.k * dead_band(x, p.stop, smoothing) - p.d * dead_band_slope(x, p.stop, smoothing) * v

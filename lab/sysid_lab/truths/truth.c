@@ -19,7 +19,7 @@
    a lever arm, a base that sways on a spring (pendulum). */
 #include <math.h>
 
-enum { SLIPS = 4, NX = 22, MOTOR = 4, RATE = 5, HYST = 6, MAXWELL = 8, BRISTLE = 10, SLIP = 12, BASE = 20 };
+enum { SLIPS = 4, MANY = 50, NX = 22, MOTOR = 4, RATE = 5, HYST = 6, MAXWELL = 8, BRISTLE = 10, SLIP = 12, BASE = 20 };
 #define SOONEST 5000.0 /* 1/s: a fine step is 0.2 ms */
 #define AT(name, i) p[name##0 + (i) * (P_b1 - P_b0)]
 
@@ -235,7 +235,7 @@ static void choose(const double *p, const double *x, double u, double t, int *mo
     }
 }
 
-static void advance(const double *p, double *x, double u, double t, double h)
+static void slide(const double *p, double *x, double u, double t, double h)
 {
     for (int reversals = 0; h > 0 && reversals < 8; reversals++) {
         int mode[2];
@@ -257,6 +257,25 @@ static void advance(const double *p, double *x, double u, double t, double h)
         t += part * h;
         h -= part * h;
     }
+}
+
+/* Which stops and which flanks of a play are touched. */
+static int touched(const double *p, const double *x)
+{
+    int found = p[P_kt] > 0 && play(x[MOTOR] - x[0], p[P_gap]) != 0;
+    for (int i = 0; i < 2; i++) found |= (play(x[i], AT(P_stop, i)) != 0) << (i + 1);
+    return found;
+}
+
+/* Where a damper takes hold within a step, the force jumps: many steps for that one. */
+static void advance(const double *p, double *x, double u, double t, double h)
+{
+    double before[NX];
+    for (int i = 0; i < NX; i++) before[i] = x[i];
+    slide(p, x, u, t, h);
+    if (touched(p, before) == touched(p, x)) return;
+    for (int i = 0; i < NX; i++) x[i] = before[i];
+    for (int k = 0; k < MANY; k++) slide(p, x, u, t + k * (h / MANY), h / MANY);
 }
 
 /* n samples of substeps fine steps h each; u: command, d: unknown force, both held over a sample.
