@@ -14,6 +14,7 @@ from identifiers.common.regression import Solution
 
 GROUPS = 20
 """Stretches, each 5 % of the rows: long beside the memory of the noise, and 19 degrees of freedom (Kott 2001)."""
+STRETCHES = f"jackknife: fits that leave out one of {GROUPS} stretches of the records"
 CHECKED = 20_000  # Rows of a regression whose scatter is looked at: it is known to a part in a hundred from so many.
 LARGEST = 200
 """Regressors, and states, beyond which no neighbours are kept: a system of equations for each, and a large file."""

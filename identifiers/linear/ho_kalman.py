@@ -21,7 +21,7 @@ from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
-from identifiers.common.neighbours import coefficients_without, spread_of
+from identifiers.common.neighbours import STRETCHES, coefficients_without, spread_of
 from identifiers.common.normal import scaled_equations, solved
 from identifiers.common.observers import stationary_gain
 from identifiers.common.records import (
@@ -253,7 +253,11 @@ class HoKalman(Excited):
         model = LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), response.level, notes=notes)
         if "stabilized" not in notes:
             near = self._without_stretches(records, response, scaling, len(a))
-            model = replace(model, spread=spread_of(near, warning=notes.get("warning", "")))
+            left = [] if self.observer is None or not near else self._of_longer_memory(records, scaling, len(a))
+            method = f"{STRETCHES}, and the fit with an observer of twice the memory" if left else ""
+            factor = (len(near) - 1) / max(len(near), 1)
+            spread = spread_of([*near, *left], factor=factor, method=method, warning=notes.get("warning", ""))
+            model = replace(model, spread=spread)
         model = model.in_units(scaling)
         notes[KEY] = determined_bands(model.matrices, records)
         rule = "given" if self.order is not None else "Hankel singular values above the noise"
@@ -280,13 +284,29 @@ class HoKalman(Excited):
         self, records: Sequence[Trajectory], response: _Response, scaling: Scaling, order: int
     ) -> list[Matrices]:
         """Return A, B, C, D of the fits without one stretch of the records each, order and prior held; scaled."""
-        spec = records[0].spec
-        near = []
-        for markov in self._responses_without(records, response):
-            scaled_response = markov * scaling.inputs / scaling.outputs[:, None]
-            a, b, c, _ = realize(scaled_response[1:], order=order, rows=self.rows)
-            near.append((a, b, c, scaled_response[0] if self.direct else np.zeros((spec.ny, spec.nu))))
-        return near
+        return [self._matrices(markov, scaling, order) for markov in self._responses_without(records, response)]
+
+    def _of_longer_memory(self, records: Sequence[Trajectory], scaling: Scaling, order: int) -> list[Matrices]:
+        """Return A, B, C, D of the fit with an observer of twice the memory, none where records do not tell it.
+
+        What an observer's memory cuts off is no noise of any stretch: how far the answer moves when it is kept says how
+        much that may be.
+        """
+        assert isinstance(self.observer, int)
+        memory, how = 2 * self.observer, {"offset": self.offset, "direct": self.direct}
+        if sum(map(len, records)) < _ROWS * memory * (records[0].spec.ny + records[0].spec.nu):
+            return []
+        try:
+            return [self._matrices(observer_markov(records, memory, self.markov, **how)[0], scaling, order)]
+        except FitError:
+            return []
+
+    def _matrices(self, markov: FloatArray, scaling: Scaling, order: int) -> Matrices:
+        """Return A, B, C, D of Markov parameters (M, ny, nu) of unscaled records."""
+        ny, nu = markov.shape[1:]
+        markov = markov * scaling.inputs / scaling.outputs[:, None]
+        a, b, c, _ = realize(markov[1:], order=order, rows=self.rows)
+        return a, b, c, markov[0] if self.direct else np.zeros((ny, nu))
 
     def _responses_without(self, records: Sequence[Trajectory], response: _Response) -> list[FloatArray]:
         """Return the Markov parameters (M, ny, nu) without one stretch of the records each."""

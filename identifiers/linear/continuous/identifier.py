@@ -17,7 +17,7 @@ from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
-from identifiers.common.neighbours import GROUPS, steps_without
+from identifiers.common.neighbours import GROUPS, STRETCHES, steps_without
 from identifiers.common.records import learnable
 from identifiers.common.scaling import Scaling, scaled
 from identifiers.linear.arx import Arx
@@ -182,7 +182,7 @@ class ContinuousTransferFunction(Excited):
         feedback = feedback_of(measured)
         if feedback.found:
             notes["warning"] = "outputs predict the input (feedback): output error is biased unless noise is white"
-        method = f"jackknife: fits that leave out one of {GROUPS} stretches of the records"
+        method = STRETCHES
         free = float(GROUPS - 1)
         model = sampled_model(spec, rows, covariances, self.hold, notes, freedom=free, method=method)
         estimate = estimate_of_rows(spec.inputs, spec.outputs, rows, covariances, freedom=free, method=method)
