@@ -32,6 +32,7 @@ def close_loop(
     effects: Sequence[str | Effect] = (),
     resume: bool = False,
     force: bool = False,
+    step_limit: float | None = None,
     progress: Callable[[float, str], None] | None = None,
     **records: Unpack[Records],
 ) -> Report:
@@ -56,6 +57,9 @@ def close_loop(
         Continue what an interrupted call left in ``out``.
     force : bool
         Overwrite a finished report in ``out``.
+    step_limit : float, optional
+        Longest time [s] for one step of an FMU, by default :data:`harness.supervision.patience.LONGEST`, or what its
+        steps before tell.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
     **records : Records
@@ -71,9 +75,8 @@ def close_loop(
     InputError
         If the data, the model or the folder cannot be used.
     PlantError
-        If an FMU ends its process, or gives no sign of life (:data:`harness.supervision.guarded.SILENCE`): it runs in
-        one of its
-        own, which cannot end this one.
+        If an FMU ends its process, which is one of its own, or a step of it does not end at the declared or fitted
+        values; other values at which one does not are taken as impossible.
     """
     from harness import diagnosis
     from harness.diagnosis.dictionary import with_effects_of
@@ -86,8 +89,17 @@ def close_loop(
         from harness.supervision.guarded import guarded
 
         what = f"the FMU {Path(loaded.nominal.model).name}"
-        return cast("Report", guarded(diagnosis.close_loop_file, loaded, what=what, **how))
+        return cast("Report", guarded(_close_loop_patiently, loaded, step_limit, what=what, **how))
     return diagnosis.close_loop_file(loaded, **how)  # data that are read already pass through
+
+
+def _close_loop_patiently(loaded: Any, step_limit: float | None, **how: Any) -> Report:
+    """Close the loop around an FMU, from the process that is its own."""
+    from harness import diagnosis
+    from harness.supervision.patience import waiting
+
+    with waiting(step_limit):
+        return diagnosis.close_loop_file(loaded, **how)
 
 
 def isolability(

@@ -5,15 +5,20 @@ from __future__ import annotations
 import math
 import os
 import statistics
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic, thread_time
 from typing import Any
 
 import numpy as np
 
 from harness.blackbox.recent import Recent
 from harness.blackbox.system import FmuSystem
+from harness.errors import PlantError
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
+from harness.supervision.patience import Aside
 
 KEPT = 64  # Runs that are kept, also with their derivatives: records alternate while a fit steps.
 MEASURED = 8
@@ -74,8 +79,10 @@ class Runner:
     def __init__(self, nominal: FmuSystem, sample_time: float) -> None:
         self.nominal, self.sample_time = nominal, sample_time
         self._plant: Any = None
-        self._left: Any = None
+        self._left: list[Any] = []
         self._owner = 0
+        self._aside = Aside(Path(nominal.path).name)
+        self.stuck: PlantError | None = None  # The last run that did not come to its end
         self._set: dict[str, float] = {}
         self._finer: dict[int, Runner] = {}
         self.meter = Meter()
@@ -93,7 +100,8 @@ class Runner:
     def __getstate__(self) -> dict[str, Any]:
         fresh: dict[str, Any] = {
             "_plant": None,
-            "_left": None,
+            "_left": [],
+            "_aside": Aside(Path(self.nominal.path).name),
             "_owner": 0,
             "_set": {},
             "_finer": {},
@@ -113,7 +121,7 @@ class Runner:
         if self._plant is None or self._owner != os.getpid():
             from harness import registry
 
-            self._left = self._plant  # closing it here would free what belongs to the parent
+            self._left.append(self._plant)  # closing it here would free what belongs to the parent
             self._plant = registry.create(
                 "plants",
                 "fmu",
@@ -125,6 +133,46 @@ class Runner:
             )
             self._owner, self._set = os.getpid(), {}
         return self._plant
+
+    def run(self, work: Callable[[], None], samples: int) -> None:
+        """Let ``work`` begin a run of so many samples and step the plant through it; counts what that costs.
+
+        Raises PlantError (``timeout``) where a step does not end: the plant is left as it is, and the next run gets a
+        fresh one.
+        """
+        spent: list[float] = []
+
+        def measured() -> None:
+            began = thread_time()
+            try:
+                work()
+            finally:
+                spent.append(thread_time() - began)
+
+        def steps() -> int:
+            return -1 if self._plant is None else int(self._plant.steps)
+
+        def where() -> str:
+            return "its start" if self._plant is None else f"the step from t = {self._plant.now:.6g} s"
+
+        begun, patience = monotonic(), self._aside.patience
+        try:
+            self._aside.call(measured, steps, where, loads=self._plant is None)
+        except PlantError as error:
+            if not spent:
+                spent.append(patience.limit())
+                self._leave(error)
+            raise
+        finally:
+            self.meter.add(samples, sum(spent))
+        patience.took(self.plant.steps, monotonic() - begun)
+
+    def _leave(self, error: PlantError) -> None:
+        """Leave a plant behind that does not come back."""
+        plant, self._plant, self.stuck = self._plant, None, error
+        if plant is not None:
+            plant.abandon()
+            self._left.append(plant)
 
     def _settings(self) -> dict[str, float]:
         """Return the step and the tolerance that the system asks for."""

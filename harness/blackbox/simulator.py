@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from time import process_time
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -252,7 +251,6 @@ class FmuSimulator(BySample):
         n = (u.shape[0] - 1) * parts + 1
         if parts > 1:
             u, extra = np.repeat(u, parts, axis=0)[:n], None if extra is None else np.repeat(extra, parts, axis=0)[:n]
-        began = process_time()
         inner, runner = system.inner_count, self.runner.finer(parts)
         values = {parameter.name: float(value) for parameter, value in zip(system.parameters[:inner], p, strict=False)}
         start = {state.name: float(value) for state, value in zip(system.inner_states, x0, strict=False)}
@@ -262,18 +260,22 @@ class FmuSimulator(BySample):
         past = np.zeros(1 + 2 * len(system.coordinates))
         z = np.array(x0[len(system.inner_states) :], dtype=float)
         own = np.array(p[inner:], dtype=float)
-        try:
-            if not np.isfinite(x0).all():
-                raise ArithmeticError("a start that is not finite")
+
+        def work() -> None:
             table[0] = runner.start(values, start)
             if system.around is None:
                 pushed = u if extra is None else u + extra
                 table[1:] = runner.plant.rollout(np.ascontiguousarray(pushed[:-1]))
             else:
                 self._coupled(_Run(table, hidden, rates, past, z, own, u, extra, t0, runner.plant, self.dt / parts))
+
+        try:
+            if not np.isfinite(x0).all():
+                raise ArithmeticError("a start that is not finite")
+            runner.run(work, n)
         except (HarnessError, ArithmeticError):
+            table = table.copy()  # who does not come back may still write into the other
             table[1:] = np.nan
-        runner.meter.add(n, process_time() - began)
         return tuple(np.ascontiguousarray(one[::parts]) for one in (table, hidden, rates))  # type: ignore[return-value]
 
     # ---- the work ------------------------------------------------------------------------------------------------

@@ -68,6 +68,10 @@ def close_loop(
     workers: Annotated[int | None, typer.Option(min=1, help="fleet: number of processes; default all cores")] = None,
     engine: Annotated[str, typer.Option(help="fleet: local, or dask://HOST:PORT")] = "local",
     time_limit: Annotated[float | None, typer.Option(help="fleet: longest time for one record [s]")] = None,
+    step_limit: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="FMU: longest time for one step [s]; default 10 or less"),
+    ] = None,
     fail_on: FailOn = None,
     max_error: MaxError = None,
     max_share: MaxShare = None,
@@ -121,6 +125,7 @@ def close_loop(
             effects=effect or (),
             resume=resume,
             force=force,
+            step_limit=step_limit,
             progress=show,
             **records,
         )

@@ -227,6 +227,11 @@ class Coupled:
         return {"snapshots"}
 
     @property
+    def now(self) -> float:
+        """Time [s] that was reached by the last step."""
+        return self._tick * self._spec.sample_time
+
+    @property
     def spec(self) -> PlantSpec:
         """Channels of the coupled plant; its sample time is the communication step."""
         return self._spec

@@ -34,14 +34,19 @@ class _Line:
 
     connection: Connection | None = None
     last = 0.0
+    hurried = False
 
 
-def alive() -> None:
-    """Say that the work goes on; harmless outside of guarded work."""
+def alive(within: float | None = None, doing: str = "") -> None:
+    """Say that the work goes on; harmless outside of guarded work.
+
+    - ``within``: seconds in which the next sign comes, where less than usual
+    - ``doing``: what is to be said if it does not come
+    """
     now = time.monotonic()
-    if _Line.connection is not None and now - _Line.last > BEAT:
-        _Line.last = now
-        _Line.connection.send(("alive",))
+    if _Line.connection is not None and (now - _Line.last > BEAT or within is not None or _Line.hurried):
+        _Line.last, _Line.hurried = now, within is not None
+        _Line.connection.send(("alive", within, doing))
 
 
 def guarded(
@@ -67,15 +72,17 @@ def guarded(
     HarnessError
         What the work itself raises.
     """
-    limit = START
+    limit, doing = START, ""
     folder = tempfile.TemporaryDirectory(prefix="sysid-apart-", ignore_cleanup_errors=True)
     ours, process = fresh_process(_serve, folder.name, work, arguments, options)
     try:
         while True:
             if not ours.poll(limit):
-                raise PlantError(f"{what}: no sign of life for {limit:g} s", status="timeout")
+                raise PlantError(doing or f"{what}: no sign of life for {limit:g} s", status="timeout")
             kind, *content = ours.recv()
-            limit = SILENCE if silence is None else silence  # it has begun
+            limit, doing = SILENCE if silence is None else silence, ""  # it has begun
+            if kind == "alive" and content[0] is not None:
+                limit, doing = min(limit, content[0]), content[1]
             if kind == "progress" and progress is not None:
                 progress(*content)
             elif kind == "done":

@@ -5,17 +5,21 @@ A part of a coupled system that ends its process cannot say so itself.
 
 from __future__ import annotations
 
+import math
 import mmap
 import os
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
 FILE = "at-work-on"
 WIDTH = 256  # bytes of a name
+_TIME = struct.Struct("<d")
+_SIZE = WIDTH + _TIME.size
 
 
 class _Place:
-    memory: bytearray | mmap.mmap = bytearray(WIDTH)
+    memory: bytearray | mmap.mmap = bytearray(_SIZE)
 
 
 def share(folder: str | Path) -> None:
@@ -23,12 +27,14 @@ def share(folder: str | Path) -> None:
     try:
         file = os.open(Path(folder) / FILE, os.O_RDWR | os.O_CREAT, 0o600)
         try:
-            os.write(file, bytes(WIDTH))  # there must be room: a write to memory without any would end the process
-            _Place.memory = mmap.mmap(file, WIDTH)
+            os.write(
+                file, bytes(WIDTH) + _TIME.pack(math.nan)
+            )  # there must be room: a write to memory without any would end the process
+            _Place.memory = mmap.mmap(file, _SIZE)
         finally:
             os.close(file)
     except (OSError, ValueError):
-        _Place.memory = bytearray(WIDTH)
+        _Place.memory = bytearray(_SIZE)
 
 
 def marker(name: str) -> Callable[[], None]:
@@ -36,7 +42,7 @@ def marker(name: str) -> Callable[[], None]:
     memory, text = _Place.memory, name.encode(errors="replace")[: WIDTH - 1].ljust(WIDTH, b"\0")
 
     def mark() -> None:
-        memory[:] = text
+        memory[:WIDTH] = text
 
     return mark
 
@@ -44,6 +50,21 @@ def marker(name: str) -> Callable[[], None]:
 def at_work_on(name: str) -> None:
     """Say what this process is at work on, an empty name for nothing in particular."""
     marker(name)()
+
+
+def at_time(t: float) -> None:
+    """Say which time [s] what this process simulates has reached."""
+    _TIME.pack_into(_Place.memory, WIDTH, t)
+
+
+def was_at_time(folder: str | Path) -> float | None:
+    """Return the time [s] that the process which shares a folder with this one said last; None if it said none."""
+    try:
+        with open(Path(folder) / FILE, "rb") as file:
+            t = float(_TIME.unpack(file.read(_SIZE)[WIDTH:])[0])
+    except (OSError, struct.error):
+        return None
+    return t if math.isfinite(t) else None
 
 
 def was_at_work_on(folder: str | Path) -> str:

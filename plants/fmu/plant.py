@@ -272,7 +272,8 @@ class FmuPlant(Beyond):
     def _leave(self) -> None:
         """End the initialisation and read the outputs."""
         self._instance.leave()
-        self._engine.loop.k = 0
+        for engine in (self._engine, *(() if self._both is None else (self._both,))):
+            engine.loop.k = 0
         self._engine.loop.rollback = bool(self._instance.states)
         self._engine.loop.warnings = 0
         if self._engine.look():
@@ -440,9 +441,25 @@ class FmuPlant(Beyond):
         return np.array(starts(self._inputs, self._start))
 
     @property
+    def steps(self) -> int:
+        """Samples since the last reset, also while a step or a rollout is under way."""
+        engines = (self._engine,) if self._both is None else (self._engine, self._both)
+        return max(int(engine.loop.k) for engine in engines)
+
+    @property
+    def now(self) -> float:
+        """Time [s] that was reached by the last of these."""
+        return self._t0 + self.steps * self.spec.sample_time
+
+    @property
     def substeps(self) -> int:
         """Communication steps in a sample."""
         return self._substeps
+
+    def abandon(self) -> None:
+        """Leave the FMU as it is to the end of the process, as a call into it may not have come back."""
+        self._one = idle
+        self._finalizer.detach()
 
     def close(self) -> None:
         """Free the FMU and remove its temporary folder; harmless when called twice."""

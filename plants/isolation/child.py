@@ -22,7 +22,7 @@ from harness.errors import HarnessError, InputError, PlantError
 from harness.options import instead, meant_options
 from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import FloatArray
-from harness.supervision.whereabouts import share
+from harness.supervision.whereabouts import at_time, share
 from plants.isolation import frames
 from plants.isolation.frames import Answer, Made
 
@@ -38,12 +38,15 @@ def serve() -> None:
     """Run in the child: obey orders until the caller closes the pipe."""
     pipe = socket.socket(fileno=int(sys.argv[1]))
     parent = os.getppid()
+    plant: Plant | None = None
 
     def watch() -> None:
         # a hung plant must not outlive the caller
         while os.getppid() == parent:
             if hasattr(signal, "setitimer"):  # where this thread gets no turn, the alarm ends the process
                 signal.setitimer(signal.ITIMER_REAL, HELD)
+            if (now := getattr(plant, "now", None)) is not None:
+                at_time(now)
             time.sleep(0.5)
         shutil.rmtree(os.environ["TMPDIR"], ignore_errors=True)
         os._exit(1)
@@ -51,7 +54,6 @@ def serve() -> None:
     threading.Thread(target=watch, daemon=True).start()
     if (folder := os.environ.get("TMPDIR")) is not None:  # of its own, made by who started it
         share(folder)
-    plant: Plant | None = None
     states: dict[int, Any] = {}
     number, told = 0, 0
     while True:

@@ -25,7 +25,8 @@ import numpy as np
 from harness.errors import HarnessError, InputError, PlantError
 from harness.protocols import Ability, Plant
 from harness.signals import FloatArray, PlantSpec
-from harness.supervision.whereabouts import was_at_work_on
+from harness.supervision.patience import LOADING, LONGEST, Patience
+from harness.supervision.whereabouts import was_at_time, was_at_work_on
 from plants.checking import checked_inputs, refuse_input
 from plants.isolation import frames
 from plants.isolation.child import registered
@@ -48,9 +49,11 @@ class IsolatedPlant:
         Keyword arguments of the factory.
     timeout : float
         Longest time [s] for one call; a rollout is cut into chunks that stay far below it. A call that takes longer
-        ends the child and raises PlantError with the status ``timeout``.
-    start_timeout : float
-        Longest time [s] for starting the child and making the plant.
+        ends the child and raises PlantError with the status ``timeout``, as does a step that takes much longer than
+        those before it (:class:`harness.supervision.patience.Patience`).
+    start_timeout : float, optional
+        Longest time [s] for starting the child and making the plant, by default
+        :data:`harness.supervision.patience.LOADING`, or ``timeout`` where that is more.
     recycle : int
         Resets after which a fresh child is started (some FMUs leak or fail after about 1000 instances).
     show_output : bool
@@ -89,11 +92,12 @@ class IsolatedPlant:
         factory: str | Callable[..., Plant],
         options: Mapping[str, Any] | None = None,
         *,
-        timeout: float = 10.0,
-        start_timeout: float = 60.0,
+        timeout: float = LONGEST,
+        start_timeout: float | None = None,
         recycle: int = 500,
         show_output: bool = False,
     ) -> None:
+        start_timeout = max(LOADING, timeout) if start_timeout is None else start_timeout
         for name, value in (("timeout", timeout), ("start_timeout", start_timeout), ("recycle", recycle)):
             if not value > 0:
                 raise InputError(name, expected="a positive number", got=repr(value), remedy="give one")
@@ -110,6 +114,7 @@ class IsolatedPlant:
         if "path" in (options or {}):
             self._name = Path((options or {})["path"]).name
         self._timeout, self._start_timeout = float(timeout), float(start_timeout)
+        self._patience = Patience(timeout)
         self._recycle, self._show = int(recycle), show_output
         self._child: _Child | None = None
         self._closed = False
@@ -144,8 +149,15 @@ class IsolatedPlant:
             self._start()
         self._tell_values()
         start = None if x0 is None else dict(x0)
-        answer = self._call(order, rng, start)
-        if answer.renew:  # neither its reset nor a fresh instance brings the plant back
+        try:
+            answer = self._call(order, rng, start)
+            again = answer.renew  # neither its reset nor a fresh instance brings the plant back
+        except PlantError:
+            again = self._child is None and self._resets > 1  # the end of the run before, which did not come, or broke
+            if not again:
+                raise
+            self._say(f"a run after another does not begin ({order}): every run gets a process of its own")
+        if again:
             self._recycle = 1
             self._start()
             self._resets = 1
@@ -166,7 +178,7 @@ class IsolatedPlant:
 
     def step(self, u: FloatArray) -> FloatArray:
         """Hold ``u`` (nu,) for one sample time; returns the next output (ny,)."""
-        return self._output(self._call("step", self._fitting(u)), (self.spec.ny,))
+        return self._output(self._stepped("step", self._fitting(u), 1, self.spec.ny), (self.spec.ny,))
 
     def output(self, u: FloatArray) -> FloatArray:
         """Return the output (ny,) with ``u`` applied, where the plant declares feedthrough."""
@@ -203,13 +215,20 @@ class IsolatedPlant:
         while done < rows.shape[0]:
             chunk = rows[done : done + size]
             started = time.perf_counter()
-            answer = self._call(order, chunk, size=len(chunk) * (ny + nx))
+            answer = self._stepped(order, chunk, len(chunk), len(chunk) * (ny + nx))
             both[done : done + len(chunk)] = self._output(answer, (len(chunk), ny + nx))
             spent = time.perf_counter() - started
             done += len(chunk)
             # a chunk shall take about a fiftieth of the limit
             size = int(np.clip(size * 0.02 * self._timeout / max(spent, 1e-6), 1, min(4 * size, LAST_CHUNK)))
         return both[:, :ny], both[:, ny:]
+
+    def _stepped(self, order: str, inputs: FloatArray, steps: int, size: int) -> frames.Answer:
+        """Have the child do so many steps, within the time that they may take by those before them."""
+        started = time.perf_counter()
+        answer = self._call(order, inputs, limit=self._patience.limit(steps), size=size)
+        self._patience.took(steps, time.perf_counter() - started)
+        return answer
 
     def truth(self) -> FloatArray:
         """Return the present true state (nx,); it comes with every output."""
@@ -283,20 +302,25 @@ class IsolatedPlant:
             for note in answer.notes:
                 if name == "make" and note in self.warnings:  # of the process before this one
                     continue
-                self.warnings += (note,)
-                log.warning("%s: %s", self._name, note)
+                self._say(note)
             if answer.trouble is not None:
                 raise frames.raised(answer.trouble)
             return answer
         except _Gone as gone:
             self._child = None
-            raise PlantError(f"{self._name}: {gone}", status=gone.status) from None
+            longer = " (for longer: the option timeout, -O timeout=SECONDS)" if gone.status == "timeout" else ""
+            raise PlantError(f"{self._name}: {gone}{longer}", status=gone.status) from None
         except BaseException as error:
             self._doubtful = isinstance(error, PlantError) and error.status == "crashed"  # better a fresh child
             if name == "make" or not isinstance(error, HarnessError):  # interrupted: the answer may still come
                 child.end(polite=False)
                 self._child = None
             raise
+
+    def _say(self, note: str) -> None:
+        """Say something that the plant has to say beside its answers."""
+        self.warnings += (note,)
+        log.warning("%s: %s", self._name, note)
 
     def _output(self, answer: frames.Answer, shape: tuple[int, ...]) -> FloatArray:
         """Return the outputs of an answer, keep the truth that came with them; NaN is divergence."""
@@ -324,7 +348,7 @@ class IsolatedPlant:
         return array
 
 
-def isolated(plant: str, *, timeout: float = 10.0, **options: Any) -> IsolatedPlant:
+def isolated(plant: str, *, timeout: float = LONGEST, **options: Any) -> IsolatedPlant:
     """Any registered plant in a child process with a time limit.
 
     Parameters
@@ -402,10 +426,12 @@ class _Child:
             frames.send(self.pipe, pickle.dumps((name, arguments, dropped), protocol=5), limit=limit)
             return _DECODER.decode(frames.receive(self.pipe, largest=largest, limit=limit))
         except TimeoutError:
-            part = self._part()
+            part, t = self._part(), was_at_time(self.folder)
             self.end(polite=False)
-            missed = "not loaded" if name == "make" else f"no answer to {name}"
-            raise _Gone(f"{part}{missed} within {limit:g} s", "timeout") from None
+            missed = "is not loaded" if name == "make" else f"no answer to {name}"
+            if name in ("step", "rollout", "rollout_truth") and t is not None:
+                missed = f"the step from t = {t:.6g} s does not end"
+            raise _Gone(f"{part}{missed} within {limit:.3g} s", "timeout") from None
         except (msgspec.DecodeError, HarnessError):  # no frame of ours, or a spec that makes no sense
             self.end(polite=False)
             raise _Gone(f"the child's answer to {name} is no answer", "crashed") from None

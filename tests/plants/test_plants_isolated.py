@@ -49,6 +49,17 @@ def test_gives_the_numbers_of_the_direct_plant() -> None:
         assert np.array_equal(plant.rollout(u[50:100]), expected[51:101])
 
 
+def test_a_step_that_takes_much_longer_than_those_before_ends_soon(odd_fmu: Callable[..., Path]) -> None:
+    options = {"path": str(odd_fmu("hostile")), "sample_time": 0.01, "parameters": {"mode": 4, "when": 9.0}}
+    with IsolatedPlant("fmu", options, timeout=60.0) as plant:
+        plant.reset(rng=RNG)
+        plant.rollout(np.ones((800, 1)))
+        began = time.monotonic()
+        with pytest.raises(PlantError, match=r"the step from t = 9 s does not end within [2-9].* the option timeout"):
+            plant.rollout(np.ones((800, 1)))
+        assert time.monotonic() - began < 15.0
+
+
 @pytest.mark.parametrize(
     ("mode", "status", "words"),
     [

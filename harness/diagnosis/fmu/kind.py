@@ -18,7 +18,7 @@ from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
-from harness.errors import HarnessError
+from harness.errors import HarnessError, PlantError
 from harness.signals import Dataset, FloatArray
 
 
@@ -39,7 +39,9 @@ class BlackBox:
         assert isinstance(system, FmuSystem)
         try:
             return choose_horizon(system, values, dataset, Runner(system, dataset.spec.sample_time))
-        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError) as error:
+            if isinstance(error, PlantError) and error.status == "timeout":
+                raise
             return Horizon(None, "how an error of the start grows is unknown: whole records are simulated")
 
     def form(self, system: AnySystem, dataset: Dataset, laws: Dictionary | None = None) -> FmuForm:

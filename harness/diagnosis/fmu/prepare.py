@@ -26,12 +26,15 @@ from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.physics.fitting.smoothing import smooth
 from harness.rng import stream
 from harness.signals import Dataset, FloatArray, Trajectory
+from harness.supervision.patience import Aside, Patience
 
 if TYPE_CHECKING:
     from harness.diagnosis.fmu.pushes import Moved
 
 STARTS, ROUGH = 4, 40
 """Starts of the rough fit, and its iterations."""
+LOOK = 3.0
+"""Steps that the first look at an FMU may take as long as: it is loaded, and begun and stepped, up to three times."""
 PULSE, ORDER = 4, 1.5
 """Samples in which a force over one sample has moved the readings, and the power of the exchanges in a sample with
 which the error of dry friction falls."""
@@ -50,6 +53,8 @@ def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any
     ------
     InputError
         See :func:`harness.blackbox.reader.fmu_system`; or the inputs of the data are not held.
+    PlantError
+        If it does not end to begin, or a step at the declared values.
     """
     if dataset.intersample != "zoh":
         raise InputError(
@@ -59,15 +64,16 @@ def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any
             remedy="resample the records, or write the model as equations",
             file=path,
         )
-    system = fmu_system(path, dataset.spec, parameters)
+    system = _looked_at(path, dataset, parameters)
     simulator = FmuSimulator(system, Runner(system, dataset.spec.sample_time))
     run = dataset.estimation[0].measured()[: DATA_POLICY.look] if dataset.estimation else None
     if run is None:
         return system
     p = system.vector()
     x0 = measured_states(system, simulator, run, p)[0][0]
-    sensitivities = simulator.windows(p[None], x0[None], run.u[None], None, run.t[:1])[2]
+    _, y, sensitivities = simulator.windows(p[None], x0[None], run.u[None], None, run.t[:1])
     assert sensitivities is not None
+    _refuse_stuck(simulator, y)
     moved = np.abs(sensitivities[0]).max(axis=(0, 1))
     kept = tuple(
         replace(parameter, fixed=True, minimum=-np.inf, maximum=np.inf)
@@ -130,11 +136,29 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
         x0 = minimise_states(windows, start, states, 8)
         tried.append(minimise(windows, start, x0, free, EFFORT.first_steps, decrease=EFFORT.roughly))
     best = min(tried, key=lambda solution: solution.evaluation.cost)
+    _refuse_stuck(simulator, np.array(best.evaluation.cost))
     if not np.isfinite(best.evaluation.cost):
         return None
     if not best.converged:
         best = minimise(windows, best.p, best.x0, free, ROUGH - EFFORT.first_steps, decrease=EFFORT.roughly)
     return system.values(dict(zip(system.parameter_names, map(float, best.p), strict=True)))
+
+
+def _looked_at(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any] | None) -> FmuSystem:
+    """Return an FMU as a system; raises PlantError (``timeout``) if it does not end to begin, or its first steps."""
+    aside = Aside(Path(path).name, LOOK * Patience().longest)
+
+    def look() -> FmuSystem:
+        return fmu_system(path, dataset.spec, parameters)
+
+    found: FmuSystem = aside.call(look, lambda: 0, lambda: "its initialisation, or a first step", loads=True)
+    return found
+
+
+def _refuse_stuck(simulator: FmuSimulator, y: FloatArray) -> None:
+    """Raise PlantError (``timeout``) if a run of the model as it stands has no outputs because it did not end."""
+    if simulator.runner.stuck is not None and not np.isfinite(y).all():
+        raise simulator.runner.stuck
 
 
 def restarts(simulator: FmuSimulator, record: Trajectory, p: FloatArray, states: FloatArray) -> bool:
@@ -173,6 +197,7 @@ def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Data
         seen, told = measured_states(system, simulator, run, p)
         x, y, sensitivities = simulator.windows(p[None], seen[:1], run.u[None], None, run.t[:1])
         assert sensitivities is not None
+        _refuse_stuck(simulator, y)
         finite = np.isfinite(y[0]).all(axis=1)
         span = np.maximum(np.std(run.y, axis=0), 1e-12)
         begun = x[0][: DATA_POLICY.shortest][finite[: DATA_POLICY.shortest]]
