@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sysid_lab.plan import Task
+from sysid_lab.records import make_records
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.equations_form import EquationsForm
@@ -188,3 +190,18 @@ def test_a_motor_that_lost_its_mass_is_no_answer_and_takes_no_finer_steps() -> N
     fast = replace(nominal, values=values, unseen=form.unseen(system, values))
     assert Kind.UNSEEN in {refusal.kind for refusal in judged(form, [law], fast, nominal, nominal).refusals}
     assert not Table(form, nominal, [law]).lawful(fast)
+
+
+def test_values_of_other_readings_stay_until_states_and_noise_suit_them() -> None:
+    """At once with them they were led away to a bound, 104 below the maximum, and a force did what the friction did."""
+    hidden = Task("confusion", "pendulum", "hardware", ("stribeck_friction@theta",), "quarter", "high", 0.0, 0, 4100)
+    records = make_records(hidden, samples=5000)
+    form, (effect,) = Equations().form(load_model("pendulum"), records.dataset), records.known
+    law = Placed(builtin()[effect.name], effect.at)
+    named = {law.name(name): value for name, value in effect.named.items()}
+    fit = form.fit([law], [{**records.parameters, **named}], None)
+    assert fit is not None
+    assert fit.converged
+    assert not fit.on_bound
+    for name, value in {**records.parameters, **named}.items():
+        assert abs(fit.values[name] - value) < 5.0 * fit.deviations[name] * (value if name in fit.logarithmic else 1.0)

@@ -86,6 +86,16 @@ def stepped(
     return sorted(fits, key=lambda fit: fit.nll)
 
 
+def settled(likelihood: Likelihood, points: Sequence[Point]) -> list[Point]:
+    """Return points with initial states and noise that suit their parameters, which stay where they are.
+
+    Values that were fitted to other readings lie near a maximum, first guesses of states and noise do not: from these,
+    steps of all at once lead the values away to where a force does what an effect did.
+    """
+    free = [name for name in likelihood.names if name not in likelihood.system.parameter_names]
+    return [fit.point for fit in stepped(likelihood, points, EFFORT.first_steps, free)] or list(points)
+
+
 def hopeful(fit: LikelihoodFit, least: float) -> LikelihoodFit:
     """Return a fit, left on its way where its maximum is known and lies below a log-likelihood."""
     return replace(fit, converged=False, beyond=True) if fit.converged and -fit.nll < least else fit

@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.apart import Apart, most_apart
-from harness.diagnosis.forms.first_steps import from_instants, hopeful, in_sight, looked, stepped
+from harness.diagnosis.forms.first_steps import from_instants, hopeful, in_sight, looked, settled, stepped
 from harness.diagnosis.forms.fit_records import (
     LikelihoodDetail,
     fit_from_record,
@@ -165,6 +165,8 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             p = system.vector({**vectors[0], **self.nominal.values()})
             noise = first_noises(self.noise_model, self._first_noise, self.dt)[0]
             points.append(Point(p, self._starts(system, passes, p, "estimation", None), noise))
+        if base is None and effects and self.latent:  # values that were fitted to other readings
+            points = settled(likelihood, points)
         return likelihood, points if self.latent else [likelihood.concentrated(point) for point in points]
 
     @staticmethod
@@ -431,11 +433,9 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         What the base knows of them stays where it is; of the rest nothing is known.
         """
         system, passes = cast("SystemT", likelihood.system), likelihood.filter
-        noises = (
-            [best.point.noise]
-            if base is None
-            else [best.point.noise, likelihood_detail(base).points["validation"].noise]
-        )
+        noises = [best.point.noise]
+        if base is not None:
+            noises.append(likelihood_detail(base).points["validation"].noise)
         longest = max(len(run) for run in self.records["validation"]) * self.dt
         known = {} if base is None else {name: base.own[name] for name in own if name in base.own}
         points: list[tuple[float, Point]] = []
