@@ -292,7 +292,12 @@ def _place_force(system: System, placed: Placed, port: Port, made: _Symbols, nom
     ]
     switches = [(system.coordinate(port.name).v, name) for name in widths]
     return system.rebuild(
-        forces={port.name: value}, mass=mass, states=hidden, parameters=made.declared, switches=switches
+        forces={port.name: value},
+        mass=mass,
+        states=hidden,
+        parameters=made.declared,
+        switches=switches,
+        corners=placed.effect.corners_at(made.values, q),
     )
 
 

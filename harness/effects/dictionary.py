@@ -17,6 +17,7 @@ from harness.effects.laws import (
     process,
     sensor,
     stiffness,
+    stops,
     thermal,
     transmission,
 )
@@ -26,6 +27,7 @@ _FILES = (
     friction,
     bristles,
     stiffness,
+    stops,
     mounting,
     actuator,
     transmission,

@@ -96,6 +96,9 @@ class Effect:
         or shifts the scale of that output.
     needs : tuple of str
         What the plant must have about its port, of :data:`NEEDS`: elsewhere the law makes no sense, and is not tried.
+    corners : callable, optional
+        ``corners(p, q)``: expressions that are 0 where the force has a corner or jumps. A step that passes one is taken
+        in finer ones.
     """
 
     name: str
@@ -125,6 +128,7 @@ class Effect:
     told_by: tuple[str, ...] = ()
     cuts: bool = False
     needs: tuple[str, ...] = ()
+    corners: Callable[[Any, Any], Sequence[Any]] | None = None
 
     def __str__(self) -> str:
         return self.name
@@ -166,6 +170,10 @@ class Effect:
     def violations_along(self, values: Mapping[str, float], q: FloatArray, damping: FloatArray) -> list[str]:
         """Return the sentences of ``requires_along`` that do not hold, see there."""
         return [text for text, holds in self.requires_along.items() if not holds(values, q, damping)]
+
+    def corners_at(self, values: Mapping[str, Any], q: Any) -> tuple[Any, ...]:
+        """Return the expressions that are 0 where the force has a corner, for values by name."""
+        return () if self.corners is None else tuple(self.corners(SimpleNamespace(**values), q))
 
     def complete(self, values: Mapping[str, float], sizes: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return a value for every parameter: those given, the others from their scale hints.
@@ -322,6 +330,7 @@ def effect(
     told_by: Sequence[str] = (),
     cuts: bool = False,
     needs: Sequence[str] = (),
+    corners: Callable[[Any, Any], Sequence[Any]] | None = None,
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect of a function.
 
@@ -336,7 +345,7 @@ def effect(
         Names of hidden states separated by spaces, or name to unit template. They start at 0 unless ``initial`` says
         otherwise.
     name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial,
-    requires, requires_along, grows, whole, told_by, cuts, needs
+    requires, requires_along, grows, whole, told_by, cuts, needs, corners
         See :class:`Effect`; ``name`` is the function's own unless given.
 
     Returns
@@ -427,6 +436,7 @@ def effect(
             told_by=tuple(told_by),
             cuts=cuts,
             needs=tuple(needs),
+            corners=corners,
         )
 
     return decorate

@@ -41,7 +41,7 @@ parallel_hysteresis hardening_elasticity unilateral_backlash drifting_damping dr
 sensor_drift gear_loss torque_ripple supply_sag propeller_thrust counterbalance wobbling_base unbalanced_load radiation
 sensor_lag sensor_filter sensor_hum
 thermal_damping thermal_friction thermal_gain degressive_friction gear_friction
-gear_stribeck_friction asymmetric_damping""".split()
+gear_stribeck_friction asymmetric_damping one_sided_stop""".split()
 
 
 LAWS = Dictionary.builtin()
@@ -228,7 +228,7 @@ def test_a_law_about_a_place_needs_a_plant_that_knows_where_it_stands(read: str)
     at = "x" if read == "place" else "car"
     text = f"state v [m/s]\nmotion {at}: v, m\nm = 76 kg fixed\nb = 0.5 N s/m >= 0\nv' = -b*v/m\n{place}"
     system = read_equations(text).system()
-    about = {"quadratic_spring", "cubic_spring", "end_stop", "position_dependent_damping"}
+    about = {"quadratic_spring", "cubic_spring", "end_stop", "one_sided_stop", "position_dependent_damping"}
     tried = {one.effect.name for one in place_all(system)}
     assert tried >= {"linear_spring", "coulomb_friction", "quadratic_drag"}
     assert tried & about == (about if read == "place" else set())

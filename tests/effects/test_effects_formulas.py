@@ -88,6 +88,10 @@ LAWS: dict[str, Callable[[Any, Any, Any], Any]] = {
     "end_stop": lambda p, s, at: (
         -p.k * beyond(at.q - p.centre, p.stop) - p.d * (abs(at.q - p.centre) > p.stop) * at.v
     ),
+    "one_sided_stop": lambda p, s, at: (
+        -np.sign(p.stop) * p.k * max(np.sign(p.stop) * (at.q - p.stop), 0.0)
+        - p.d * (np.sign(p.stop) * (at.q - p.stop) > 0) * at.v
+    ),
     # from outside, actuators
     "force_bias": lambda p, s, at: p.F0,
     "force_step": lambda p, s, at: p.F / (1 + np.exp(-(at.t - p.t0) / p.w)),

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import effect, par
-from harness.effects.functions import cos, dead_band, dead_band_slope, sigmoid, sin, sqrt
+from harness.effects.functions import cos, sigmoid, sin, sqrt
 
 CHANGE = (
     par(
@@ -222,28 +222,3 @@ def payload_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any, a: Any) -> Any:
 def mass_step(m: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
     """Load that is picked up, or dropped, by a body that several coordinates move."""
     return m + p.dm * sigmoid((t - p.t0) / p.w)
-
-
-@effect(
-    "coordinate",
-    [
-        par("stop", "q", scale="1.2 q", sign="+", minimum=0.0, main=True, grid=(1.0, 0.8, 1.3),
-            meaning="half of the free travel"),
-        # what gives way as far as the plant usually moves under the usual force ends no travel
-        par("k", "F/q", scale="10 F/q", floor="1 F/q", sign="+", minimum=0.0, neutral=0.0, linear=True,
-            meaning="its stiffness"),
-        par("d", "F/v", scale="0.1 F/v", sign="+", minimum=0.0, neutral=0.0, linear=True, nuisance=True,
-            meaning="damping of the stop"),
-        par("centre", "q", scale="0", fixed=True, meaning="middle of the free travel"),
-    ],
-    formula="F = -k dz(q) - d dz'(q) v, dz: how far |q - centre| lies beyond the stop (corner rounded over stop/5000)",
-    family=("cubic_spring", "sensor_saturation"),
-    limits={"cubic_spring": "if only the rounded edge of the stop is touched"},
-    experiment="drive slowly against both ends",
-    told_by=("full swing",),
-    needs=("place",),
-)  # fmt: skip
-def end_stop(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
-    """Elastic limit of the travel."""
-    x, smoothing = q - p.centre, 2e-4 * p.stop + 1e-9
-    return -p.k * dead_band(x, p.stop, smoothing) - p.d * dead_band_slope(x, p.stop, smoothing) * v

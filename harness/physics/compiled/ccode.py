@@ -156,7 +156,7 @@ def system_source(system: Any, prefix: str = "model") -> str:
     return "\n\n".join(parts) + "\n"
 
 
-FINE = 8  # Parts of a step that comes near the zero of a speed whose sign a force takes.
+FINE = 8  # Parts of a step that comes near the zero of a speed whose sign a force takes, or near a corner.
 NEAR = 4.0  # Widths of a sign from its zero within which it is steep: beyond, tanh has 0.1 % of its slope at most.
 STEEP = 1.0  # Slope of a speed's rate by itself, times the step, above which a step is too long: 2.8 is the limit.
 
@@ -180,23 +180,37 @@ def steepness(system: Any) -> Any:
     )
 
 
+def corners(system: Any) -> Any:
+    """Return the CasADi function of state and parameters that is 0 where a force has a corner."""
+    return dense("corners", [system.x, system.p], [ca.vertcat(*system.corners)])
+
+
 def near_zero(system: Any, prefix: str) -> str:
-    """Return the C functions that tell whether a step from x to y comes near the zero of a switch of the system.
+    """Return the C functions that tell whether a step from x to y comes near a corner or the zero of a switch.
 
     Nothing of a mass that stands passes the zero, and the sign is as steep there: what a step makes of small changes,
     of variances too, is stable in finer ones alone.
     """
     head = f"static int {prefix}_near_zero(const double *x, const double *y, const double *p, double h) {{"
-    if not system.switches:
+    if not system.divided:
         return "\n".join([head, "  (void)x; (void)y; (void)p; (void)h;", "  return 0;", "}"])
+    made, lines = [], ["  (void)h;"]
+    if system.corners:
+        made.append(c_function(f"{prefix}_corners", corners(system)))
+        count = len(system.corners)
+        lines += [f"  double c[{count}], d[{count}];", f"  {prefix}_corners(x, p, c);", f"  {prefix}_corners(y, p, d);"]
+        lines += [f"  if (fmin(fabs(c[{k}]), fabs(d[{k}])) < fabs(d[{k}] - c[{k}])) return 1;" for k in range(count)]
+    if not system.switches:
+        return "\n".join([*made, head, *lines, "  return 0;", "}"])
     places = {name: number for number, name in enumerate(system.parameter_names)}
-    lines = [f"  double s[{len(system.switches)}];"]
+    lines.insert(0, f"  double s[{len(system.switches)}];")
     for k, _ in system.switches:
         lines.append(f"  if (fmin(fabs(x[{k}]), fabs(y[{k}])) < fabs(y[{k}] - x[{k}])) return 1;")
     near = [f"fabs(x[{k}]) < {NEAR}*p[{places[name]}]" for k, name in system.switches]
     lines += [f"  if (!({' || '.join(near)})) return 0;", f"  {prefix}_steepness(x, p, s);"]
     lines += [f"  if ({close} && h*s[{number}] > {STEEP}) return 1;" for number, close in enumerate(near)]
-    return "\n".join([c_function(f"{prefix}_steepness", steepness(system)), "", head, *lines, "  return 0;", "}"])
+    made.append(c_function(f"{prefix}_steepness", steepness(system)))
+    return "\n".join([*made, "", head, *lines, "  return 0;", "}"])
 
 
 _STEP = """\
@@ -215,7 +229,7 @@ static void PREFIX_runge_kutta(double *x, const double *u, const double *p, doub
 }"""
 
 _ADVANCE = f"""\
-/* One step, or {FINE} finer ones where a force changes its sign. */
+/* One step, or {FINE} finer ones where a force changes its sign or has a corner. */
 static void PREFIX_step(double *x, const double *u, const double *p, double t, double h) {{
   double y[NX];
   int i;

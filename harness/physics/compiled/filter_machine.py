@@ -122,7 +122,7 @@ class FilterMachine:
         """
         functions, how = self.functions, (self.dt, substeps, foh)
         finely = self._differentiated(functions.sample(*how)[0], lambda: functions.sample(*how, True)[0])
-        if not functions.system.switches:
+        if not functions.system.divided:
             return finely
         step, self._near = functions.coarse(*how)
         self._coarse = self._differentiated(step, lambda: functions.coarse(*how, True)[0])
@@ -165,7 +165,7 @@ class FilterMachine:
 
         Most samples need no finer steps: one flat function computes them, and whether they do.
         """
-        if not self.functions.system.switches:
+        if not self.functions.system.divided:
             return self._flat(wanted, self._row, ca.SX.sym)
         plainly, finely = (
             self._flat(wanted, self._coarse, ca.SX.sym, self._near),

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from harness.physics.compiled.ccode import FINE, NEAR, STEEP, dense, steepness
+from harness.physics.compiled.ccode import FINE, NEAR, STEEP, corners, dense, steepness
 from harness.physics.compiled.rollout_call import Given
 from harness.physics.definition.model_equations import Equations
 from harness.signals import FloatArray
@@ -131,6 +131,11 @@ class Functions:
     def _steepness(self) -> Any:
         """See :func:`harness.physics.compiled.ccode.steepness`."""
         return steepness(self.system)
+
+    @functools.cached_property
+    def _corners(self) -> Any:
+        """See :func:`harness.physics.compiled.ccode.corners`."""
+        return corners(self.system)
 
     def rates(self, delay_columns: tuple[int, ...]) -> Linear:
         """Return dx/dt with its derivatives; those by u only if the inputs depend on parameters."""
@@ -346,9 +351,14 @@ class Functions:
         finer, and whether it should be is added to them.
         """
         new = _runge_kutta(derivative, x, [inputs(part) for part in (0.0, 0.5, 1.0)], t, h)
-        if not self.system.switches:
+        if not self.system.divided:
             return new
-        near, fine, slopes = ca.SX(0), x, self._steepness(x[: self.system.nx], p)
+        near, fine, nx = ca.SX(0), x, self.system.nx
+        if self.system.corners:
+            before, after = (ca.vertsplit(self._corners(state[:nx], p)) for state in (x, new))
+            for c, d in zip(before, after, strict=True):
+                near = ca.logic_or(near, ca.fmin(ca.fabs(c), ca.fabs(d)) < ca.fabs(d - c))
+        slopes = self._steepness(x[:nx], p) if self.system.switches else ca.SX(0)
         for number, (k, name) in enumerate(self.system.switches):
             near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < ca.fabs(new[k] - x[k]))
             close = ca.fabs(x[k]) < NEAR * p[self.system.parameter_names.index(name)]

@@ -63,6 +63,7 @@ class System(Equations):
         parameters: Sequence[tuple[Parameter, Any]] = (),
         sampled: Sequence[SampledBlock] = (),
         switches: Sequence[tuple[int, str]] = (),
+        corners: Sequence[Any] = (),
         remarks: Sequence[str] = (),
     ) -> System:
         """Return a system in which something was changed.
@@ -91,6 +92,8 @@ class System(Equations):
             New delays or quantisers.
         switches : sequence of (int, str)
             Appended to ``switches``.
+        corners : sequence of SX
+            Appended to ``corners``.
         remarks : sequence of str
             Appended to ``remarks``.
 
@@ -134,6 +137,7 @@ class System(Equations):
             initial=ca.vertcat(swapped(start), *added),
             hidden_count=self.hidden_count + len(states),
             switches=(*self.switches, *switches),
+            corners=(*map(swapped, self.corners), *corners),
             remarks=(*self.remarks, *remarks),
         )
 

@@ -56,6 +56,9 @@ class Equations(Dimensions):
     switches: tuple[tuple[int, str], ...] = ()
     """Tuple of (int, str): States through whose zero a force changes its sign, each with the parameter that smooths it:
     a step that comes near zero is taken in finer ones."""
+    corners: tuple[Any, ...] = ()
+    """Casadi.SX in x and p that are 0 where a force has a corner or a jump: a step that passes one is taken in finer
+    ones."""
     process: tuple[str, ...] = ()  # States that are levels, in the order in which they flow into each other
     nominal: Self | None = field(default=None, repr=False)  # Where effects were placed: the system without them
     starts: Callable[[Sequence[Trajectory]], Mapping[str, float]] | None = field(default=None, repr=False)
@@ -95,11 +98,16 @@ class Equations(Dimensions):
     def fingerprint(self) -> str:
         """A hash of the compiled equations and of all that is declared: equal for equal models."""
         forces, start = self.generalized_forces, self.initial
-        parts = [self.mass_matrix, forces, self.rates, self.h, *([] if start is None else [start])]
+        parts = [self.mass_matrix, forces, self.rates, self.h, *([] if start is None else [start]), *self.corners]
         function = ca.Function("model", [self.x, self.u, self.p, self.t, self.gravity], [ca.SX(part) for part in parts])
         channels = [str(channel) for group in (self.inputs, self.outputs, self.states) for channel in group]
         declared = (self.parameters, self.coordinates, self.sampled, self.switches, self.process, self.hidden_count)
         return fingerprint(function.serialize(), channels, declared)
+
+    @property
+    def divided(self) -> bool:
+        """True if some steps are taken in finer ones."""
+        return bool(self.switches or self.corners)
 
     @property
     def feedthrough(self) -> bool:
