@@ -42,7 +42,8 @@ _OUTPUT = (
 )
 _ANGLE_OUTPUT = ("sensor_cyclic_error",)
 # Not hidden: viscous_friction, which both models have on every coordinate; yield_friction, a sum of two that are; leak,
-# overflow, level_saturation, which belong to tanks; quadratic_spring on the cart, which would run away to infinity.
+# overflow, level_saturation, which belong to tanks; quadratic_spring on the cart, which would run away to infinity;
+# one_sided_stop, half of end_stop.
 PAIRS = {
     "pendulum": (
         ("coulomb_friction@theta", "force_bias@theta"),
