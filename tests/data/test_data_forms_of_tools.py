@@ -128,6 +128,20 @@ def test_points_of_influxdb_have_escaped_blanks_and_opc_ua_names_its_nodes(tmp_p
     is_the_log(read(tmp_path / "b.csv", text, "ns=2;s=u", "ns=2;s=y"), 1.0)
 
 
+def test_an_input_that_is_written_where_it_changes_is_held_where_that_is_declared(tmp_path: Path) -> None:
+    held = np.repeat(U[::9], 9)[:N]
+    cells = [f"{u}" if k % 9 == 0 else "" for k, u in enumerate(held)]
+    rows = [f"{t:.2f},{u},{y}" for t, u, y in zip(T, cells, Y, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["time [s],u [V],y [V]", *rows, ""]))
+    with pytest.raises(InputError, match=r'remedy: declare intersample = "zoh" in a dataset.toml if u was written'):
+        load_dataset(tmp_path / "a.csv", input="u", output="y")
+    text = 'name = "a"\nintersample = "zoh"\n[signals]\nu = { role = "input" }\ny = { role = "output" }\n'
+    (tmp_path / "a.toml").write_text(text + '[[runs]]\nfile = "a.csv"\nuse = "estimation"\n')
+    (run,) = load_dataset(tmp_path / "a.toml").dataset
+    assert run.trajectory.u[:, 0] == pytest.approx(held)
+    assert run.trajectory.y[:, 0] == pytest.approx(Y)
+
+
 def test_a_reading_is_not_contradicted_by_less_than_its_last_digit() -> None:
     t = np.arange(300)
     y = 1.05 * np.sin(0.02 * t)

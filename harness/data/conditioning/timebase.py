@@ -98,7 +98,8 @@ def pieces_of(
     - returns ``notes``: what was noticed and done, for the warnings of the data set
     """
     notes: list[str] = []
-    pieces = _pieces_within(_Run(names, inputs, rules, notes), time, values, common, where)
+    run = _Run(names, inputs, rules, notes)
+    pieces = _pieces_within(run, time, _held_on(run, values), common, where)
     if not pieces:
         raise InputError(
             "only fragments between the gaps",
@@ -107,6 +108,26 @@ def pieces_of(
             remedy="record anew, without losing rows",
         )
     return pieces, notes
+
+
+def _on_change(inputs: tuple[bool, ...], values: FloatArray) -> list[int]:
+    """Return the inputs that stand in fewer than half the rows, where all else stands in each: written on a change."""
+    there = np.isfinite(values)
+    sparse = [k for k, is_input in enumerate(inputs) if is_input and 0 < 2 * there[:, k].sum() < len(values)]
+    return sparse if np.delete(there, sparse, axis=1).all() else []
+
+
+def _held_on(run: _Run, values: FloatArray) -> FloatArray:
+    """Return the signals with inputs that are declared held carried on from where they were written."""
+    sparse = _on_change(run.inputs, values) if run.rules.intersample == "zoh" else []
+    if sparse:
+        values = values.copy()
+        for k in sparse:
+            there = np.isfinite(values[:, k])
+            last = np.maximum.accumulate(np.where(there, np.arange(len(values)), -1))
+            values[:, k] = np.where(last >= 0, values[last, k], np.nan)
+        run.notes.append(f"{', '.join(run.names[k] for k in sparse)}: held from one reading to the next, as declared")
+    return values
 
 
 def _pieces_within(
@@ -279,6 +300,11 @@ def _refuse_empty(
             f"write a dataset.toml with [resample] sample_time = {slowest:.4g}, or another: signals are filled in turn"
             + (f', and intersample = "zoh" if {held[0]} is held from one reading to the next' if held else "")
         )
+    if sparse := _on_change(inputs, values):
+        remedy = (
+            f'declare intersample = "zoh" in a dataset.toml if {names[sparse[0]]} was written where it changes, '
+            "and is held from one reading to the next"
+        )
     raise InputError(
         f"nothing recorded in {missing} of {len(present)} rows",
         expected="a number in every row",
@@ -361,15 +387,15 @@ def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], 
     deviation = np.abs(time - (time[0] + np.arange(n) * own)) / dt
     jitter = float(deviation.max())
     if jitter > JITTER_ACCEPTED:
-        k = int(np.argmax(deviation))
+        k, clock = int(np.argmax(deviation)), _shortest(own, 2.0 * jitter * dt / (n - 1))
         raise InputError(
             "time is not uniform (clock jitter)",
             expected=f"{time[0] + k * own:.9g} s in {where(k)}, within {JITTER_ACCEPTED:.0%} of {dt:g} s",
             got=f"{time[k]:.9g} s ({jitter:.0%} of a sample time off)",
             remedy=(
-                f"declare sample_time = {dt:.6g} if a clock took the rows and the stamps are rough; or [resample], and "
-                "intersample, if the stamps are true"
-                if _is_clock(time, float(f"{dt:.6g}"))
+                f"declare sample_time = {clock:.9g} if a clock took the rows and the stamps are rough; or [resample], "
+                "and intersample, if the stamps are true"
+                if _is_clock(time, clock)
                 else _NO_CLOCK
             ),
             place=where(k),
@@ -380,6 +406,17 @@ def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], 
     if drift > 0.1:
         notes.append(f"the clock runs {own / dt - 1.0:+.1e} off: {drift:.2g} samples over the record, taken as uniform")
     return Piece(first_instant(time, np.arange(n), dt), values, dt)
+
+
+def _shortest(value: float, within: float) -> float:
+    """Return the number with the fewest digits that is so near.
+
+    Examples
+    --------
+    >>> _shortest(0.0200034, 1e-5), _shortest(0.0123456, 1e-6)
+    (0.02, 0.012346)
+    """
+    return next((one for digits in range(1, 9) if abs((one := float(f"{value:.{digits}g}")) - value) <= within), value)
 
 
 def _is_clock(time: FloatArray, dt: float) -> bool:
