@@ -90,6 +90,11 @@ def close_loop(
 
         what = f"the FMU {Path(loaded.nominal.model).name}"
         return cast("Report", guarded(_close_loop_patiently, loaded, step_limit, what=what, **how))
+    if step_limit is not None:
+        raise InputError(
+            "step_limit", expected="an FMU as the nominal model", got="another model", remedy="leave it out",
+            place="--step-limit",
+        )  # fmt: skip
     return diagnosis.close_loop_file(loaded, **how)  # data that are read already pass through
 
 

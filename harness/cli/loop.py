@@ -99,6 +99,13 @@ def close_loop(
                 if force
                 else "name validation files in the column validation of a table of records",
             )
+        if step_limit is not None:
+            raise InputError(
+                "option of one record",
+                expected="the time limit of a record in a fleet",
+                got="--step-limit",
+                remedy="leave it out, or give --time-limit",
+            )
         if dictionary or effect:
             raise InputError(
                 "option of one record",
