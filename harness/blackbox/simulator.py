@@ -86,6 +86,8 @@ class FmuSimulator(BySample):
         self.wanted: frozenset[int] | None = None
         """Columns of (p, x0) by which derivatives are computed, None for all; the others are 0."""
         self._lent: list[Loan] | None = None
+        self.one_sided = False
+        """Whether differences by parameters are taken from one side, at half the runs, where a fit is a rough one."""
         blocks = {parameter for _, _, parameter in self.sampled.output_blocks}
         self._unknowns = [*(k for k in self._free if k not in blocks), *self.state_columns]
         self._names = [*system.parameter_names, *(state.name for state in system.states)]
@@ -346,7 +348,7 @@ class FmuSimulator(BySample):
         y: FloatArray,
         t0: float,
     ) -> FloatArray:
-        """Return the derivative of the outputs by a parameter (N, ny); from one side of an effect's in first steps."""
+        """Return the derivative of the outputs by a parameter (N, ny); one-sided in rough fits and first steps."""
         moved = p.copy()
         if k in self.sampled.delay_columns:
             assert gradient is not None
@@ -354,7 +356,7 @@ class FmuSimulator(BySample):
             moved[k] += h
             u = u + h * gradient[..., self.sampled.delay_columns.index(k)]
             return np.asarray((self.run(moved, x0, u, t0)[1] - y) / h)
-        if self._lent is not None and k >= self.system.inner_count:
+        if self.one_sided or (self._lent is not None and k >= self.system.inner_count):
             parameter = self.system.parameters[k]
             h = STEP * max(abs(p[k]), 0.1 * abs(parameter.value), 1e-6)
             moved[k] += h if moved[k] + h < parameter.maximum else -h

@@ -146,3 +146,20 @@ def test_variables_without_a_unit_take_that_of_the_data(tmp_path: Path) -> None:
     assert np.abs(read.runs[0].trajectory.y).max() == pytest.approx(0.1, rel=0.01)
     with pytest.raises(InputError, match="unit does not fit"):  # what declares one still has to be given it
         load_dataset(data, model=str(mockup("pendulum")), unit={"theta": "m"})
+
+
+def test_a_rough_fit_takes_one_run_for_each_parameter() -> None:
+    found, taken = [], []
+    for rough in (False, True):
+        simulator, runs = counted("pendulum")
+        simulator.one_sided = rough
+        p, x0 = simulator.system.vector(), np.array([0.2, 0.0])
+        slopes = simulator.windows(p[None], x0[None], U[None], None, np.zeros(1))[2]
+        assert slopes is not None
+        free = [k for k, parameter in enumerate(simulator.system.parameters) if not parameter.fixed]
+        found.append(slopes[0][..., free])
+        taken.append(len(runs))
+        if rough:
+            assert len(runs) == 1 + len(free) + len(x0)
+    assert taken[1] < taken[0]
+    assert np.abs(found[1] - found[0]).max() < 0.02 * np.abs(found[0]).max()

@@ -129,7 +129,7 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
     pieces = [records[number][first : first + length] for number, first in places]
     windows = FmuWindows(simulator, pieces, None, _spread(dataset))  # type: ignore[arg-type]
     begun = windows.starts_from([told[number][0][first : first + length] for number, first in places])
-    rng = stream("nominal FMU", system.digest)
+    rng, simulator.one_sided = stream("nominal FMU", system.digest), True
     free = np.array([not parameter.fixed for parameter in system.parameters], dtype=bool)
     tried: list[Solution] = []
     for start, states in drawn(windows, system.parameters, STARTS, begun, hidden, rng, spread=EFFORT.spread):
@@ -140,6 +140,8 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
     if not np.isfinite(best.evaluation.cost):
         return None
     if not best.converged:
+        simulator.one_sided = False
+        simulator.forget()
         best = minimise(windows, best.p, best.x0, free, ROUGH - EFFORT.first_steps, decrease=EFFORT.roughly)
     return system.values(dict(zip(system.parameter_names, map(float, best.p), strict=True)))
 
