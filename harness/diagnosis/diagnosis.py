@@ -14,7 +14,7 @@ from harness.diagnosis.policy import PLAN_POLICY, Policy
 from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.compare import Judged
-from harness.diagnosis.search.fit import Fit, Jump
+from harness.diagnosis.search.fit import Fit, Jump, of_nothing
 from harness.diagnosis.search.leftover import Axis, Leftover
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.scores import Lead, ScoreTest
@@ -189,7 +189,7 @@ class Diagnosis:
         reasons = stand_in_reasons(
             [accepted.placed for accepted in self.outcome.accepted], None if self.left is None else self.left.name
         )
-        trade = traded(self.final)
+        trade = traded([one for one, _ in of_nothing(self.final)])
         reasons = reasons if trade is None else (*reasons, trade)
         for name, share in self.outcome.denied(self.policy):
             reasons = (*reasons, f"the validation records want {100 * share:.0f} % of the size of {name}")

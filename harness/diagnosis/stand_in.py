@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from harness.effects.effect import Placed
-
-if TYPE_CHECKING:
-    from harness.diagnosis.search.fit import Fit
 
 
 def same_whole(one: Placed, other: Placed) -> bool:
@@ -18,24 +12,11 @@ def same_whole(one: Placed, other: Placed) -> bool:
     return bool(one.effect.whole) and (one.at, one.effect.whole) == (other.at, other.effect.whole)
 
 
-def of_nothing(fit: Fit) -> list[tuple[Placed, tuple[float, float]]]:
-    """Return the effects of a fit whose size may be nothing at all, with its 95 % interval."""
-    found = []
-    for one in fit.effects:
-        main, name = one.effect.main, one.main()
-        if main is None or name not in fit.free or name in fit.on_bound or not np.isfinite(fit.deviations[name]):
-            continue
-        low, high = fit.interval(name)
-        if main.neutral is not None and low <= main.neutral <= high:
-            found.append((one, (low, high)))
-    return found
-
-
-def traded(fit: Fit) -> str | None:
-    """Return why effects that stand beside each other imitate another law: of none of them is a size told, if so."""
-    names = [one.effect.name.replace("_", " ") for one, _ in of_nothing(fit)]
-    if len(names) < 2:
+def traded(nothing: Sequence[Placed]) -> str | None:
+    """Return why effects that each may be nothing imitate another law beside each other, if there are two of them."""
+    if not nothing[1:]:
         return None
+    names = [one.effect.name.replace("_", " ") for one in nothing]
     return f"each of {', '.join(names)} may be nothing by all readings: they trade with each other"
 
 

@@ -20,13 +20,12 @@ from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
 from harness.diagnosis.runs.simple_fits import SimpleFits
 from harness.diagnosis.search.compare import impossible, judged
-from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.fit import Fit, of_nothing
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.refusal import Kind as Reason
 from harness.diagnosis.search.refusal import Refusal
 from harness.diagnosis.search.table import Accepted
-from harness.diagnosis.stand_in import of_nothing
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed

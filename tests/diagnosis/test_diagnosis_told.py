@@ -12,6 +12,7 @@ from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.runs.form import FreeRunForm
+from harness.diagnosis.search.fit import of_nothing
 from harness.diagnosis.stand_in import traded
 from harness.diagnosis.steps import over_nothing
 from harness.effects import builtin
@@ -34,7 +35,7 @@ def test_a_size_that_may_be_nothing_by_all_readings_is_said(half: float, bound: 
     warnings = over_nothing(fit)
     assert bool(warnings) == told
     assert all("x.Fc" in words and "coulomb friction may not be there" in words for words in warnings)
-    assert traded(fit) is None
+    assert traded([one for one, _ in of_nothing(fit)]) is None
 
 
 def test_effects_of_which_none_is_told_stand_in_for_another_law() -> None:
@@ -47,8 +48,11 @@ def test_effects_of_which_none_is_told_stand_in_for_another_law() -> None:
         return SimpleNamespace(effects=both, free=names, on_bound=(), deviations=dict.fromkeys(names, 1.0),
                                interval=ends.__getitem__)  # fmt: skip
 
-    assert traded(fit(0.6, 0.4)) is None
-    assert traded(fit(0.6, 9.0)) == (
+    def told(*halves: float) -> str | None:
+        return traded([one for one, _ in of_nothing(fit(*halves))])
+
+    assert told(0.6, 0.4) is None
+    assert told(0.6, 9.0) == (
         "each of coulomb friction, linear spring may be nothing by all readings: they trade with each other"
     )
 

@@ -120,6 +120,19 @@ class Fit:
         return far_off(declared, values, intervals, factor)
 
 
+def of_nothing(fit: Fit) -> list[tuple[Placed, tuple[float, float]]]:
+    """Return the effects of a fit whose size may be nothing at all, with its 95 % interval."""
+    found = []
+    for one in fit.effects:
+        main, name = one.effect.main, one.main()
+        if main is None or name not in fit.free or name in fit.on_bound or not np.isfinite(fit.deviations[name]):
+            continue
+        low, high = fit.interval(name)
+        if main.neutral is not None and low <= main.neutral <= high:
+            found.append((one, (low, high)))
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Column:
     """What one choice of an effect's parameters does to the whitened innovations.
