@@ -13,7 +13,7 @@ import pinocchio as pin
 from timing import least_times
 
 from harness.physics.arms.arm import load_arm
-from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program
+from harness.physics.arms.inertial_fit import Bodies, InertialProblem, by_log_cholesky, by_semidefinite_program
 from harness.physics.arms.regressor import ArmRegressor
 
 SAMPLES, BLOCK, ROUNDS = 100_000, 2000, 3
@@ -49,7 +49,7 @@ def main() -> None:
     rows = regressor(q[:2000], v[:2000], a[:2000])
     gram = rows.T @ rows
     side = rows.T @ (rows @ truth + noise.ravel())
-    problem = Problem(gram, side, Bodies(truth), 0.3, np.zeros(0, dtype=bool))
+    problem = InertialProblem(gram, side, Bodies(truth), 0.3, np.zeros(0, dtype=bool))
     for solve in (by_semidefinite_program, by_log_cholesky):
         (spent,), (answer,) = least_times(lambda solve=solve: solve(problem), rounds=1)
         print(f"{solve.__name__}: {spent:.2f} s of CPU, cost {problem.cost(answer):.6f}")

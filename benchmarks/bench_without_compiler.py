@@ -25,7 +25,7 @@ from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.kalman_pass import KalmanPass, PassNoise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.signals import PlantSpec, Trajectory
 
@@ -62,7 +62,7 @@ def passes(model: str, port: str, samples: int = 1500, dt: float = 0.01) -> None
     disturbed = with_latent_forces(system)
     ways = KalmanPass(disturbed, dt), KalmanPass(disturbed, dt, compiled=False)
     nl, ny, columns = ways[0].nl, ways[0].ny, np.arange(system.np + system.nx)
-    noise = Noise(s=np.full(nl, 0.01), tau=np.full(nl, 0.1), w=np.zeros(nl), r=np.full(ny, 1e-3))
+    noise = PassNoise(s=np.full(nl, 0.01), tau=np.full(nl, 0.1), w=np.zeros(nl), r=np.full(ny, 1e-3))
     for what, given in (("value", {}), ("all derivatives", {"columns": columns, "by_noise": True})):
         jobs = [lambda one=one, given=given: one(record, p, x0, noise, **given) for one in ways]
         best, _ = least_times(*jobs, rounds=6)

@@ -263,7 +263,7 @@ def jax_sysid() -> Method:
 def knowing(case: Case) -> float:
     """Return the error of the largest likelihood that is reached from the plant, its structure known."""
     from identifiers.linear.statespace.model import Piece, StateSpace, errors_of
-    from identifiers.linear.statespace.search import End, Freedom, loss_of, search, settled_starts
+    from identifiers.linear.statespace.search import Freedom, StateSpaceEnd, loss_of, search, settled_starts
 
     plant, late, ny = case.plant, case.late, case.y.shape[1]
     pieces = [Piece(case.u[: len(case.u) - late], case.y[late:])]
@@ -273,7 +273,7 @@ def knowing(case: Case) -> float:
     if case.kind in REMEMBERED:
         model = replace(first.model, noise=np.full((ny, 1), -POLE))
         wrong = errors_of(model, first.starts, pieces)
-        first = End(model, first.starts, wrong, loss_of(wrong), False)
+        first = StateSpaceEnd(model, first.starts, wrong, loss_of(wrong), False)
     found = search(first, pieces, Freedom(), gain=1e-6).model
     moved = np.vstack([np.zeros((late, wide.shape[1])), case.fresh_u[: FRESH - late]])
     return relative(Plant(found.a, found.b, found.c).run(moved), case.fresh_y)

@@ -41,8 +41,8 @@ DATASET = {
 SUITE = {
     "(top level)": suite.Suite,
     "[[groups]]": suite.Group,
-    "plants, scenarios, identifiers of a group": suite.Part,
-    "[groups.score]": suite.Score,
+    "plants, scenarios, identifiers of a group": suite.SuitePart,
+    "[groups.score]": suite.ScoreSettings,
 }
 EFFECTS = (
     "Letters in units: F force, q position, v rate, a acceleration of the coordinate, u input, y output, dt sample "

@@ -16,7 +16,7 @@ from harness.parts.files import make_plant
 from harness.rng import stream
 
 if TYPE_CHECKING:
-    from harness.data.recipe.chosen import Signals
+    from harness.data.recipe.chosen import ChosenSignals
     from harness.models.analysis import Findings, Takes
 
 
@@ -29,7 +29,7 @@ def analyse(
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
-    **signals: Unpack[Signals],
+    **signals: Unpack[ChosenSignals],
 ) -> Findings:
     """Analyse a process, a plant, a model's equations or records.
 
@@ -79,7 +79,7 @@ def analyse(
     return found
 
 
-def _subject(takes: Takes, subject: Any, more: dict[str, Any], signals: Signals) -> Any:
+def _subject(takes: Takes, subject: Any, more: dict[str, Any], signals: ChosenSignals) -> Any:
     """Return the thing that an analysis looks at."""
     if takes == "data":
         return load_dataset(subject, **signals).dataset

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from harness.benchmark import Answer
-    from harness.benchmark.planning import Plan
+    from harness.benchmark import QueryResult
+    from harness.benchmark.planning import BenchPlan
     from harness.benchmark.public import PublicResult
 
 
@@ -21,14 +21,14 @@ def stored_public(directory: str | Path) -> PublicResult | None:
     return public.read_public(directory)
 
 
-def plan_bench(suite: str | Path, **asked: Any) -> Plan:
+def plan_bench(suite: str | Path, **asked: Any) -> BenchPlan:
     """Return what :func:`bench` would run, and how long it would take; see :func:`harness.benchmark.plan`."""
     from harness import benchmark
 
     return benchmark.plan(suite, **asked)
 
 
-def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
+def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> QueryResult:
     """Return the answer to a query over the tables of a benchmark's or a fleet's folder, or its first table.
 
     See :func:`harness.benchmark.query` and :func:`harness.fleet.query`.

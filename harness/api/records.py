@@ -14,7 +14,7 @@ from harness.trust import names_fmu
 if TYPE_CHECKING:
     from harness.data import LoadedDataset
     from harness.data.oddities import DataCheck
-    from harness.data.recipe.chosen import Records, Signals
+    from harness.data.recipe.chosen import ChosenSignals, Records
 
 
 def load_dataset(
@@ -24,7 +24,7 @@ def load_dataset(
     validation: Any = None,
     ports: tuple[Sequence[Channel], Sequence[Channel]] | None = None,
     undriven: Sequence[str] = (),
-    **signals: Unpack[Signals],
+    **signals: Unpack[ChosenSignals],
 ) -> LoadedDataset:
     """Read a data set, or a recording by its name, check it, and convert it to SI units.
 
@@ -167,7 +167,7 @@ def is_table(dataset: Any) -> bool:
     return isinstance(dataset, Mapping) or hasattr(dataset, "columns") or hasattr(dataset, "data_vars")
 
 
-def named_columns(part: Any, subject: Any) -> Signals:
+def named_columns(part: Any, subject: Any) -> ChosenSignals:
     """Return the columns of a bare table that an analysis or an identifier names: what it needs, and what is there."""
     from harness.data.tables.table import FORMATS, open_table, suffix_of
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from harness.app.reach import Reach
+from harness.app.reach import SessionFiles
 from harness.errors import InputError
 from harness.trust import names_fmu
 
@@ -19,7 +19,7 @@ LINEAR = "linear"
 """What a closed loop starts from where no physical model is chosen."""
 
 
-class Column(msgspec.Struct, forbid_unknown_fields=True):
+class LogColumn(msgspec.Struct, forbid_unknown_fields=True):
     """What a column of the log is."""
 
     title: str
@@ -35,7 +35,7 @@ class Choice(msgspec.Struct, forbid_unknown_fields=True):
 
     task: Literal["close-loop", "identify", "check-data"]
     log: str
-    columns: list[Column] = msgspec.field(default_factory=list)
+    columns: list[LogColumn] = msgspec.field(default_factory=list)
     sample_time: float | None = None
     validation: str = ""
     model: str = ""
@@ -61,7 +61,7 @@ def read_choice(text: bytes) -> Choice:
         ) from error
 
 
-def words(choice: Choice, reach: Reach, *, shown: bool = False) -> list[str]:
+def words(choice: Choice, reach: SessionFiles, *, shown: bool = False) -> list[str]:
     """Return the words of the command, without ``sysid`` and ``--out``.
 
     Parameters
@@ -145,7 +145,7 @@ def spoken(given: Sequence[str]) -> str:
     return join(["sysid", *given])
 
 
-def ports_told(model: str, reach: Reach) -> dict[str, Any]:
+def ports_told(model: str, reach: SessionFiles) -> dict[str, Any]:
     """Return the ports of a model for the page: nothing of an FMU is loaded for it but its description.
 
     Raises
@@ -237,7 +237,7 @@ def _columns(choice: Choice, known: Mapping[str, tuple[str, str]] | None) -> lis
     return found
 
 
-def _channels(used: Sequence[Column], known: Mapping[str, tuple[str, str]] | None) -> list[str]:
+def _channels(used: Sequence[LogColumn], known: Mapping[str, tuple[str, str]] | None) -> list[str]:
     """Return what is said of inputs and outputs."""
     by_title = {one.title: (one.use, one.port) for one in used}
     if known is not None and all(by_title.get(title) == one for title, one in known.items()):

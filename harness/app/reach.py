@@ -25,7 +25,7 @@ LONGEST = 200
 
 
 @dataclass
-class Reach:
+class SessionFiles:
     """The files of one session, by the names that the page uses: paths below what was opened, or ``uploaded/N/NAME``.
 
     Parameters

@@ -30,7 +30,7 @@ from harness.app.commands import LINEAR, matched, ports_told, read_choice, spoke
 from harness.app.gate import HOST, Gate
 from harness.app.jobs import Job, Jobs
 from harness.app.logs import Logs
-from harness.app.reach import Reach
+from harness.app.reach import SessionFiles
 from harness.errors import UNREADABLE, HarnessError, InputError
 from harness.trust import names_fmu
 
@@ -51,7 +51,7 @@ TYPES = {".html": "text/html", ".json": "application/json", ".csv": "text/plain"
 class Session:
     """What one page works with."""
 
-    reach: Reach
+    reach: SessionFiles
     jobs: Jobs = field(init=False)
     logs: Logs = field(default_factory=Logs)
     pages: int = 0
@@ -427,7 +427,7 @@ def serve(
         else:
             work = keep.absolute()
             work.mkdir(parents=True, exist_ok=True)
-        reach = Reach(path, work, stays=keep is not None)
+        reach = SessionFiles(path, work, stays=keep is not None)
         line = stack.enter_context(_socket(port))
         number = line.getsockname()[1]
         token = secrets.token_urlsafe(24)

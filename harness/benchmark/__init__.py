@@ -14,11 +14,11 @@ from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row
 from harness.benchmark.running import bench, plan, table
 from harness.benchmark.suite import load_suite
-from harness.jobs.query import Answer
+from harness.jobs.query import QueryResult
 
 __all__ = [
-    "Answer",
     "BenchResult",
+    "QueryResult",
     "Row",
     "Suite",
     "bench",

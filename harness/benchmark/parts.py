@@ -13,7 +13,7 @@ RECORDING, RECORDED = "recording:", "recorded"
 """Prefix of a plant that is a recording, and the scenario that goes with it."""
 
 
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SuitePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A plant, scenario or identifier of a suite: the id of a registered part, its options, its name in the table.
 
     A plant may also be a file (``.fmu``, ``.toml`` of a coupling, ``.ssp``), relative to the suite, or a recording
@@ -42,7 +42,7 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return printable(self.label or self.id)
 
 
-class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ScoreSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the models of a group are scored.
 
     ``horizon`` is that of the simulation error in s (the whole record without it); ``runs`` and ``held_out`` count the
@@ -65,12 +65,12 @@ class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ``axes`` gives options several values: ``{"scenarios.noise" = [0.0, 0.01, 0.1]}``.
     """
 
-    plants: tuple[Part, ...]
-    scenarios: tuple[Part, ...]
-    identifiers: tuple[Part, ...]
+    plants: tuple[SuitePart, ...]
+    scenarios: tuple[SuitePart, ...]
+    identifiers: tuple[SuitePart, ...]
     name: str = ""
     seeds: tuple[int, ...] | None = None
-    score: Score = Score()
+    score: ScoreSettings = ScoreSettings()
     time_limit: float | None = None
     axes: dict[str, tuple[int | float, ...]] = {}
 
@@ -94,16 +94,16 @@ class Cell(msgspec.Struct, frozen=True):
     """One row of the table, still to be computed; ``job`` is a hash of everything that decides its result."""
 
     job: str
-    identifier: Part
+    identifier: SuitePart
 
 
 class Task(msgspec.Struct, frozen=True):
     """The cells of one plant, scenario and seed: they share their data, so one worker does them together."""
 
-    plant: Part
-    scenario: Part
+    plant: SuitePart
+    scenario: SuitePart
     seed: int
-    score: Score
+    score: ScoreSettings
     time_limit: float
     cells: tuple[Cell, ...]
 
@@ -150,7 +150,7 @@ def expanded(group: Group) -> Group:
     return msgspec.structs.replace(group, **parts, axes={})
 
 
-def _at(part: Part, name: str, option: str, value: float) -> Part:
+def _at(part: SuitePart, name: str, option: str, value: float) -> SuitePart:
     """Return a part at one point of an axis."""
     text = f"{value:g}" if isinstance(value, float) else str(value)
     base, bracket, inside = part.name.partition(" [")

@@ -21,7 +21,7 @@ Shared = TypeVar("Shared")
 
 
 @dataclass(frozen=True)
-class Plan:
+class BenchPlan:
     """What would run."""
 
     cells: dict[tuple[str, str, str], int]  # (plant, scenario, identifier) to the number of cells that are still to do
@@ -81,7 +81,7 @@ def share(tasks: Sequence[Shared], shard: tuple[int, int] | None) -> tuple[Share
 
 def plan_of(
     tasks: Sequence[Task], done: set[str], timings: Sequence[Path], workers: int, declared: float | None = None
-) -> Plan:
+) -> BenchPlan:
     """Return the plan of these tasks: cells to run, cells that are done, and the time that they take.
 
     - ``done``: jobs that have their rows
@@ -102,7 +102,7 @@ def plan_of(
         seconds = timed / known * sum(cells.values()) / workers
     limit = sum(task.time_limit for task, _ in pairs) / workers
     stated = None if declared is None else declared * sum(cells.values()) / workers
-    return Plan(dict(cells), len(done), seconds, known, limit, stated)
+    return BenchPlan(dict(cells), len(done), seconds, known, limit, stated)
 
 
 def _times(timings: Path) -> dict[tuple[str, str, str], float]:

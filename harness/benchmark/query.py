@@ -8,10 +8,10 @@ from typing import Any
 
 from harness.benchmark.store import Store
 from harness.extras import optional
-from harness.jobs.query import Answer, ask
+from harness.jobs.query import QueryResult, ask
 
 
-def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
+def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> QueryResult:
     """Ask the stored rows of a benchmark.
 
     Parameters

@@ -16,7 +16,7 @@ from harness.signals import FloatArray, Trajectory, residual
 
 
 @dataclass(frozen=True, eq=False)
-class Records:
+class TaskRecords:
     """What every identifier of a task is given, and what the best could do with it."""
 
     # To be fitted to, and to be scored on
@@ -29,7 +29,7 @@ class Records:
     least_equation: float | None = None
 
 
-def make_records(task: Task) -> Records:
+def make_records(task: Task) -> TaskRecords:
     """Return the records of a task, made or recorded."""
     from harness.rollout import perform
     from harness.scoring import least_errors, linear_truth
@@ -59,12 +59,12 @@ def make_records(task: Task) -> Records:
         truth = linear_truth(plant, [*runs, *held_out], disturbances)
     least = None if truth is None else least_errors(truth, runs, held_out)
     if least is None:
-        return Records(runs, held_out, noise_floor(pairs))
+        return TaskRecords(runs, held_out, noise_floor(pairs))
     free = least.simulation if task.score.horizon is None else None
-    return Records(runs, held_out, noise_floor(pairs), free, least.equation)
+    return TaskRecords(runs, held_out, noise_floor(pairs), free, least.equation)
 
 
-def _recorded(name: str) -> Records:
+def _recorded(name: str) -> TaskRecords:
     """Return the runs of a recording: those for estimation, and those for a test or else for validation.
 
     The floor is that of the sensor noise that the recording declares, if it does so for every output.
@@ -82,11 +82,11 @@ def _recorded(name: str) -> Records:
         )
     outputs = data.spec.outputs
     if not all(channel.name in data.noise for channel in outputs):
-        return Records(list(data.estimation), held_out, None)
+        return TaskRecords(list(data.estimation), held_out, None)
     noise = np.array([data.noise[channel.name] for channel in outputs])
     spreads = [np.std(record.y, axis=0) for record in held_out]
     floor = float(np.sqrt(np.mean([np.mean((noise / spread) ** 2) for spread in spreads if (spread > 0).all()])))
-    return Records(list(data.estimation), held_out, floor if np.isfinite(floor) else None)
+    return TaskRecords(list(data.estimation), held_out, floor if np.isfinite(floor) else None)
 
 
 def noise_floor(pairs: Sequence[tuple[Trajectory, dict[int, FloatArray]]]) -> float | None:

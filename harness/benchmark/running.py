@@ -17,7 +17,7 @@ from harness import registry
 from harness.benchmark.page.overlays import draw_overlays
 from harness.benchmark.page.report import render_html
 from harness.benchmark.parts import Cell, Task
-from harness.benchmark.planning import Plan, plan_of, read_shard, share
+from harness.benchmark.planning import BenchPlan, plan_of, read_shard, share
 from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row, one_line, read_row
 from harness.benchmark.store import Store
@@ -163,7 +163,7 @@ def plan(
     workers: int | None = None,
     seeds: tuple[int, int] | Sequence[int] | None = None,
     shard: str | None = None,
-) -> Plan:
+) -> BenchPlan:
     """Return the cells that :func:`bench` with these arguments would run, and their time; nothing is written.
 
     Raises

@@ -16,9 +16,9 @@ from harness.benchmark.parts import (
     RECORDING,
     Cell,
     Group,
-    Part,
-    Score,
+    ScoreSettings,
     Suite,
+    SuitePart,
     Task,
     axes_problem,
     expanded,
@@ -144,7 +144,7 @@ def cells_of(tasks: Sequence[Task]) -> list[tuple[Task, Cell]]:
     return sorted(pairs, key=lambda p: (rank[p[0].plant.name, p[0].scenario.name, p[1].identifier.name], p[0].seed))
 
 
-def _job(plant: Part, scenario: Part, identifier: Part, seed: int, score: Score) -> str:
+def _job(plant: SuitePart, scenario: SuitePart, identifier: SuitePart, seed: int, score: ScoreSettings) -> str:
     """Return the hash of everything that decides a row, the code of the project included."""
     content = {
         "project": own_code(),
@@ -170,7 +170,7 @@ def _located(group: Group, folder: Path) -> Group:
     return msgspec.structs.replace(group, plants=tuple(plants))
 
 
-def _placed(part: Part, path: Path) -> Part:
+def _placed(part: SuitePart, path: Path) -> SuitePart:
     """Return a plant with the place of its file; its draws hang on what is in it, unless it has a name here."""
     streams = part.streams or part.label
     if not streams:

@@ -16,7 +16,7 @@ import numpy as np
 from harness import registry
 from harness.benchmark.control import score_control
 from harness.benchmark.parts import Cell, Task
-from harness.benchmark.records import Records, make_records
+from harness.benchmark.records import TaskRecords, make_records
 from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.jobs import Desk
@@ -40,7 +40,7 @@ STRETCHES = 500
 
 @dataclass(frozen=True)
 class CellBatch:
-    """The cells of a task as jobs; see :class:`harness.jobs.Batch`."""
+    """The cells of a task as jobs; see :class:`harness.jobs.JobBatch`."""
 
     task: Task
     trace: bool = False
@@ -82,7 +82,7 @@ class CellBatch:
         _preload(task)
         started = time.perf_counter()
         failure: HarnessError | None = None
-        records: Records | None = None
+        records: TaskRecords | None = None
         with desk.shared():
             try:
                 records = make_records(task)

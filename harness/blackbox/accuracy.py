@@ -21,13 +21,13 @@ TRIALS = 4
 ROWS = 2000  # Samples over which settings are compared.
 
 
-class Settings(NamedTuple):
+class FmuAccuracy(NamedTuple):
     """Communication step [s] and relative tolerance of an FMU; None: the sample time, its own."""
 
     step: float | None
     tolerance: float | None
 
-    def words(self, other: Settings, sample_time: float) -> str:
+    def words(self, other: FmuAccuracy, sample_time: float) -> str:
         """Return in which of them these are finer than others."""
         return " and ".join(
             [
@@ -43,15 +43,15 @@ class Coarsest(NamedTuple):
     Both in standard deviations of the noise; ``enough`` tells whether any of those tried sufficed.
     """
 
-    settings: Settings
+    settings: FmuAccuracy
     first: FloatArray
     last: FloatArray
     enough: bool
 
 
 def coarsest(
-    outputs: Callable[[Settings], FloatArray],
-    own: Settings,
+    outputs: Callable[[FmuAccuracy], FloatArray],
+    own: FmuAccuracy,
     sample_time: float,
     told: float | None,
     noise: FloatArray,
@@ -74,8 +74,8 @@ def coarsest(
     if not np.isfinite(y).any():
         return Coarsest(own, first, last, True)
     for _ in range(TRIALS):
-        stricter = Settings(now.step, max(FINER * (now.tolerance or told or FIRST), LAST))
-        finer = Settings((now.step or sample_time) / 2, stricter.tolerance)
+        stricter = FmuAccuracy(now.step, max(FINER * (now.tolerance or told or FIRST), LAST))
+        finer = FmuAccuracy((now.step or sample_time) / 2, stricter.tolerance)
         best = outputs(finer)
         last = apart(y, best)
         if not np.isfinite(last).all():  # finer settings break it: those that it has are what there is
@@ -101,7 +101,7 @@ def settled(system: FmuSystem, record: Trajectory, noise: FloatArray, x0: FloatA
     """
     run = record[:ROWS]
 
-    def outputs(settings: Settings) -> FloatArray:
+    def outputs(settings: FmuAccuracy) -> FloatArray:
         made = replace(system, step=settings.step, tolerance=settings.tolerance)
         try:
             simulator = FmuSimulator(made, Runner(made, run.spec.sample_time))
@@ -109,7 +109,7 @@ def settled(system: FmuSystem, record: Trajectory, noise: FloatArray, x0: FloatA
         except HarnessError:  # it does not take such a step or tolerance
             return np.full((len(run), made.ny), np.nan)
 
-    own = Settings(system.step, system.tolerance)
+    own = FmuAccuracy(system.step, system.tolerance)
     found = coarsest(outputs, own, run.spec.sample_time, told, noise)
     if found.settings == own:
         return system

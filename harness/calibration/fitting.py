@@ -9,12 +9,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from harness.blackbox.accuracy import ROWS, Settings, coarsest
+from harness.blackbox.accuracy import ROWS, FmuAccuracy, coarsest
 from harness.calibration.calibration import Calibration, Errors
-from harness.calibration.runs import FreeModel, FreeRuns
+from harness.calibration.runs import FreeModel, RecordSimulator
 from harness.calibration.search import beginnings, best_fit, drawn, estimated_starts
 from harness.calibration.slopes import OwnSlopes
-from harness.calibration.variables import Contents, contents_of, free_parameters, start_values
+from harness.calibration.variables import ModelContents, contents_of, free_parameters, start_values
 from harness.errors import InputError, PlantError, refuse_unknown
 from harness.models.estimate import null_words
 from harness.options import as_options
@@ -165,7 +165,7 @@ def _by_use(data: Dataset) -> dict[str, list[Trajectory]]:
     return records
 
 
-def _plant(contents: Contents, data: Dataset, options: dict[str, Any]) -> Plant:
+def _plant(contents: ModelContents, data: Dataset, options: dict[str, Any]) -> Plant:
     """Return the model as a plant at the sample time of the data, with the channels of the data."""
     spec = data.spec
     asked: dict[str, Any] = {"sample_time": spec.sample_time, "start_time": contents.start_time}
@@ -175,7 +175,7 @@ def _plant(contents: Contents, data: Dataset, options: dict[str, Any]) -> Plant:
 
 
 def _settled(
-    contents: Contents, data: Dataset, options: dict[str, Any], fixed: Mapping[str, float]
+    contents: ModelContents, data: Dataset, options: dict[str, Any], fixed: Mapping[str, float]
 ) -> tuple[dict[str, Any], list[str]]:
     """Return options with a step and tolerance at which finer ones change less than the noise, and what is to be said.
 
@@ -188,10 +188,10 @@ def _settled(
     known = [data.noise.get(channel.name, np.nan) for channel in data.spec.outputs]
     noise = np.where(np.isnan(known), sensor_noise(records), known)
 
-    def given(settings: Settings) -> dict[str, Any]:
+    def given(settings: FmuAccuracy) -> dict[str, Any]:
         return {name: value for name, value in settings._asdict().items() if value is not None}
 
-    def outputs(settings: Settings) -> FloatArray:
+    def outputs(settings: FmuAccuracy) -> FloatArray:
         try:
             with _plant(contents, data, options | given(settings)) as plant:
                 if fixed:
@@ -203,7 +203,7 @@ def _settled(
                 raise  # it would be waited for as long again
             return np.full((len(record), data.spec.ny), np.nan)
 
-    own = Settings(None, None)
+    own = FmuAccuracy(None, None)
     found = coarsest(outputs, own, dt, contents.tolerance, np.maximum(BIAS * noise, 1e-12))
     if found.settings == own or not found.enough:
         return options, []
@@ -214,14 +214,14 @@ def _settled(
 
 
 def _runs(
-    contents: Contents,
+    contents: ModelContents,
     plant: Plant,
     data: Dataset,
     parameters: tuple[Parameter, ...],
     fixed: Mapping[str, float],
     initial: str,
     records: Sequence[Trajectory],
-) -> tuple[FreeRuns, list[_Told], list[str]]:
+) -> tuple[RecordSimulator, list[_Told], list[str]]:
     """Return what simulates, the states whose starts are estimated, and what is to be said."""
     if fixed:
         plant.preset(fixed)  # type: ignore[attr-defined]
@@ -240,12 +240,12 @@ def _runs(
     keys = {one.name: contents.variables[one.name].key for one in parameters}
     model = FreeModel(contents.name, data.spec.inputs, data.spec.outputs, tuple(candidates), parameters, keys)
     held = dict(zip((c.name for c in plant.spec.inputs), getattr(plant, "input_starts", ()), strict=False))
-    runs = FreeRuns(model, plant, held)
+    runs = RecordSimulator(model, plant, held)
     p = np.array([one.value for one in parameters])
     own = np.array([by_key[c.name].start or 0.0 if c.name in by_key else 0.0 for c in candidates])
     told = _told_states(runs, p, own.tolist(), records, fixed)
     kept = replace(model, states=tuple(candidates[one.row] for one in told))
-    made = FreeRuns(kept, plant, held)
+    made = RecordSimulator(kept, plant, held)
     first = made.run(p, np.array([one.start for one in told]), records[0].u)
     if not np.isfinite(first).all() and made.broken is not None and not np.isfinite(first[:1]).all():
         raise PlantError(f"at its start values: {made.broken}", status=made.broken.status)
@@ -258,7 +258,7 @@ def _runs(
 
 
 def _trust_own_slopes(
-    runs: FreeRuns,
+    runs: RecordSimulator,
     plant: Plant,
     derivatives: Mapping[str, str],
     p: FloatArray,
@@ -281,7 +281,7 @@ def _first_starts(told: Sequence[_Told], records: Sequence[Trajectory]) -> Float
     return np.array(rows, dtype=float).reshape(len(records), len(told))
 
 
-def _own(contents: Contents, parameter: Parameter) -> float:
+def _own(contents: ModelContents, parameter: Parameter) -> float:
     """Return the model's own value of a parameter."""
     value = contents.variables[parameter.name].start
     assert value is not None
@@ -289,7 +289,7 @@ def _own(contents: Contents, parameter: Parameter) -> float:
 
 
 def _errors(
-    runs: FreeRuns, records: Sequence[Trajectory], p: FloatArray, x0: FloatArray, sigma: FloatArray
+    runs: RecordSimulator, records: Sequence[Trajectory], p: FloatArray, x0: FloatArray, sigma: FloatArray
 ) -> tuple[Errors, ...]:
     """Return the errors of free runs by record, the starts of the states fitted to each."""
     found = []
@@ -327,10 +327,10 @@ def _hardly(fit: OutputErrorFit, parameters: Sequence[Parameter]) -> tuple[str, 
 
 
 def _solver_noise(
-    contents: Contents,
+    contents: ModelContents,
     data: Dataset,
     options: dict[str, Any],
-    runs: FreeRuns,
+    runs: RecordSimulator,
     p: FloatArray,
     fit: OutputErrorFit,
     fixed: Mapping[str, float],
@@ -349,7 +349,7 @@ def _solver_noise(
         with _plant(contents, data, finer) as plant:
             if fixed:
                 plant.preset(fixed)  # type: ignore[attr-defined]
-            y = FreeRuns(runs.system, plant, {}).run(p, x0, record.u)
+            y = RecordSimulator(runs.system, plant, {}).run(p, x0, record.u)
     except (InputError, PlantError):
         return []
     there = record.y - fit.residuals[0]
@@ -378,7 +378,11 @@ class _Told:
 
 
 def _told_states(
-    runs: FreeRuns, p: FloatArray, starts: Sequence[float], records: Sequence[Trajectory], fixed: Mapping[str, float]
+    runs: RecordSimulator,
+    p: FloatArray,
+    starts: Sequence[float],
+    records: Sequence[Trajectory],
+    fixed: Mapping[str, float],
 ) -> list[_Told]:
     """Return the states of a model with all that come into question whose starts the first record tells."""
     u = records[0].u[:LOOK]

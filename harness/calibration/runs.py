@@ -58,7 +58,7 @@ class FreeModel(Dimensions):
         return next(one for one in self.parameters if one.name == name)
 
 
-class FreeRuns(BySample):
+class RecordSimulator(BySample):
     """Simulates records with given parameters (p) and start values of states (x0).
 
     Parameters

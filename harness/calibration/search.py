@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from harness.calibration.runs import FreeRuns
+from harness.calibration.runs import RecordSimulator
 from harness.errors import FitError
 from harness.physics.compiled.windows import Windows
 from harness.physics.definition.parameters import Parameter
@@ -29,7 +29,7 @@ DRAWS = 4  # Draws for each start: the one that fits the first beginning best is
 
 
 def best_fit(
-    runs: FreeRuns,
+    runs: RecordSimulator,
     records: Sequence[Trajectory],
     guesses: Sequence[tuple[FloatArray, FloatArray]],
     noise: Mapping[str, float],
@@ -101,13 +101,13 @@ def _path(records: Sequence[Trajectory]) -> list[int | None]:
     return [*dict.fromkeys(step for step in steps if step < 0.75 * longest), None]
 
 
-def _windows(runs: FreeRuns, records: Sequence[Trajectory], length: int | None, sigma: FloatArray) -> Windows:
+def _windows(runs: RecordSimulator, records: Sequence[Trajectory], length: int | None, sigma: FloatArray) -> Windows:
     """Return the beginnings of records."""
     return Windows(runs, [record[:length] for record in records], None, sigma)  # type: ignore[arg-type]
 
 
 def _followed(
-    runs: FreeRuns,
+    runs: RecordSimulator,
     records: Sequence[Trajectory],
     p: FloatArray,
     x0: FloatArray,
@@ -181,7 +181,7 @@ def drawn(
     return found
 
 
-def beginnings(runs: FreeRuns, records: Sequence[Trajectory]) -> Windows:
+def beginnings(runs: RecordSimulator, records: Sequence[Trajectory]) -> Windows:
     """Return the first beginnings of records that are fitted, weighed by the deviation of their outputs."""
     sigma = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
     return _windows(runs, records, _path(records)[0], sigma)
@@ -200,7 +200,7 @@ def _draw(parameter: Parameter, rng: np.random.Generator, spread: float) -> floa
 
 
 def estimated_starts(
-    runs: FreeRuns, records: Sequence[Trajectory], p: FloatArray, x0: FloatArray, sigma: FloatArray
+    runs: RecordSimulator, records: Sequence[Trajectory], p: FloatArray, x0: FloatArray, sigma: FloatArray
 ) -> FloatArray:
     """Return the starts of the states (records, nx) that suit given parameters best."""
     return minimise_states(_windows(runs, records, None, sigma), p, x0) if runs.nx and records else x0

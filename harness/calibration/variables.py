@@ -34,7 +34,7 @@ class Variable:
 
 
 @dataclass(frozen=True)
-class Contents:
+class ModelContents:
     """What a model file holds: ``kind`` is ``"fmu"`` or ``"system"``; the tolerance is that of an FMU's experiment."""
 
     path: Path
@@ -64,7 +64,7 @@ class Contents:
         )
 
 
-def contents_of(path: str | Path) -> Contents:
+def contents_of(path: str | Path) -> ModelContents:
     """Return what can be set in an FMU or a system of FMUs.
 
     Raises InputError if the file cannot be read.
@@ -93,7 +93,7 @@ def contents_of(path: str | Path) -> Contents:
             if row["derivative_of"]:
                 derived.setdefault(row["derivative_of"], row["name"])
         told = derived if offered else {}
-        return Contents(path, str(described["model"]), "fmu", named, start, tolerance, told)
+        return ModelContents(path, str(described["model"]), "fmu", named, start, tolerance, told)
     from harness.cosim.structure import opened
     from harness.cosim.structure.flatten import flatten
 
@@ -107,7 +107,7 @@ def contents_of(path: str | Path) -> Contents:
                 if not row["alias"]:
                     name, key = (f"{head}.{row['name']}" for head in (component.label, component.name))
                     variables[name] = _variable(row, name, key, given.get(row["name"]))
-    return Contents(path, description.name, "system", variables, float(description.start or 0.0))
+    return ModelContents(path, description.name, "system", variables, float(description.start or 0.0))
 
 
 def _variable(row: Mapping[str, Any], name: str, key: str, given: Any) -> Variable:
@@ -138,7 +138,7 @@ def _variable(row: Mapping[str, Any], name: str, key: str, given: Any) -> Variab
     )
 
 
-def start_values(contents: Contents, given: Mapping[str, float]) -> dict[str, float]:
+def start_values(contents: ModelContents, given: Mapping[str, float]) -> dict[str, float]:
     """Return given start values (SI), or refuse a name or a number."""
     for name, value in given.items():
         contents.variable(name, "start value")
@@ -150,7 +150,7 @@ def start_values(contents: Contents, given: Mapping[str, float]) -> dict[str, fl
 
 
 def free_parameters(
-    contents: Contents,
+    contents: ModelContents,
     free: Sequence[str],
     bounds: Mapping[str, tuple[float, float]],
     start: Mapping[str, float],
@@ -182,7 +182,7 @@ def free_parameters(
     return tuple(_parameter(contents, name, bounds.get(name), start.get(name)) for name in free)
 
 
-def _parameter(contents: Contents, name: str, bound: tuple[float, float] | None, given: float | None) -> Parameter:
+def _parameter(contents: ModelContents, name: str, bound: tuple[float, float] | None, given: float | None) -> Parameter:
     """Return one free parameter."""
     variable = contents.variable(name, "free parameter")
     if not variable.parameter:

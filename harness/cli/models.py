@@ -33,7 +33,7 @@ from harness.errors import InputError
 from harness.frequency import is_response
 
 if TYPE_CHECKING:
-    from harness.data.recipe.chosen import Records, Signals
+    from harness.data.recipe.chosen import ChosenSignals, Records
     from harness.models.arx_orders import ArxGrid
 
 
@@ -247,7 +247,7 @@ def spectrum(
     model: ModelName = None,
     undriven: Undriven = None,
     *,
-    signals: Signals,
+    signals: ChosenSignals,
     segment: Annotated[
         int | None, typer.Option(min=16, help="use Welch's method, with segments of this many samples")
     ] = None,

@@ -15,7 +15,7 @@ from harness.cli.words import completed, text_pairs
 from harness.trust import trusting
 
 if TYPE_CHECKING:
-    from harness.scoring.acceptance import Check, Demands
+    from harness.scoring.acceptance import Demand, Demands
 
 
 def _trust(context: typer.Context, files: list[str] | None) -> list[str] | None:
@@ -121,7 +121,7 @@ def demands_of(fail_on: str | None, max_error: list[str] | None, max_share: floa
     return Demands(tuple(word for word in words if word), text_pairs(max_error, "--max-error"), max_share)
 
 
-def judged(suite: str, checks: Sequence[Check], junit: Path | None) -> None:
+def judged(suite: str, checks: Sequence[Demand], junit: Path | None) -> None:
     """Write checks where asked, say on standard error what fails, and leave with status 1 if something does."""
     if junit is not None:
         from harness.scoring.acceptance import write_junit
@@ -154,7 +154,7 @@ def of_table(command: Callable[..., None]) -> Callable[..., None]:
 
     It receives what they say as that argument. ``--trust`` is the last of its options.
     """
-    hints = get_type_hints(command, localns={"Signals": dict, "Records": dict}, include_extras=True)
+    hints = get_type_hints(command, localns={"ChosenSignals": dict, "Records": dict}, include_extras=True)
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():
         if parameter.name not in ("signals", "records"):

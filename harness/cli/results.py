@@ -11,7 +11,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from harness.api import Identified
-    from harness.benchmark import Answer, BenchResult
+    from harness.benchmark import BenchResult, QueryResult
     from harness.benchmark.public import PublicResult
     from harness.diagnosis.planned import Planned
     from harness.models.estimate import Estimate
@@ -93,7 +93,7 @@ def print_public(result: PublicResult, *, as_json: bool) -> None:
     say(f"results: {result.folder / 'public.csv'}, public.md, public.tex, public.json")
 
 
-def print_answer(answer: Answer) -> None:
+def print_answer(answer: QueryResult) -> None:
     """Print the answer to a query as a table."""
     rows = [[f"{v:.6g}" if isinstance(v, float) else v for v in one.values()] for one in answer.records()]
     print_table(answer.columns, rows)

@@ -25,7 +25,7 @@ from harness.cli.terminal import noted, print_json, print_paths, print_rows, pro
 from harness.cli.words import completed, option_pairs, whole_range
 
 if TYPE_CHECKING:
-    from harness.data.recipe.chosen import Signals
+    from harness.data.recipe.chosen import ChosenSignals
 
 
 @of_table
@@ -55,7 +55,7 @@ def modes(
     model: ModelName = None,
     undriven: Undriven = None,
     *,
-    signals: Signals,
+    signals: ChosenSignals,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the page and the pictures")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -110,7 +110,7 @@ def analyse(
         typer.Option("--subject-option", "-P", metavar="k=v", help="option of the plant or model, repeatable"),
     ] = None,
     *,
-    signals: Signals,
+    signals: ChosenSignals,
     out: Picture = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -136,7 +136,7 @@ def analyse(
     print_paths(out)
 
 
-class Form(StrEnum):
+class PrintedForm(StrEnum):
     """What the equations are printed as."""
 
     text = "text"
@@ -149,7 +149,7 @@ def equations(
     model: Annotated[
         str, typer.Argument(metavar="MODEL", help="name, URDF, MJCF, model.json, or folder of a closed loop")
     ],
-    form: Annotated[Form, typer.Option("--as", help="text, latex, python or c")] = Form.text,
+    form: Annotated[PrintedForm, typer.Option("--as", help="text, latex, python or c")] = PrintedForm.text,
     option: OptionPairs = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write")] = None,
     as_json: AsJson = False,

@@ -80,7 +80,7 @@ PROGRESS = "SYSID_HARNESS_PROGRESS"
 """Environment variable with the seconds between two lines of progress, for a program that reads them."""
 
 
-class Lines:
+class ProgressLines:
     """Progress where standard error is no terminal: one line every few seconds."""
 
     def __init__(self, title: str, counted: bool) -> None:
@@ -131,10 +131,10 @@ def share_bar(title: str, name: str) -> Iterator[Callable[[float, str], None]]:
 
 
 @contextmanager
-def progress_bar(title: str, *, counted: bool = False) -> Iterator[Progress | Lines]:
+def progress_bar(title: str, *, counted: bool = False) -> Iterator[Progress | ProgressLines]:
     """Show on standard error how far something long has come: a bar on a terminal, else a line now and then."""
     if not sys.stderr.isatty():
-        yield Lines(title, counted)
+        yield ProgressLines(title, counted)
         return
     from rich.console import Console
     from rich.progress import (

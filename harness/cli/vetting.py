@@ -108,6 +108,6 @@ def check(
     else:
         for result in results:
             say(f"{'pass' if result.passed else 'FAIL'}  {result.name}{': ' + result.reason if result.reason else ''}")
-    from harness.scoring.acceptance import Check
+    from harness.scoring.acceptance import Demand
 
-    judged("check", [Check(name, result.name, result.passed, result.reason or "") for result in results], junit)
+    judged("check", [Demand(name, result.name, result.passed, result.reason or "") for result in results], junit)

@@ -15,7 +15,7 @@ Hold = Literal["constant", "linear"]
 MOST = 1024  # Exchanges within a communication step at most.
 
 
-class Lines:
+class SignalLines:
     """Real signals of parts as lines within a step; a part that holds its input gets the mean over the step.
 
     - ``count``: outputs of all parts, ny

@@ -36,7 +36,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class FreeRun:
+class CoupledRun:
     """What a run brought."""
 
     trajectory: Trajectory  # Up to the end, or up to where the plant ended it; its time column is the plant's own
@@ -145,7 +145,9 @@ def hold(
     return np.array(rows, dtype=np.float64), None
 
 
-def free_run(plant: Plant, u: FloatArray, span: Window, progress: Callable[[int, int], None] | None = None) -> FreeRun:
+def free_run(
+    plant: Plant, u: FloatArray, span: Window, progress: Callable[[int, int], None] | None = None
+) -> CoupledRun:
     """Run a plant under a constant input (nu,) through a window, as far as it goes."""
     rows, ended = hold(plant, u, span.count, progress)
     notes = list(span.notes)
@@ -155,7 +157,7 @@ def free_run(plant: Plant, u: FloatArray, span: Window, progress: Callable[[int,
         notes.append(f"the run ends at t = {at:g} s of {span.end:g} s ({kept}): {ended}")
     held: FloatArray = np.tile(np.asarray(u, dtype=np.float64), (len(rows), 1))
     record = Trajectory(span.instants[: len(rows)], held, rows, plant.spec)
-    return FreeRun(record, tuple(notes), ended, tuple(getattr(plant, "beyond", ())))
+    return CoupledRun(record, tuple(notes), ended, tuple(getattr(plant, "beyond", ())))
 
 
 def _given(*values: float | None) -> float | None:

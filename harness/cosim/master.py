@@ -10,12 +10,12 @@ from typing import Any, Literal, Self, cast
 
 import numpy as np
 
-from harness.cosim.controlled import Controlled, Hold, Lines
+from harness.cosim.controlled import Controlled, Hold, SignalLines
 from harness.cosim.graph import followers, newton, reached_at_once, strong_components
 from harness.cosim.initial import initialise
 from harness.cosim.texts import split
 from harness.cosim.watched import watched
-from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower
+from harness.cosim.wiring import Connection, Part, ShownOutput, channel_of, check_wires, locate, place, shower
 from harness.errors import InputError, PlantError, refuse_unknown
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import Channel, FloatArray, PlantSpec
@@ -45,7 +45,7 @@ class Coupled:
         External inputs: name of the new input -> its channel, or the part's input that lends it; a sequence of
         ``"part.input"`` connects them as well, under the same names.
     outputs : sequence of str or Shown
-        ``"part.output"``; their channels carry these names. A :class:`harness.cosim.wiring.Shown` brings its own.
+        ``"part.output"``; their channels carry these names. A :class:`harness.cosim.wiring.ShownOutput` brings its own.
     order : {"gauss-seidel", "jacobi"}
         Order of stepping.
     sequence : sequence of str, optional
@@ -98,7 +98,7 @@ class Coupled:
         connections: Sequence[Connection | tuple[str, str]],
         *,
         inputs: Mapping[str, str | Channel] | Sequence[str] = (),
-        outputs: Sequence[str | Shown],
+        outputs: Sequence[str | ShownOutput],
         order: Order = "gauss-seidel",
         sequence: Sequence[str] | None = None,
         sample_time: float | None = None,
@@ -142,7 +142,7 @@ class Coupled:
         self._one_rate = all(part.every == 1 for part in self._parts)
         # bound methods looked up once: the loop over the parts is the hot path
         self._calls = [(part, part.read, part.plant.step, part.outputs, part.plant.spec.ny) for part in self._sequence]
-        self._lines = Lines(self._parts, self._ny) if self._checked_hold(hold) == "linear" else None
+        self._lines = SignalLines(self._parts, self._ny) if self._checked_hold(hold) == "linear" else None
         self._controlled = None if error is None else Controlled(self._parts, error, self._late, iterations)
         self._tick = 0
         self._signals = [0.0] * (self._ny + len(external) + len(self._late))
@@ -161,11 +161,13 @@ class Coupled:
         return channels, [] if isinstance(inputs, Mapping) else [Connection(name, name) for name in inputs]
 
     def _outputs_seen(
-        self, outputs: Sequence[str | Shown], external: Sequence[Channel]
-    ) -> tuple[list[Shown], list[int]]:
+        self, outputs: Sequence[str | ShownOutput], external: Sequence[Channel]
+    ) -> tuple[list[ShownOutput], list[int]]:
         """Return the outputs with their channels, and where each stands among the signals."""
         shown = [
-            one if isinstance(one, Shown) else Shown(one, replace(channel_of(self._parts, one, "outputs"), name=one))
+            one
+            if isinstance(one, ShownOutput)
+            else ShownOutput(one, replace(channel_of(self._parts, one, "outputs"), name=one))
             for one in outputs
         ]
         slots = {channel.name: self._ny + at for at, channel in enumerate(external)}
@@ -426,7 +428,7 @@ class Coupled:
                 if self._direct and k < count - 1:
                     self._evaluate(self._direct)
 
-    def _along_lines(self, lines: Lines, k: int, count: int) -> None:
+    def _along_lines(self, lines: SignalLines, k: int, count: int) -> None:
         """Step every part over the k-th of so many pieces, signals of others being lines within it."""
         start, h = self._signals.copy(), self._spec.sample_time / count
         middle = lines.extrapolated(start, h)

@@ -11,10 +11,10 @@ from harness.cosim.description import CHANGEABLE, Make
 from harness.cosim.master import Coupled
 from harness.cosim.structure.flat import Describe, FlatComponent, FlatSystem, named
 from harness.cosim.structure.flatten import flatten
-from harness.cosim.structure.model import Description
+from harness.cosim.structure.model import SystemDescription
 from harness.cosim.structure.open import open_structure
 from harness.cosim.watched import made
-from harness.cosim.wiring import Connection, Shown
+from harness.cosim.wiring import Connection, ShownOutput
 from harness.errors import InputError, refuse_unknown
 from harness.protocols import Plant
 from harness.signals import Channel
@@ -91,7 +91,7 @@ def couple_ssp(
         raise
 
 
-def _step(description: Description, flat: FlatSystem, asked: float | None) -> tuple[float, list[str]]:
+def _step(description: SystemDescription, flat: FlatSystem, asked: float | None) -> tuple[float, list[str]]:
     """Return the communication step [s]: as asked, as the file says, or the finest that an FMU suggests."""
     if asked is not None:
         return asked, []
@@ -161,10 +161,10 @@ def _coupled(flat: FlatSystem, parts: dict[str, Plant], changes: dict[str, Any])
             if lent and lent[0].unit == one.unit
             else Channel(one.name, one.unit, kind="integer" if one.type in INTEGERS else "real")
         )
-    shown: list[str | Shown] = []
+    shown: list[str | ShownOutput] = []
     for out in flat.outputs:
         channel = channels.get(out.source) or inputs.get(out.source)
         assert isinstance(channel, Channel)
         own = replace(channel, name=out.name) if out.unit is None else Channel(out.name, out.unit)
-        shown.append(Shown(out.source, own, None if not out.chain.steps else out.chain))
+        shown.append(ShownOutput(out.source, own, None if not out.chain.steps else out.chain))
     return Coupled(parts, wires, inputs=inputs, outputs=shown, **changes)

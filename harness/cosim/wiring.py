@@ -50,7 +50,7 @@ class Connection:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownOutput:
     """An output of the whole: ``"part.output"`` or an external input, its channel, and what is done to the number."""
 
     source: str

@@ -15,7 +15,7 @@ from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.remembered import Remembered
-from harness.diagnosis.kinds import Equations, Kind
+from harness.diagnosis.kinds import EquationsKind, ModelKind
 from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
 from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
 from harness.diagnosis.records.columns_check import Doubt
@@ -57,7 +57,7 @@ def diagnose(
     dataset: Dataset,
     system: AnySystem,
     *,
-    kind: Kind | None = None,
+    kind: ModelKind | None = None,
     progress: Progress | None = None,
     folder: Path | None = None,
     dictionary: Sequence[Effect] | None = None,
@@ -92,7 +92,9 @@ def diagnose(
     FitError
         If the nominal model cannot be simulated along the data.
     """
-    found = _diagnosed(dataset, system, kind or Equations(), progress, folder, dictionary, wanted or Wanted(), policy)
+    found = _diagnosed(
+        dataset, system, kind or EquationsKind(), progress, folder, dictionary, wanted or Wanted(), policy
+    )
     assert found is not None, "nothing was asked of its search"
     _add_doubts(found)
     return found
@@ -101,7 +103,7 @@ def diagnose(
 def _diagnosed(
     dataset: Dataset,
     system: AnySystem,
-    kind: Kind,
+    kind: ModelKind,
     progress: Progress | None,
     folder: Path | None,
     dictionary: Sequence[Effect] | None,

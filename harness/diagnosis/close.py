@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
 from harness.data.oddities import examined, lines, odd_pictures, oddities_data
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
-from harness.diagnosis.kinds import Equations, Kind
+from harness.diagnosis.kinds import EquationsKind, ModelKind
 from harness.diagnosis.records.inputs_check import FOUND, inputs_checked
 from harness.diagnosis.records.stretches import counted, cut_alike, parted, told_of_whole
 from harness.diagnosis.steps import Progress
@@ -196,7 +196,7 @@ def close_loop(
             dataset = replace(dataset, warnings=(*system.remarks, *dataset.warnings))
             with one_thread():
                 dataset = inputs_checked(system, dataset)
-        kind = _black_box() if box else Equations()
+        kind = _black_box() if box else EquationsKind()
         how: dict[str, Any] = {"kind": kind, "progress": progress, "dictionary": dictionary, "wanted": chosen}
         diagnosis = diagnose(dataset, system, folder=folder, **how)
         whole = diagnosis.final.model
@@ -343,7 +343,7 @@ def is_fmu(system: object) -> TypeGuard[FmuSystem]:
     return isinstance(system, FmuSystem)
 
 
-def _black_box() -> Kind:
+def _black_box() -> ModelKind:
     """Return what a diagnosis does in its own way for an FMU."""
     from harness.diagnosis.fmu.kind import BlackBox
 

@@ -11,7 +11,7 @@ from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.fit_records import latent_shares, likelihood_detail
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
-from harness.diagnosis.kinds import Kind
+from harness.diagnosis.kinds import ModelKind
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.runs.compare import FreeRuns
@@ -28,7 +28,7 @@ from harness.physics.fitting.likelihood_fit import sensor_noise
 
 
 def simple_fits_of(
-    kind: Kind, form: WholeForm, nominal: Fit, candidates: Sequence[Placed], say: Callable[[str], None]
+    kind: ModelKind, form: WholeForm, nominal: Fit, candidates: Sequence[Placed], say: Callable[[str], None]
 ) -> SimpleFits | None:
     """Return output-error fits of the records that the likelihood judges; None where nothing compiled simulates them.
 
@@ -40,7 +40,7 @@ def simple_fits_of(
     return SimpleFits(runs, nominal.values, candidates, say, form.laws) if type(runs) is FreeRunForm else None
 
 
-def follows_whole(kind: Kind, form: WholeForm, policy: Policy = POLICY) -> bool:
+def follows_whole(kind: ModelKind, form: WholeForm, policy: Policy = POLICY) -> bool:
     """Return True if whole free runs of the nominal model come as near to their records as the sensors read.
 
     Of a plant that loses its start, free runs are cut into windows; but over a window shorter than its time constants

@@ -20,7 +20,7 @@ from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray
 
 
-class Kind(Protocol):
+class ModelKind(Protocol):
     """How a kind of nominal model is prepared, fitted and simulated."""
 
     def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
@@ -43,16 +43,16 @@ class Kind(Protocol):
         """Return what simulates fitted models along the data, its residuals over the sensor noise."""
         ...
 
-    def by_free_runs(self) -> Kind | None:
+    def by_free_runs(self) -> ModelKind | None:
         """Return the kind that judges the same model by its free runs; None if there is none, or this one does."""
         ...
 
 
-class Equations:
+class EquationsKind:
     """A system given by its equations."""
 
     def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
-        """See :class:`Kind`."""
+        """See :class:`ModelKind`."""
         if not system.nx:  # no force and no rate that could be missing: all at the input would be called invisible
             raise InputError(
                 f"the model {system.name} is static",
@@ -65,11 +65,11 @@ class Equations:
         return dataset, check_columns(system, dataset)
 
     def thinned(self, dataset: Dataset) -> Thinned:
-        """See :class:`Kind`."""
+        """See :class:`ModelKind`."""
         return thinned_dataset(dataset)
 
     def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
-        """See :class:`Kind`."""
+        """See :class:`ModelKind`."""
         assert by_equations(system)
         try:
             return choose_horizon(system, values, dataset)
@@ -77,27 +77,27 @@ class Equations:
             return Horizon(None, "the poles of the nominal model are unknown: whole records are simulated")
 
     def form(self, system: AnySystem, dataset: Dataset, laws: Dictionary | None = None) -> EquationsForm:
-        """See :class:`Kind`."""
+        """See :class:`ModelKind`."""
         assert by_equations(system)
         return EquationsForm(system, dataset, sizes_of(system, system.values(), dataset), laws)
 
     def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
-        """See :class:`Kind`."""
+        """See :class:`ModelKind`."""
         return FreeRunForm(form.nominal, dataset, sizes=form.sizes, horizon=horizon.seconds, weights=noise)
 
-    def by_free_runs(self) -> Kind | None:
-        """See :class:`Kind`."""
-        return OutputError()
+    def by_free_runs(self) -> ModelKind | None:
+        """See :class:`ModelKind`."""
+        return OutputErrorKind()
 
 
-class OutputError(Equations):
+class OutputErrorKind(EquationsKind):
     """A mechanical system that is judged by its free runs, as a process is."""
 
     def form(self, system: AnySystem, dataset: Dataset, laws: Dictionary | None = None) -> EquationsForm:
-        """See :class:`Kind`."""
+        """See :class:`ModelKind`."""
         assert by_equations(system)
         return OutputErrorForm(system, dataset, sizes_of(system, system.values(), dataset), laws)
 
-    def by_free_runs(self) -> Kind | None:
+    def by_free_runs(self) -> ModelKind | None:
         """Return None: this kind does."""
         return None

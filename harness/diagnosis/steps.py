@@ -12,7 +12,7 @@ from harness.diagnosis.dictionary import Laws, placed
 from harness.diagnosis.forms.fit_records import reading_noise
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
-from harness.diagnosis.kinds import Kind
+from harness.diagnosis.kinds import ModelKind
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.stretches import stretched, windowed
@@ -60,7 +60,7 @@ def again_by_free_runs(progress: Progress | None) -> Progress | None:
 
 
 def form_of(
-    kind: Kind, system: AnySystem, dataset: Dataset, policy: Policy, laws: Dictionary
+    kind: ModelKind, system: AnySystem, dataset: Dataset, policy: Policy, laws: Dictionary
 ) -> tuple[WholeForm, list[str]]:
     """Return the likelihood of the data, in stretches that are judged one by one, and warnings about these."""
     judged = stretched(stretched(dataset), use="validation")
@@ -102,7 +102,7 @@ def candidates_of(form: WholeForm, laws: Laws) -> tuple[list[Placed], list[str]]
 
 
 def what_free_runs_say(
-    kind: Kind,
+    kind: ModelKind,
     form: WholeForm,
     outcome: Outcome,
     dataset: Dataset,
@@ -172,7 +172,7 @@ def untold(form: WholeForm, outcome: Outcome) -> bool:
 
 
 def run_freely(
-    kind: Kind, form: WholeForm, outcome: Outcome, dataset: Dataset, simple: SimpleFits | None, share: FloatArray
+    kind: ModelKind, form: WholeForm, outcome: Outcome, dataset: Dataset, simple: SimpleFits | None, share: FloatArray
 ) -> FreeRuns:
     """Return free runs of an outcome, before and after, along all readings; arguments as above."""
     horizon = kind.horizon(form.nominal, outcome.nominal.values, dataset)
@@ -182,7 +182,7 @@ def run_freely(
 
 
 def all_readings(
-    kind: Kind, form: WholeForm, thinned: Thinned, dataset: Dataset, policy: Policy, folder: Path | None
+    kind: ModelKind, form: WholeForm, thinned: Thinned, dataset: Dataset, policy: Policy, folder: Path | None
 ) -> Remembered | None:
     """Return the likelihood of all readings where the search looks at fewer; None elsewhere."""
     if thinned.factor == 1:

@@ -32,7 +32,7 @@ def data_fingerprint(dataset: Dataset) -> str:
     return fingerprint(runs, str(dataset.spec), dataset.intersample, *known)
 
 
-class Store:
+class CandidateStore:
     """Records by key in ``folder/candidates``.
 
     - ``folder``: where to keep them

@@ -17,7 +17,7 @@ _ITEM = re.compile(
 
 
 @dataclass(frozen=True)
-class Item:
+class WantedEffect:
     """One entry of a run's dictionary."""
 
     # Patterns of the effect and of its port; ``*`` stands for any letters
@@ -51,7 +51,7 @@ class Wanted:
     (['given', 'tried', 'left out'], 'coulomb_friction(theta); *delay*?; !thermal_*')
     """
 
-    items: tuple[Item, ...] = ()
+    items: tuple[WantedEffect, ...] = ()
 
     @classmethod
     def read(cls, text: str) -> Wanted:
@@ -79,7 +79,7 @@ class Wanted:
                     remedy="such as 'coulomb_friction(theta); *delay*?'; sysid list effects shows the names",
                 )
             use = "left out" if found["no"] else "tried" if found["maybe"] else "given"
-            items.append(Item(found["name"], found["in"] or found["at"] or "*", use))
+            items.append(WantedEffect(found["name"], found["in"] or found["at"] or "*", use))
         return cls(tuple(items))
 
     def __str__(self) -> str:
@@ -118,7 +118,7 @@ class Wanted:
         return any(item.use == use and item.names(placed) for item in self.items)
 
     @staticmethod
-    def _refuse(item: Item, means: Sequence[Placed], candidates: Sequence[Placed]) -> None:
+    def _refuse(item: WantedEffect, means: Sequence[Placed], candidates: Sequence[Placed]) -> None:
         """Refuse an entry that means nothing here, or not one thing."""
         names = sorted({placed.effect.name for placed in candidates})
         places = sorted({placed.at for placed in candidates if fnmatchcase(placed.effect.name, item.name)})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from harness.errors import refuse_unknown
-from harness.export.describe import Variable, describe, xml_text
+from harness.export.describe import FmuVariable, describe, xml_text
 
 if TYPE_CHECKING:
     from harness.physics.compiled.simulator import Simulator
@@ -125,11 +125,11 @@ def description(simulator: Simulator, parameters: Mapping[str, float], x0: Mappi
     refuse_unknown("initial state", x0 or (), starts)
     for name, value in (x0 or {}).items():
         starts[name] = value
-    variables = [Variable(channel.name, "input", channel.unit) for channel in system.inputs]
-    variables += [Variable(channel.name, "output", channel.unit) for channel in system.outputs]
-    variables += [Variable(f"state.{c.name}", "state", c.unit, float(starts[c.name])) for c in system.states]
+    variables = [FmuVariable(channel.name, "input", channel.unit) for channel in system.inputs]
+    variables += [FmuVariable(channel.name, "output", channel.unit) for channel in system.outputs]
+    variables += [FmuVariable(f"state.{c.name}", "state", c.unit, float(starts[c.name])) for c in system.states]
     variables += [
-        Variable(
+        FmuVariable(
             parameter.name,
             "parameter",
             parameter.unit,

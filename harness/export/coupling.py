@@ -6,7 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
-from harness.export.system_structure import Component, Outer, Structure, Wire, ports_of, write_structure
+from harness.export.system_structure import (
+    Outer,
+    WrittenComponent,
+    WrittenConnection,
+    WrittenSystem,
+    ports_of,
+    write_structure,
+)
 
 KINDS = {"real": "Real", "boolean": "Boolean"}  # Types of SSP by kind of channel; all others are integers.
 
@@ -41,10 +48,10 @@ def write_coupling(path: Path, target: Path) -> Path:
         wires = [_wire(one.source, one.target, one.gain, one.offset) for one in read.connections]
         outer = [Outer(one.name, "input", one.unit, KINDS.get(one.kind, "Integer")) for one in coupled.spec.inputs]
         if not isinstance(read.inputs, dict):
-            wires += [Wire(("", name), _end(name)) for name in read.inputs]
+            wires += [WrittenConnection(("", name), _end(name)) for name in read.inputs]
         for name, one in zip(read.outputs, coupled.spec.outputs, strict=True):
             outer.append(Outer(one.name, "output", one.unit, KINDS.get(one.kind, "Integer")))
-            wires.append(Wire(_end(name), ("", one.name)))
+            wires.append(WrittenConnection(_end(name), ("", one.name)))
         for wire in wires:
             for part, port in (wire.source, wire.target):
                 if part and port not in used[part]:
@@ -57,10 +64,12 @@ def write_coupling(path: Path, target: Path) -> Path:
             units = {row["name"]: row["si_unit"] or "1" for row in described["variables"]}
             known = ports_of(described, [*ports, *(key for key in values if key not in ports)])
             components.append(
-                Component(name, Path(plant.file.path), known, {key: (x, units[key]) for key, x in values.items()})
+                WrittenComponent(
+                    name, Path(plant.file.path), known, {key: (x, units[key]) for key, x in values.items()}
+                )
             )
         step, parallel = coupled.spec.sample_time, read.order == "jacobi"
-        return write_structure(Structure(path.stem, components, wires, outer, step, parallel=parallel), target)
+        return write_structure(WrittenSystem(path.stem, components, wires, outer, step, parallel=parallel), target)
 
 
 def _refuse_what_ssp_lacks(path: Path, read: Any, made: list[Any]) -> None:
@@ -89,6 +98,6 @@ def _end(name: str) -> tuple[str, str]:
     return part, port
 
 
-def _wire(source: str, target: str, gain: float, offset: float) -> Wire:
+def _wire(source: str, target: str, gain: float, offset: float) -> WrittenConnection:
     """Return a connection; a source without a part is an input of the whole."""
-    return Wire(_end(source) if "." in source else ("", source), _end(target), gain, offset)
+    return WrittenConnection(_end(source) if "." in source else ("", source), _end(target), gain, offset)

@@ -19,7 +19,7 @@ RIGHTS = (
 
 
 @dataclass(frozen=True)
-class Variable:
+class FmuVariable:
     """One variable of an FMU."""
 
     name: str
@@ -44,7 +44,7 @@ def describe(
     name: str,
     text: str,
     token: str,
-    variables: Sequence[Variable],
+    variables: Sequence[FmuVariable],
     *,
     sample_time: float,
     direct: Sequence[int] = (),

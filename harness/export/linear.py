@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from harness.errors import InputError, refuse_unknown
-from harness.export.describe import Variable, describe, xml_text
+from harness.export.describe import FmuVariable, describe, xml_text
 from harness.models.determined import bands_of, bands_words
 from harness.models.transforms import Hold, discrete
 from harness.models.transforms import continuous as to_continuous
@@ -204,9 +204,9 @@ def linear_description(model: Linear, x0: Mapping[str, float] | None = None) -> 
     refuse_unknown("initial state", x0 or (), starts)
     for key, value in (x0 or {}).items():
         starts[key] = float(value)
-    variables = [Variable(c.name, "input", c.unit, 0.0) for c in spec.inputs]
-    variables += [Variable(c.name, "output", c.unit) for c in spec.outputs]
-    variables += [Variable(f"state.{key}", "state", "1", value) for key, value in starts.items()]
+    variables = [FmuVariable(c.name, "input", c.unit, 0.0) for c in spec.inputs]
+    variables += [FmuVariable(c.name, "output", c.unit) for c in spec.outputs]
+    variables += [FmuVariable(f"state.{key}", "state", "1", value) for key, value in starts.items()]
     token = hashlib.sha256(f"{linear_source(model)}{starts}".encode()).hexdigest()[:32]
     direct: Sequence[int] = [int(k) for k in np.flatnonzero(np.any(model.d_matrix != 0, axis=0))]
     bands = bands_of(model)

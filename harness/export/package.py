@@ -18,9 +18,17 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.export.c_model import DELAY
-from harness.export.describe import Variable, describe, xml_text
+from harness.export.describe import FmuVariable, describe, xml_text
 from harness.export.packed import packed
-from harness.export.system_structure import Component, Outer, Port, Structure, Wire, ports_of, write_structure
+from harness.export.system_structure import (
+    Outer,
+    WrittenComponent,
+    WrittenConnection,
+    WrittenPort,
+    WrittenSystem,
+    ports_of,
+    write_structure,
+)
 from harness.parts.files import describe_fmu
 
 if TYPE_CHECKING:
@@ -90,9 +98,9 @@ def effects_description(system: FmuSystem, sample_time: float) -> str:
     """Return modelDescription.xml of the effects' FMU (FMI 2.0)."""
     variables = _ports(system)
     count = sum(variable.role == "input" for variable in variables)
-    variables += [Variable(f"state.{state.name}", "state", state.unit) for state in system.hidden]
+    variables += [FmuVariable(f"state.{state.name}", "state", state.unit) for state in system.hidden]
     variables += [
-        Variable(parameter.name, "parameter", parameter.unit, parameter.value, parameter.minimum, parameter.maximum)
+        FmuVariable(parameter.name, "parameter", parameter.unit, parameter.value, parameter.minimum, parameter.maximum)
         for parameter in system.parameters[system.inner_count :]
     ]
     token = hashlib.sha256(f"{effects_source(system, sample_time)}{system.values()}".encode()).hexdigest()[:32]
@@ -101,20 +109,20 @@ def effects_description(system: FmuSystem, sample_time: float) -> str:
     return xml_text(root)
 
 
-def _ports(system: FmuSystem) -> list[Variable]:
+def _ports(system: FmuSystem) -> list[FmuVariable]:
     """Return inputs and outputs of the effects' FMU."""
-    variables = [Variable(channel.name, "input", channel.unit) for channel in system.inputs]
+    variables = [FmuVariable(channel.name, "input", channel.unit) for channel in system.inputs]
     variables += [
-        Variable(f"position.{coordinate.name}", "input", coordinate.unit) for coordinate in system.coordinates
+        FmuVariable(f"position.{coordinate.name}", "input", coordinate.unit) for coordinate in system.coordinates
     ]
     variables += [
-        Variable(f"rate.{coordinate.name}", "input", f"{coordinate.unit}/s")
+        FmuVariable(f"rate.{coordinate.name}", "input", f"{coordinate.unit}/s")
         for coordinate in system.coordinates
         if coordinate.rate is not None
     ]
-    variables += [Variable(f"raw.{channel.name}", "input", channel.unit) for channel in system.outputs]
-    variables += [Variable(f"driven.{channel.name}", "output", channel.unit) for channel in system.inputs]
-    return variables + [Variable(f"reading.{channel.name}", "output", channel.unit) for channel in system.outputs]
+    variables += [FmuVariable(f"raw.{channel.name}", "input", channel.unit) for channel in system.outputs]
+    variables += [FmuVariable(f"driven.{channel.name}", "output", channel.unit) for channel in system.inputs]
+    return variables + [FmuVariable(f"reading.{channel.name}", "output", channel.unit) for channel in system.outputs]
 
 
 def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]:
@@ -146,7 +154,7 @@ def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]
     return (surround(system, effects) if effects else system).with_parameters(values), step
 
 
-def _structure(system: FmuSystem, sample_time: float, effects: Path | None) -> Structure:
+def _structure(system: FmuSystem, sample_time: float, effects: Path | None) -> WrittenSystem:
     """Return the nominal FMU and its effects as a system; without effects the FMU alone."""
     described = describe_fmu(system.path)
     moved = [name for one in system.coordinates for name in (one.position, one.rate) if name is not None]
@@ -156,33 +164,35 @@ def _structure(system: FmuSystem, sample_time: float, effects: Path | None) -> S
     for name, port in ports.items():  # what is only looked at leaves the FMU, whatever it is inside
         kind = "input" if name in driven else "parameter" if name in inner else "output"
         ports[name] = replace(port, kind=kind)
-    components = [Component(NOMINAL, Path(system.path), ports, inner)]
+    components = [WrittenComponent(NOMINAL, Path(system.path), ports, inner)]
     outer = [
         Outer(channel.name, kind, channel.unit)
         for kind, channels in (("input", system.inputs), ("output", system.outputs))
         for channel in channels
     ]
     if effects is None:
-        wires = [Wire(("", name), (NOMINAL, name)) for name in driven]
-        wires += [Wire((NOMINAL, name), ("", name)) for name in measured]
-        return Structure(system.name, components, wires, outer, sample_time)
+        wires = [WrittenConnection(("", name), (NOMINAL, name)) for name in driven]
+        wires += [WrittenConnection((NOMINAL, name), ("", name)) for name in measured]
+        return WrittenSystem(system.name, components, wires, outer, sample_time)
     components.append(
-        Component(
-            EFFECTS, effects, {port.name: Port(port.name, port.role, "Real", port.unit) for port in _ports(system)}
+        WrittenComponent(
+            EFFECTS,
+            effects,
+            {port.name: WrittenPort(port.name, port.role, "Real", port.unit) for port in _ports(system)},
         )
     )
     wires = []
     for name in driven:
-        wires.append(Wire(("", name), (EFFECTS, name)))
-        wires.append(Wire((EFFECTS, f"driven.{name}"), (NOMINAL, name)))
+        wires.append(WrittenConnection(("", name), (EFFECTS, name)))
+        wires.append(WrittenConnection((EFFECTS, f"driven.{name}"), (NOMINAL, name)))
     for one in system.coordinates:
-        wires.append(Wire((NOMINAL, one.position), (EFFECTS, f"position.{one.name}")))
+        wires.append(WrittenConnection((NOMINAL, one.position), (EFFECTS, f"position.{one.name}")))
         if one.rate is not None:
-            wires.append(Wire((NOMINAL, one.rate), (EFFECTS, f"rate.{one.name}")))
+            wires.append(WrittenConnection((NOMINAL, one.rate), (EFFECTS, f"rate.{one.name}")))
     for name in measured:
-        wires.append(Wire((NOMINAL, name), (EFFECTS, f"raw.{name}")))
-        wires.append(Wire((EFFECTS, f"reading.{name}"), ("", name)))
-    return Structure(system.name, components, wires, outer, sample_time)
+        wires.append(WrittenConnection((NOMINAL, name), (EFFECTS, f"raw.{name}")))
+        wires.append(WrittenConnection((EFFECTS, f"reading.{name}"), ("", name)))
+    return WrittenSystem(system.name, components, wires, outer, sample_time)
 
 
 _GLUE = """

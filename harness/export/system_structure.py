@@ -28,7 +28,7 @@ SAME = 4 * 2.0**-52  # A factor this close to one came out of unit factors that 
 
 
 @dataclass(frozen=True)
-class Port:
+class WrittenPort:
     """A variable of an FMU: ``SI = scale * value + offset``, and the unit that the FMU states, if any."""
 
     name: str
@@ -41,12 +41,12 @@ class Port:
 
 
 @dataclass(frozen=True)
-class Component:
+class WrittenComponent:
     """An FMU in the system: its file, its ports by name, its values (SI, with the SI unit) by name of the variable."""
 
     name: str
     file: Path
-    ports: Mapping[str, Port]
+    ports: Mapping[str, WrittenPort]
     values: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
 
 
@@ -61,7 +61,7 @@ class Outer:
 
 
 @dataclass(frozen=True)
-class Wire:
+class WrittenConnection:
     """From a component's port to another's; an element of "" is the system itself. ``target = factor source + offset``.
 
     Both in SI.
@@ -74,19 +74,19 @@ class Wire:
 
 
 @dataclass(frozen=True)
-class Structure:
+class WrittenSystem:
     """A whole system; ``step`` [s] is its communication step, ``parallel`` that all step with the last values."""
 
     name: str
-    components: Sequence[Component]
-    wires: Sequence[Wire]
+    components: Sequence[WrittenComponent]
+    wires: Sequence[WrittenConnection]
     outer: Sequence[Outer]
     step: float
     stop: float | None = None
     parallel: bool = True
 
 
-def ports_of(description: Mapping[str, Any], names: Sequence[str]) -> dict[str, Port]:
+def ports_of(description: Mapping[str, Any], names: Sequence[str]) -> dict[str, WrittenPort]:
     """Return ports of an FMU by name.
 
     Raises InputError if one is an array, or of a type that SSP 1.0 does not know.
@@ -108,7 +108,7 @@ def ports_of(description: Mapping[str, Any], names: Sequence[str]) -> dict[str, 
         kind = row["causality"] if row["causality"] in ("input", "output", "parameter") else "output"
         of_real = row["type"] in REALS and row["scale"] is not None
         scale, offset = (row["scale"], row["offset"]) if of_real else (1.0, 0.0)
-        found[name] = Port(name, kind, _type(row["type"]), row["unit"], scale, offset)
+        found[name] = WrittenPort(name, kind, _type(row["type"]), row["unit"], scale, offset)
     return found
 
 
@@ -121,7 +121,7 @@ def _type(kind: str) -> str:
     return "Integer"  # an enumeration as well: its number is what travels
 
 
-def write_structure(system: Structure, target: Path) -> Path:
+def write_structure(system: WrittenSystem, target: Path) -> Path:
     """Write a system as an SSP package.
 
     Raises InputError if the file cannot be written.
@@ -138,7 +138,7 @@ def write_structure(system: Structure, target: Path) -> Path:
     return target
 
 
-def _described(system: Structure, sources: Mapping[str, str], *, closed: bool) -> str:
+def _described(system: WrittenSystem, sources: Mapping[str, str], *, closed: bool) -> str:
     """Return a structure; ``closed`` with connectors of the system and units, else open and in plain numbers."""
     for prefix, space in (*SPACES.items(), ("osp", OSP)):
         ElementTree.register_namespace(prefix, space)
@@ -147,12 +147,12 @@ def _described(system: Structure, sources: Mapping[str, str], *, closed: bool) -
     if closed:
         outside = child(top, "ssd:Connectors")
         for one in system.outer:
-            _connector(outside, Port(one.name, one.kind, one.type, one.unit), units=True)
+            _connector(outside, WrittenPort(one.name, one.kind, one.type, one.unit), units=True)
     elements = child(top, "ssd:Elements")
     for component in system.components:
         _component(elements, component, sources[component.name], units=closed)
     ports = {(part.name, port.name): port for part in system.components for port in part.ports.values()}
-    ports |= {("", one.name): Port(one.name, one.kind, one.type, one.unit) for one in system.outer}
+    ports |= {("", one.name): WrittenPort(one.name, one.kind, one.type, one.unit) for one in system.outer}
     wires = child(top, "ssd:Connections")
     for wire in system.wires:
         ends = ports[wire.source], ports[wire.target]
@@ -172,7 +172,7 @@ def _described(system: Structure, sources: Mapping[str, str], *, closed: bool) -
     return xml_text(root)
 
 
-def _component(parent: Any, component: Component, source: str, *, units: bool) -> None:
+def _component(parent: Any, component: WrittenComponent, source: str, *, units: bool) -> None:
     """Add a component with its connectors and values."""
     node = child(parent, "ssd:Component", name=component.name, type="application/x-fmu-sharedlibrary", source=source)
     connectors = child(node, "ssd:Connectors")
@@ -185,7 +185,7 @@ def _component(parent: Any, component: Component, source: str, *, units: bool) -
     given = child(child(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="values")
     listed = child(given, "ssv:Parameters")
     for name, (value, unit) in component.values.items():
-        port = component.ports.get(name, Port(name, "parameter", _type_of(value)))
+        port = component.ports.get(name, WrittenPort(name, "parameter", _type_of(value)))
         typed, stated = port.type, {}
         if typed == "Real" and not units:
             value = (float(value) - port.offset) / port.scale
@@ -203,33 +203,33 @@ def _type_of(value: Any) -> str:
     return "String" if isinstance(value, str) else "Integer" if isinstance(value, int) else "Real"
 
 
-def _connector(parent: Any, port: Port, *, units: bool) -> None:
+def _connector(parent: Any, port: WrittenPort, *, units: bool) -> None:
     """Add a connector; without a unit that of the FMU's variable counts."""
     stated = {"unit": port.unit} if units and port.unit is not None and base_unit(port.unit) is not None else {}
     node = child(parent, "ssd:Connector", name=port.name, kind=port.kind)
     child(node, f"ssc:{port.type}", **(stated if port.type == "Real" else {}))
 
 
-def _converts(source: Port, target: Port) -> bool:
+def _converts(source: WrittenPort, target: WrittenPort) -> bool:
     """Return whether a reader converts the number of one connector into the unit of the other."""
     if source.unit is None or target.unit is None or None in (base_unit(source.unit), base_unit(target.unit)):
         return False
     return fits(source.unit, target.unit)
 
 
-def _after_units(wire: Wire, target: Port) -> tuple[float, float]:
+def _after_units(wire: WrittenConnection, target: WrittenPort) -> tuple[float, float]:
     """Return factor and offset on the converted number, in the unit of the target (SSP 1.0, LinearTransformation)."""
     return wire.factor, (wire.offset + (wire.factor - 1.0) * target.offset) / target.scale
 
 
-def _between(wire: Wire, source: Port, target: Port) -> tuple[float, float]:
+def _between(wire: WrittenConnection, source: WrittenPort, target: WrittenPort) -> tuple[float, float]:
     """Return factor and offset from the number of one FMU to that of the other."""
     factor = wire.factor * source.scale / target.scale
     offset = (wire.factor * source.offset + wire.offset - target.offset) / target.scale
     return 1.0 if abs(factor - 1.0) < SAME else factor, offset
 
 
-def _wire(parent: Any, wire: Wire, change: tuple[float, float], *, suppress: bool) -> None:
+def _wire(parent: Any, wire: WrittenConnection, change: tuple[float, float], *, suppress: bool) -> None:
     """Add a connection; of an empty element the system itself is meant."""
     (source, output), (target, connector) = wire.source, wire.target
     ends = {"startElement": source, "startConnector": output, "endElement": target, "endConnector": connector}

@@ -12,7 +12,7 @@ from datetime import datetime
 
 import numpy as np
 
-from harness.fleet.row import Row
+from harness.fleet.row import FleetRow
 from harness.fleet.trends import NORMAL, Series, fitted, series_of
 from harness.signals import FloatArray
 from harness.units import behind
@@ -33,7 +33,7 @@ class Change:
     machine: str
     series: Series
     shape: str  # {"step", "drift", "outlier"}
-    row: Row  # The first record after a step, the last of a drift, the one that stands out
+    row: FleetRow  # The first record after a step, the last of a drift, the one that stands out
     # Levels before and after a step, at the ends of the line of a drift; all others and the one that stands out
     before: float
     after: float
@@ -77,7 +77,7 @@ def chance(p: float) -> str:
     return f"{p:.2g}" if p >= 1e-16 else "below 1e-16"
 
 
-def changes(rows: Sequence[Row]) -> list[Change]:
+def changes(rows: Sequence[FleetRow]) -> list[Change]:
     """Return the changes of sizes, the surest first; at most one shape for each machine and size, the likeliest.
 
     Notes
@@ -98,7 +98,7 @@ def changes(rows: Sequence[Row]) -> list[Change]:
     return sorted(found, key=lambda change: change.p)
 
 
-def odd_machines(rows: Sequence[Row]) -> list[Odd]:
+def odd_machines(rows: Sequence[FleetRow]) -> list[Odd]:
     """Return machines whose sizes, or whose having an effect at all, differ from those of the others.
 
     Sizes: the distance of a machine's mean from the median of all, over its error and the scatter of the machines.
@@ -144,9 +144,9 @@ def odd_machines(rows: Sequence[Row]) -> list[Odd]:
     return sorted(found, key=lambda odd: odd.p)
 
 
-def _dated(series: Series) -> dict[str, list[tuple[Row, float, float, float]]]:
+def _dated(series: Series) -> dict[str, list[tuple[FleetRow, float, float, float]]]:
     """Return by machine the records that have a date, a size and an interval: row, instant [s], size, deviation."""
-    machines: dict[str, list[tuple[Row, float, float, float]]] = {}
+    machines: dict[str, list[tuple[FleetRow, float, float, float]]] = {}
     for row, effect in series.rows:
         if row.date is None or effect.size is None or effect.low is None or effect.high is None:
             continue

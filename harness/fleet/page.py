@@ -15,7 +15,7 @@ from harness.benchmark.page.plots import INK, LINES, STYLE, svg_text
 from harness.benchmark.page.report import filled
 from harness.benchmark.summary import figure
 from harness.fleet.changes import chance, changes, odd_machines
-from harness.fleet.row import Found, Row
+from harness.fleet.row import FleetRow, FoundEffect
 from harness.fleet.trends import Series, new_effects, series_of, trends
 from harness.units import behind
 
@@ -26,7 +26,7 @@ LONG = 200  # Records beyond which their table is folded: a reader wants the mac
 DIGITS = 9  # Significant digits of a size, at most: as many as are needed to tell the ends of its interval apart.
 
 
-def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -> str:
+def fleet_page(rows: Sequence[FleetRow], *, planned: int, model: str, reports: str) -> str:
     """Return the page as text; it loads nothing, and links to the reports of the records."""
     series = series_of(rows)
     return filled(
@@ -51,7 +51,7 @@ def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -
     )
 
 
-def written(effect: Found) -> str:
+def written(effect: FoundEffect) -> str:
     """Return an effect's size with its interval."""
     unit = behind(effect.unit)
     if effect.low is None or effect.high is None:
@@ -119,7 +119,7 @@ def _draw_sizes(axis: Any, own: Series, machines: Sequence[str]) -> bool:
     return dated
 
 
-def size_limits(effects: Sequence[Found]) -> tuple[float, float]:
+def size_limits(effects: Sequence[FoundEffect]) -> tuple[float, float]:
     """Return the ends of an axis that shows all sizes, and intervals as far as they tell sizes apart.
 
     One record that says next to nothing must not press all others into a line: an interval is cut at :data:`CUT` times
@@ -138,15 +138,15 @@ def size_limits(effects: Sequence[Found]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _machines(rows: Sequence[Row]) -> list[tuple[str, int, list[tuple[str, int]]]]:
+def _machines(rows: Sequence[FleetRow]) -> list[tuple[str, int, list[tuple[str, int]]]]:
     """Return machine, its records, and each answer with the number of records that have it."""
-    found: dict[str, list[Row]] = {}
+    found: dict[str, list[FleetRow]] = {}
     for row in rows:
         found.setdefault(row.machine, []).append(row)
     return [(machine, len(own), Counter(map(_answer, own)).most_common()) for machine, own in sorted(found.items())]
 
 
-def _answer(row: Row) -> str:
+def _answer(row: FleetRow) -> str:
     """Return what was found in a record, in a few words."""
     if not row.ok:
         return row.status

@@ -12,7 +12,7 @@ from harness.errors import printable
 from harness.fleet.records import FleetRecord
 
 
-class Found(msgspec.Struct, frozen=True):
+class FoundEffect(msgspec.Struct, frozen=True):
     """An accepted effect.
 
     ``size`` is the effect's first parameter with an interval (95 %), or else its first parameter; the lists hold all.
@@ -44,7 +44,7 @@ class Found(msgspec.Struct, frozen=True):
         return f"{self.effect}@{self.at}"
 
 
-class Row(msgspec.Struct, kw_only=True):
+class FleetRow(msgspec.Struct, kw_only=True):
     """A record and what came of it; None where a figure does not exist.
 
     ``error_before`` and ``error_after`` are the simulation errors on validation data as NRMSE, the worst output.
@@ -63,7 +63,7 @@ class Row(msgspec.Struct, kw_only=True):
     explained_share: float | None = None
     error_before: float | None = None
     error_after: float | None = None
-    effects: tuple[Found, ...] = ()
+    effects: tuple[FoundEffect, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
 
@@ -78,9 +78,9 @@ class Row(msgspec.Struct, kw_only=True):
         return self.status == "ok"
 
 
-def blank(record: FleetRecord, job: str, *, status: str = "ok", reason: str = "") -> Row:
+def blank(record: FleetRecord, job: str, *, status: str = "ok", reason: str = "") -> FleetRow:
     """Return the row of a record of which nothing else is known."""
-    return Row(
+    return FleetRow(
         job=job,
         record=record.name,
         file=str(record.file),
@@ -91,7 +91,7 @@ def blank(record: FleetRecord, job: str, *, status: str = "ok", reason: str = ""
     )
 
 
-def fill(row: Row, data: Mapping[str, Any]) -> None:
+def fill(row: FleetRow, data: Mapping[str, Any]) -> None:
     """Fill a row from the content of ``report.json``."""
     row.verdict, row.adequacy = data["verdict"], data.get("adequacy") or ""
     row.explained_share = data.get("explained_share")
@@ -101,13 +101,13 @@ def fill(row: Row, data: Mapping[str, Any]) -> None:
     row.effects = tuple(_found(effect, ties) for effect, ties in zip(data["effects"], data["tie_sets"], strict=True))
 
 
-def _found(effect: Mapping[str, Any], ties: list[Mapping[str, str]]) -> Found:
+def _found(effect: Mapping[str, Any], ties: list[Mapping[str, str]]) -> FoundEffect:
     """Return an accepted effect from its entry in the report."""
     parameters = effect["parameters"]
     known = [name for name, own in parameters.items() if own["low"] is not None and own["high"] is not None]
     main = (known or list(parameters))[0]
     own = parameters[main]
-    return Found(
+    return FoundEffect(
         effect["name"],
         effect["at"],
         main,
@@ -128,17 +128,17 @@ def _worst(errors: Mapping[str, Any]) -> float | None:
     return max(known, default=None)
 
 
-def encoded(row: Row) -> bytes:
+def encoded(row: FleetRow) -> bytes:
     """Return a row as JSON."""
     return msgspec.json.encode(row)
 
 
-def read(content: bytes) -> Row:
+def read(content: bytes) -> FleetRow:
     """Return a row from JSON.
 
     Raises ValueError, msgspec.DecodeError if it is none.
     """
-    row = msgspec.json.decode(content, type=Row)
+    row = msgspec.json.decode(content, type=FleetRow)
     if row.date is not None:
         datetime.fromisoformat(row.date)
     for effect in row.effects:

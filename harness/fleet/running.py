@@ -17,14 +17,14 @@ from harness.errors import UNREADABLE, InputError
 from harness.fleet.changes import Change, Odd, changes, odd_machines
 from harness.fleet.page import fleet_page, written
 from harness.fleet.records import find_records
-from harness.fleet.row import Row
+from harness.fleet.row import FleetRow
 from harness.fleet.store import FleetStore, read_shard
 from harness.fleet.trends import New, Trend, new_effects, series_of, trends
 from harness.fleet.work import RecordJob
 from harness.jobs import make_engine, run_jobs, shard_file
 from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
-from harness.scoring.acceptance import Check, Demands
+from harness.scoring.acceptance import Demand, Demands
 from harness.units import behind
 
 TIME_LIMIT = 1800.0
@@ -46,7 +46,7 @@ class FleetResult:
     """
 
     folder: Path
-    rows: tuple[Row, ...]
+    rows: tuple[FleetRow, ...]
     planned: int
 
     @property
@@ -74,7 +74,7 @@ class FleetResult:
         """How sizes change with the date."""
         return trends(series_of(self.rows))
 
-    def checks(self, demands: Demands) -> list[Check]:
+    def checks(self, demands: Demands) -> list[Demand]:
         """Return the checks of each record, passed or not; a record without an answer passes none.
 
         Parameters
@@ -86,7 +86,7 @@ class FleetResult:
         InputError
             If the report of a record is not there any more, or damaged.
         """
-        found: list[Check] = []
+        found: list[Demand] = []
         if not demands.anything:
             return found
         reports = FleetStore(self.folder).reports
@@ -94,7 +94,7 @@ class FleetResult:
             if row.ok:
                 found += demands.of_report(row.record, _report(reports / row.record / "report.json"))
             else:
-                found.append(Check(row.record, "answer", False, f"{row.status}: {row.reason}", broken=True))
+                found.append(Demand(row.record, "answer", False, f"{row.status}: {row.reason}", broken=True))
         return found
 
     def to_records(self) -> list[dict[str, Any]]:
@@ -222,7 +222,7 @@ def _report(path: Path) -> dict[str, Any]:
     return data
 
 
-def _shown(store: FleetStore, rows: Sequence[Row]) -> FleetResult:
+def _shown(store: FleetStore, rows: Sequence[FleetRow]) -> FleetResult:
     """Write the page."""
     content = store.manifest()
     page = fleet_page(
@@ -241,7 +241,7 @@ def _absolute(model: str | None) -> str | None:
     return f"{Path(name).absolute()}{colon}{rest}" if Path(name).is_file() else model
 
 
-def _logged(row: Row) -> str:
+def _logged(row: FleetRow) -> str:
     """Return what the log says of a row."""
     answer = " + ".join(effect.name for effect in row.effects) or row.verdict or row.reason
     return f"{row.record} {row.seconds:.1f} s: {answer}"

@@ -15,27 +15,27 @@ import msgspec
 from harness import __version__
 from harness.data.whole_files import whole_file, write_text
 from harness.errors import InputError
-from harness.fleet.row import Row, encoded, read
+from harness.fleet.row import FleetRow, encoded, read
 from harness.jobs.manifest import read_manifest
-from harness.jobs.query import Answer, ask
+from harness.jobs.query import QueryResult, ask
 from harness.jobs.stored import Within, reading
 
 FORMAT = "sysid-harness/fleet/1"
 MANIFEST, ROWS = "fleet.json", "rows.jsonl"
 
 
-class Settings(msgspec.Struct):
+class FleetSettings(msgspec.Struct):
     """What decides the answers of a fleet beside its records."""
 
     model: str | None
     undriven: list[str]
 
 
-class Manifest(msgspec.Struct):
+class FleetManifest(msgspec.Struct):
     """What ``fleet.json`` says."""
 
     format: str
-    settings: Settings
+    settings: FleetSettings
     jobs: list[str]
     version: str = ""
 
@@ -51,7 +51,7 @@ class FleetStore:
     page = Within("fleet.html")  # The page for a reader.
     log = Within("fleet.log")  # One line for each row as it came.
 
-    def open(self, jobs: Sequence[str], settings: dict[str, Any], *, resume: bool) -> dict[str, Row]:
+    def open(self, jobs: Sequence[str], settings: dict[str, Any], *, resume: bool) -> dict[str, FleetRow]:
         """Make the folder ready; return the rows that it already has of these jobs.
 
         Raises InputError if the folder has rows and ``resume`` was not asked for, or was made with another model.
@@ -87,11 +87,11 @@ class FleetStore:
         Raises InputError if the folder holds no fleet, or one of another format, which is then named.
         """
         command = "'sysid close-loop' over many records"
-        return read_manifest(self.folder / MANIFEST, FORMAT, Manifest, what="fleet", command=command)
+        return read_manifest(self.folder / MANIFEST, FORMAT, FleetManifest, what="fleet", command=command)
 
-    def rows(self) -> dict[str, Row]:
+    def rows(self) -> dict[str, FleetRow]:
         """Return the rows by job, finished ones and those of a run that was interrupted."""
-        found: dict[str, Row] = {}
+        found: dict[str, FleetRow] = {}
         kept = self.folder / ROWS
         if kept.exists():
             with reading(kept):
@@ -101,12 +101,12 @@ class FleetStore:
             found[row.job] = row
         return found
 
-    def in_order(self) -> list[Row]:
+    def in_order(self) -> list[FleetRow]:
         """Return the rows in the order of the records."""
         found = self.rows()
         return [found[job] for job in self.manifest()["jobs"] if job in found]
 
-    def consolidate(self, *, finished: bool) -> list[Row]:
+    def consolidate(self, *, finished: bool) -> list[FleetRow]:
         """Write all rows and the two tables in the order of the records; remove the shards if all is done."""
         from pyarrow import parquet
 
@@ -120,7 +120,7 @@ class FleetStore:
         return rows
 
 
-def read_shard(path: Path) -> Row:
+def read_shard(path: Path) -> FleetRow:
     """Return the row of a shard.
 
     Raises InputError if the file is damaged.
@@ -134,7 +134,7 @@ def is_fleet_folder(directory: str | Path) -> bool:
     return (Path(directory) / MANIFEST).is_file()
 
 
-def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
+def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> QueryResult:
     """Ask the rows of a fleet.
 
     Parameters
@@ -155,7 +155,7 @@ def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str
     return ask(tables(FleetStore(Path(directory)).in_order()), sql, filters)
 
 
-def tables(rows: Sequence[Row]) -> dict[str, Any]:
+def tables(rows: Sequence[FleetRow]) -> dict[str, Any]:
     """Return the rows as Arrow tables ``records`` and ``effects``."""
     import pyarrow as pa
 
@@ -169,7 +169,7 @@ def tables(rows: Sequence[Row]) -> dict[str, Any]:
              ("lows", pa.list_(number)), ("highs", pa.list_(number)), ("units", texts)]  # fmt: skip
     schemas = {"records": [*about, *said], "effects": [*about, *sizes, ("verdict", text), ("stand_in", pa.bool_())]}
 
-    def plain(row: Row, names: Sequence[tuple[str, Any]], own: Any = None) -> dict[str, Any]:
+    def plain(row: FleetRow, names: Sequence[tuple[str, Any]], own: Any = None) -> dict[str, Any]:
         found = {name: getattr(own if own is not None and hasattr(own, name) else row, name) for name, _ in names}
         when = None if row.date is None else datetime.fromisoformat(row.date).replace(tzinfo=None)
         return found | {"date": when}

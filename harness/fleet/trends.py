@@ -8,7 +8,7 @@ from datetime import datetime
 
 import numpy as np
 
-from harness.fleet.row import Found, Row
+from harness.fleet.row import FleetRow, FoundEffect
 from harness.signals import FloatArray
 
 LEAST = 3  # Records of a line: with two, its slope has no error.
@@ -22,7 +22,7 @@ class Series:
     effect: str  # ``effect@place``
     parameter: str
     unit: str
-    rows: tuple[tuple[Row, Found], ...]
+    rows: tuple[tuple[FleetRow, FoundEffect], ...]
     """Tuple of (Row, Found): By date, those without one last, in the order of the records."""
 
 
@@ -55,14 +55,14 @@ class New:
     """
 
     machine: str
-    row: Row
-    effect: Found
+    row: FleetRow
+    effect: FoundEffect
     before: tuple[str, ...] = ()
 
 
-def series_of(rows: Sequence[Row]) -> list[Series]:
+def series_of(rows: Sequence[FleetRow]) -> list[Series]:
     """Return the sizes by effect and parameter, the most frequent first."""
-    grouped: dict[tuple[str, str, str], list[tuple[Row, Found]]] = {}
+    grouped: dict[tuple[str, str, str], list[tuple[FleetRow, FoundEffect]]] = {}
     for row in _by_date(rows):
         for effect in row.effects:
             grouped.setdefault((effect.name, effect.parameter, effect.unit), []).append((row, effect))
@@ -70,13 +70,13 @@ def series_of(rows: Sequence[Row]) -> list[Series]:
     return sorted(made, key=lambda series: -len(series.rows))
 
 
-def new_effects(rows: Sequence[Row]) -> list[New]:
+def new_effects(rows: Sequence[FleetRow]) -> list[New]:
     """Return the records in which effects begin, machine by machine; its first dated record only shows what is there.
 
     An effect that an earlier record was tied with is another name for the same thing, and not new. Records without an
     answer say nothing either way.
     """
-    machines: dict[str, list[Row]] = {}
+    machines: dict[str, list[FleetRow]] = {}
     for row in _by_date(rows):
         if row.ok and row.date is not None:
             machines.setdefault(row.machine, []).append(row)
@@ -144,6 +144,6 @@ def _slope(points: np.ndarray) -> tuple[float, float, float] | None:
     return slope, slope - half, slope + half
 
 
-def _by_date(rows: Sequence[Row]) -> list[Row]:
+def _by_date(rows: Sequence[FleetRow]) -> list[FleetRow]:
     """Return rows by date, those without one last; the order of the records decides ties."""
     return sorted(rows, key=lambda row: (row.date is None, datetime.fromisoformat(row.date) if row.date else 0))

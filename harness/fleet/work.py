@@ -23,7 +23,7 @@ from harness.jobs.room import raise_if_full
 
 @dataclass(frozen=True)
 class RecordJob:
-    """One record as a batch of one job; see :class:`harness.jobs.Batch`.
+    """One record as a batch of one job; see :class:`harness.jobs.JobBatch`.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ HARMED = 70  # Exit status of a worker that can do no more.
 WIDTH = 128  # Bytes of the name of a place, filled with blanks.
 
 
-class Batch(Protocol):
+class JobBatch(Protocol):
     """Jobs that one worker does together because they share what is dear to make; it travels by pickle."""
 
     @property
@@ -43,7 +43,7 @@ class Batch(Protocol):
         """Seconds for one job; what they share may take as long again."""
         ...
 
-    def only(self, jobs: Sequence[str]) -> Batch:
+    def only(self, jobs: Sequence[str]) -> JobBatch:
         """Return the batch with some of its jobs."""
         ...
 
@@ -96,26 +96,26 @@ def described(error: BaseException) -> str:
     return f"{name}: {text}" if text else name
 
 
-def _at(folder: Path, batch: Batch) -> Path:
+def _at(folder: Path, batch: JobBatch) -> Path:
     return folder / f"{batch.jobs[0]}.at"
 
 
-def _watch(folder: Path, batch: Batch) -> Path:
+def _watch(folder: Path, batch: JobBatch) -> Path:
     return folder / f"{batch.jobs[0]}.watch"
 
 
-def last_place(folder: Path, batch: Batch) -> str:
+def last_place(folder: Path, batch: JobBatch) -> str:
     """Return the place at which a worker was lost: the name of a job, or :data:`SHARED`."""
     return _last(folder, batch)[1] or SHARED
 
 
-def worker_gone(folder: Path, batch: Batch) -> bool:
+def worker_gone(folder: Path, batch: JobBatch) -> bool:
     """Return True if the worker that had begun a batch is no more."""
     process = _last(folder, batch)[0]
     return bool(process) and ended(process)
 
 
-def end_worker(folder: Path, batch: Batch) -> None:
+def end_worker(folder: Path, batch: JobBatch) -> None:
     """End what a lost worker left running: the processes of its group."""
     process = _last(folder, batch)[0]
     with suppress(ProcessLookupError, PermissionError):
@@ -123,20 +123,20 @@ def end_worker(folder: Path, batch: Batch) -> None:
             os.killpg(process, signal.SIGKILL)
 
 
-def _last(folder: Path, batch: Batch) -> tuple[int, str]:
+def _last(folder: Path, batch: JobBatch) -> tuple[int, str]:
     """Return the process of the worker of a batch and where it was; 0 if none has begun."""
     at = _at(folder, batch)
     process, _, place = (at.read_text(encoding="utf-8").strip() if at.exists() else "").partition(" ")
     return int(process) if process.isdigit() else 0, place
 
 
-def was_ended(folder: Path, batch: Batch) -> bool:
+def was_ended(folder: Path, batch: JobBatch) -> bool:
     """Return True if the watchdog ended the worker of a batch."""
     watch = _watch(folder, batch)
     return watch.exists() and watch.stat().st_size > 0
 
 
-def put_away(folder: Path, batch: Batch) -> None:
+def put_away(folder: Path, batch: JobBatch) -> None:
     """Remove the marks of a worker."""
     _at(folder, batch).unlink(missing_ok=True)
     _watch(folder, batch).unlink(missing_ok=True)
@@ -145,7 +145,7 @@ def put_away(folder: Path, batch: Batch) -> None:
 class Desk:
     """Where a worker does a batch: it says where it stands, keeps the time and puts the rows away."""
 
-    def __init__(self, batch: Batch, folder: Path, at: int, watch: IO[str]) -> None:
+    def __init__(self, batch: JobBatch, folder: Path, at: int, watch: IO[str]) -> None:
         self._batch, self._folder, self._at, self._watch = batch, folder, at, watch
         self._surroundings, self._harm = Surroundings(), ""
 
@@ -186,7 +186,7 @@ class Desk:
             self._harm = self._surroundings.restore()
 
 
-def do_batch(batch: Batch, folder: str | Path, trust: Sequence[str] = ()) -> None:
+def do_batch(batch: JobBatch, folder: str | Path, trust: Sequence[str] = ()) -> None:
     """Do all jobs of a batch in this process and write their shards; ``trust`` as :func:`harness.trust.trusting`."""
     place = Path(folder)
     with _watch(place, batch).open("w") as watch, _at(place, batch).open("wb", buffering=0) as at:

@@ -18,7 +18,7 @@ from pebble import ProcessExpired
 from harness.errors import InputError, PluginError
 from harness.jobs.batch import (
     SHARED,
-    Batch,
+    JobBatch,
     do_batch,
     end_worker,
     last_place,
@@ -41,19 +41,19 @@ SHARES = 8  # bundles for each cluster worker, at least, so that all end at abou
 Moved = Callable[[str, Sequence[str]], None]  # Called with a title and the jobs whose rows have been added.
 
 
-class Engine(Protocol):
+class JobEngine(Protocol):
     """Something that runs batches; every row ends up as a shard in the folder."""
 
-    def run(self, batches: Sequence[Batch], shards: Path, moved: Moved) -> None:
+    def run(self, batches: Sequence[JobBatch], shards: Path, moved: Moved) -> None:
         """Run all batches; ``moved`` is called with a title, and the jobs whose rows have been added."""
         ...
 
 
 def run_jobs(
-    batches: Sequence[Batch],
+    batches: Sequence[JobBatch],
     shards: Path,
     *,
-    engine: str | Engine = "local",
+    engine: str | JobEngine = "local",
     workers: int | None = None,
     moved: Moved | None = None,
 ) -> None:
@@ -86,7 +86,7 @@ def run_jobs(
         raise
 
 
-def make_engine(engine: str, workers: int | None = None) -> Engine:
+def make_engine(engine: str, workers: int | None = None) -> JobEngine:
     """Return the engine that a text names.
 
     Parameters
@@ -128,8 +128,8 @@ class LocalEngine:
 
     workers: int
 
-    def run(self, batches: Sequence[Batch], shards: Path, moved: Moved) -> None:
-        """Run all batches; see :class:`Engine`."""
+    def run(self, batches: Sequence[JobBatch], shards: Path, moved: Moved) -> None:
+        """Run all batches; see :class:`JobEngine`."""
         if not batches:
             return
         left, breaks = deque(batches), 0
@@ -141,7 +141,7 @@ class LocalEngine:
             if breaks > BREAKS:
                 raise PluginError(f"the pool of workers broke {breaks} times and nothing was done")
 
-    def _drain(self, pool: Any, batches: deque[Batch], shards: Path, moved: Moved) -> None:
+    def _drain(self, pool: Any, batches: deque[JobBatch], shards: Path, moved: Moved) -> None:
         """Do the batches, or as many as a pool does before it breaks: what is left stays among them.
 
         Keep a few batches for each worker in the pool, and put back what is left of one whose worker was lost.
@@ -149,10 +149,10 @@ class LocalEngine:
         Waiting and the pool's own bookkeeping look at every task that is scheduled, so scheduling all of them at once
         costs the square of their number.
         """
-        waiting: dict[Any, Batch] = {}
+        waiting: dict[Any, JobBatch] = {}
         gone: set[Any] = set()  # whose worker ended without a word, as a status of 0 is none to the pool
 
-        def schedule(batch: Batch) -> None:
+        def schedule(batch: JobBatch) -> None:
             # the watchdog inside the worker keeps the limit of each job; this one is for a worker that is stopped
             put_away(shards, batch)  # marks of a run that was interrupted tell of no worker of this one
             backstop = math.ceil((len(batch.jobs) + 1) * (batch.time_limit + 10))
@@ -189,14 +189,14 @@ def _error(future: Any) -> BaseException | None:
     return future.exception() if future.done() and not future.cancelled() else None
 
 
-def _rest(batch: Batch, shards: Path, error: BaseException | None, *, broken: bool) -> Batch | None:
+def _rest(batch: JobBatch, shards: Path, error: BaseException | None, *, broken: bool) -> JobBatch | None:
     """Return the jobs of a batch that are still to do; in a broken pool the end of a worker may not be its own."""
     if broken and (error is None or isinstance(error, _Left | BrokenProcessPool)):
         return _undone(batch, shards)
     return _after_loss(batch, shards, error) if error is not None else None
 
 
-def _undone(batch: Batch, shards: Path) -> Batch | None:
+def _undone(batch: JobBatch, shards: Path) -> JobBatch | None:
     """Return the jobs of a batch that have no shard; None if all have one."""
     end_worker(shards, batch)
     put_away(shards, batch)
@@ -210,7 +210,7 @@ class _Left(Exception):
     exitcode = 0
 
 
-def _after_loss(batch: Batch, shards: Path, error: BaseException) -> Batch | None:
+def _after_loss(batch: JobBatch, shards: Path, error: BaseException) -> JobBatch | None:
     """Write the row of the job at which a worker was lost; return the batch of the jobs that are still to do."""
     place = last_place(shards, batch)
     late = isinstance(error, TimeoutError) or was_ended(shards, batch)
@@ -239,8 +239,8 @@ class DaskEngine:
 
     address: str
 
-    def run(self, batches: Sequence[Batch], shards: Path, moved: Moved) -> None:
-        """Run all batches; see :class:`Engine`."""
+    def run(self, batches: Sequence[JobBatch], shards: Path, moved: Moved) -> None:
+        """Run all batches; see :class:`JobEngine`."""
         try:
             import distributed
         except ImportError as error:
@@ -289,7 +289,7 @@ class DaskEngine:
                 raise
 
 
-def run_elsewhere(batches: tuple[Batch, ...], trust: Sequence[str] = ()) -> dict[str, bytes]:
+def run_elsewhere(batches: tuple[JobBatch, ...], trust: Sequence[str] = ()) -> dict[str, bytes]:
     """Run batches through the local engine on a worker of a cluster; returns their shards by job."""
     process = multiprocessing.current_process()
     configuration = getattr(process, "_config", {})

@@ -13,7 +13,7 @@ from harness.extras import optional
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class QueryResult:
     """What a query found.
 
     Parameters
@@ -32,7 +32,7 @@ class Answer:
     def __len__(self) -> int:
         return int(self.table.num_rows)
 
-    def narrow(self) -> Answer:
+    def narrow(self) -> QueryResult:
         """Return the answer without columns of lists and those without any value, for a reader."""
         import pyarrow as pa
 
@@ -42,7 +42,7 @@ class Answer:
             if not pa.types.is_nested(self.table.schema.field(name).type)
             and any(value not in (None, "") for value in self.table.column(name).unique().to_pylist())
         ]
-        return Answer(self.table.select(kept))
+        return QueryResult(self.table.select(kept))
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows as dictionaries."""
@@ -137,7 +137,7 @@ def filtered(tables: Mapping[str, Any], filters: Mapping[str, Any]) -> dict[str,
     return chosen
 
 
-def ask(tables: Mapping[str, Any], sql: str | None = None, filters: Mapping[str, Any] | None = None) -> Answer:
+def ask(tables: Mapping[str, Any], sql: str | None = None, filters: Mapping[str, Any] | None = None) -> QueryResult:
     """Ask Arrow tables.
 
     Raises InputError if a filter or the query cannot be used, or DuckDB is not installed.
@@ -154,7 +154,7 @@ def ask(tables: Mapping[str, Any], sql: str | None = None, filters: Mapping[str,
     """
     tables = filtered(tables, filters or {})
     if sql is None:
-        return Answer(next(iter(tables.values())))
+        return QueryResult(next(iter(tables.values())))
     duckdb = optional("duckdb", "a query", "'sysid-harness[query]'")
 
     connection = duckdb.connect()
@@ -165,7 +165,7 @@ def ask(tables: Mapping[str, Any], sql: str | None = None, filters: Mapping[str,
         found = connection.sql(sql)
         if found is None:
             raise InputError("query", expected="a SELECT", got="a statement", remedy="ask for rows", place="sql")
-        return Answer(found.to_arrow_table())
+        return QueryResult(found.to_arrow_table())
     except duckdb.Error as error:
         raise InputError(
             "query",

@@ -52,7 +52,7 @@ class Pole:
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class PoleSpread:
     """What every stretch of data adds to A and C to first order, from which follow covariances."""
 
     # (M, nx, nx), (M, ny, nx): Their sums over the stretches are 0
@@ -154,7 +154,7 @@ def mac(first: ComplexArray, second: ComplexArray) -> float:
     return float(np.abs(np.vdot(first, second)) ** 2 / size) if size > 0 else 0.0
 
 
-def poles_of(a: FloatArray, c: FloatArray, sample_time: float, spread: Spread | None = None) -> list[Pole]:
+def poles_of(a: FloatArray, c: FloatArray, sample_time: float, spread: PoleSpread | None = None) -> list[Pole]:
     """Return the vibrating modes of ``x+ = A x, y = C x`` by frequency, with deviations from what stretches change.
 
     First-order perturbation of eigenvalues and eigenvectors (Reynders, Pintelon & De Roeck 2008, Mech. Syst. Signal
@@ -227,6 +227,6 @@ def _stretched(shape: ComplexArray, change: ComplexArray) -> FloatArray:
     return np.asarray((change @ shape.conj()).real / np.vdot(shape, shape).real)
 
 
-def _deviation(shifts: FloatArray, spread: Spread) -> FloatArray:
+def _deviation(shifts: FloatArray, spread: PoleSpread) -> FloatArray:
     """Return the standard deviation of quantities from their shifts (M, ...)."""
     return np.asarray(np.sqrt(spread.factor * np.sum(shifts**2, axis=0)))

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from harness.errors import FitError
-from harness.modal.poles import Pole, Spread, poles_of
+from harness.modal.poles import Pole, PoleSpread, poles_of
 from harness.signals import FloatArray, Trajectory
 
 STRETCHES = 40
@@ -106,7 +106,7 @@ class Ladder:
             spread = None if spread is None else replace(spread, c_shifts=spread.c_shifts / size[:, None])
         return poles_of(a, c, self.sample_time, spread)
 
-    def _spread(self, order: int, a: FloatArray) -> Spread:
+    def _spread(self, order: int, a: FloatArray) -> PoleSpread:
         """Return what each stretch adds to A and C to first order.
 
         Turning the basis within its span changes no pole, so only what leaves the span counts (Reynders et al. 2008,
@@ -121,7 +121,7 @@ class Ladder:
         rest = inverse @ inverse.T @ (up.transpose(0, 2, 1) @ (lower - upper @ a))
         freedom = count / (1.0 + 2.0 * _NEIGHBOUR**2) - 1.0
         of_c = self.scaling.size[-ny:, None] * change[:, :ny]
-        return Spread(inverse @ (down - up @ a) + rest, of_c, _TAPER * count / (count - 1), freedom)
+        return PoleSpread(inverse @ (down - up @ a) + rest, of_c, _TAPER * count / (count - 1), freedom)
 
 
 def ladder_of(records: Sequence[Trajectory], window: int | None = None) -> Ladder:

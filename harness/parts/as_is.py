@@ -20,7 +20,7 @@ from harness.supervision.processes import APART
 from harness.trust import names_fmu
 
 if TYPE_CHECKING:
-    from harness.cosim.free_run import FreeRun
+    from harness.cosim.free_run import CoupledRun
 
 
 def run_as_is(
@@ -82,7 +82,9 @@ def _said_once(note: Callable[[str], None] | None) -> Iterator[None]:
         log.setLevel(level)
 
 
-def _told(run: FreeRun, note: Callable[[str], None] | None, broke: Callable[[PlantError], None] | None) -> Trajectory:
+def _told(
+    run: CoupledRun, note: Callable[[str], None] | None, broke: Callable[[PlantError], None] | None
+) -> Trajectory:
     """Say what a run has to say; returns its record."""
     say_beyond(run.beyond, note)
     for text in run.notes if note is not None else ():
@@ -94,7 +96,7 @@ def _told(run: FreeRun, note: Callable[[str], None] | None, broke: Callable[[Pla
 
 def _system_as_is(
     plant: str, asked: Mapping[str, float | None], options: dict[str, Any], progress: Callable[[int, int], None] | None
-) -> FreeRun:
+) -> CoupledRun:
     """Return the run of a coupling or a system of another tool with its own experiment."""
     from harness.cosim.free_run import free_run, window
 

@@ -13,7 +13,7 @@ from harness.scoring.prediction import (
     states_ahead,
 )
 from harness.scoring.regret import Regret, regret
-from harness.scoring.rounds import Round, interleaved
+from harness.scoring.rounds import RedesignRound, interleaved
 from harness.scoring.torques import TorqueError, Torques
 
 __all__ = [
@@ -21,8 +21,8 @@ __all__ = [
     "ControlScore",
     "LeastErrors",
     "LinearTruth",
+    "RedesignRound",
     "Regret",
-    "Round",
     "Score",
     "TorqueError",
     "Torques",

@@ -23,7 +23,7 @@ _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)
 
 
 @dataclass(frozen=True)
-class Check:
+class Demand:
     """One demand on one result.
 
     Parameters
@@ -96,12 +96,12 @@ class Demands:
         """True if something is demanded."""
         return bool(self.fail_on or self.max_error or self.max_share is not None)
 
-    def of_report(self, subject: str, data: Mapping[str, Any]) -> list[Check]:
+    def of_report(self, subject: str, data: Mapping[str, Any]) -> list[Demand]:
         """Return the checks of a report of the closed loop (the content of ``report.json``)."""
         found = []
         if self.fail_on:
             verdict = str(data["verdict"])
-            found.append(Check(subject, "verdict", verdict not in self.fail_on, verdict.replace("_", " ")))
+            found.append(Demand(subject, "verdict", verdict not in self.fail_on, verdict.replace("_", " ")))
         if self.max_error:
             told = data["errors"]["after"].get("simulation_error", {}).get("validation", {})
             errors = {name: (score.get("rms"), str(score.get("unit", "1"))) for name, score in told.items()}
@@ -110,10 +110,10 @@ class Demands:
             share = data.get("explained_share")
             left = math.inf if share is None else 1.0 - float(share)
             text = f"{left:.3g} of the motion is unexplained, at most {self.max_share:g} may be"
-            found.append(Check(subject, "max-share", left <= self.max_share, text))
+            found.append(Demand(subject, "max-share", left <= self.max_share, text))
         return found
 
-    def of_errors(self, subject: str, errors: Mapping[str, tuple[float | None, str]]) -> list[Check]:
+    def of_errors(self, subject: str, errors: Mapping[str, tuple[float | None, str]]) -> list[Demand]:
         """Return the checks of errors (rms, unit) by output.
 
         Raises
@@ -147,7 +147,7 @@ class Demands:
                 said = f"{size:.4g}{behind(own)}"
             passed = value is not None and value <= limit
             found.append(
-                Check(
+                Demand(
                     subject, f"max-error {output}", passed, f"{output} simulation error {said}, at most {text} allowed"
                 )
             )
@@ -168,7 +168,7 @@ def _quantity(output: str, text: str) -> tuple[float, str]:
     return float(match[1]), match[2]
 
 
-def write_junit(path: str | Path, suite: str, checks: Sequence[Check]) -> None:
+def write_junit(path: str | Path, suite: str, checks: Sequence[Demand]) -> None:
     """Write checks as JUnit XML, which CI services show: a test case each.
 
     Parameters

@@ -13,7 +13,7 @@ from harness.signals import FloatArray, PlantSpec
 GONE = 1e6  # outputs beyond this count as gone: no cost of such a run means anything
 
 
-class Controller(Protocol):
+class OutputFeedback(Protocol):
     """What acts on measured outputs."""
 
     def reset(self, y: FloatArray) -> None:
@@ -61,7 +61,7 @@ class Regulation(TypedDict):
 
 
 def regulation_costs(
-    plant: Any, controller: Controller, starts: Sequence[Mapping[str, float]], **run: Unpack[Regulation]
+    plant: Any, controller: OutputFeedback, starts: Sequence[Mapping[str, float]], **run: Unpack[Regulation]
 ) -> FloatArray:
     """Return ``sum (y - y*)' q (y - y*) + (u - u*)' r (u - u*)`` of a run from each start (M,).
 
@@ -89,7 +89,7 @@ def regulation_costs(
 
 
 def regulation_steps(
-    plant: Any, controller: Controller, start: Mapping[str, float], **run: Unpack[Regulation]
+    plant: Any, controller: OutputFeedback, start: Mapping[str, float], **run: Unpack[Regulation]
 ) -> FloatArray:
     """Return what every sample of one run costs (steps,), as :func:`regulation_costs` adds it up.
 

@@ -16,7 +16,7 @@ from harness.signals import FloatArray, Trajectory
 
 
 @dataclass(frozen=True)
-class Round:
+class RedesignRound:
     """One round: data under the controller so far, a new model, a new controller.
 
     Parameters
@@ -45,7 +45,7 @@ def interleaved(
     q: FloatArray | None = None,
     r: FloatArray | None = None,
     rng: np.random.Generator,
-) -> list[Round]:
+) -> list[RedesignRound]:
     """Collect data under a controller, fit a model to all data so far, design the next controller; again.
 
     Parameters
@@ -68,7 +68,7 @@ def interleaved(
     r = np.eye(nu) if r is None else r
     gain, records = np.asarray(first_gain, dtype=float), []
     best = lqr_cost_ratio(plant, plant, q=q, r=r)
-    found: list[Round] = []
+    found: list[RedesignRound] = []
     cost = CostRatio(float("nan"), "no design", float("nan"))
     for number in range(rounds):
         records.append(collect(gain, number))
@@ -79,12 +79,12 @@ def interleaved(
         try:
             model: Any = identifier.fit(records, rng=rng)
         except FitError as error:
-            found.append(Round(cost, coverage, str(error)))
+            found.append(RedesignRound(cost, coverage, str(error)))
             continue
         a, b = in_states(model)
         new = lqr_gain(a, b, q, r)
         cost = lqr_cost_ratio((a, b), plant, q=q, r=r) if best.status == "ok" else cost
         if new is not None and cost.status == "ok":
             gain = new
-        found.append(Round(cost, coverage, ""))
+        found.append(RedesignRound(cost, coverage, ""))
     return found

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import printable
-from harness.scoring.acceptance import Check
+from harness.scoring.acceptance import Demand
 from harness.signals import Trajectory
 
 WORDS = {True: "ok", False: "FAIL", None: "-"}
@@ -52,10 +52,10 @@ class Vetting:
         """True if nothing failed."""
         return all(finding.passed is not False for finding in self.findings)
 
-    def checks(self) -> list[Check]:
+    def checks(self) -> list[Demand]:
         """Return the findings as a command judges them."""
         return [
-            Check(self.file.name, one.name, one.passed is not False, f"{one.tried}: {one.came}")
+            Demand(self.file.name, one.name, one.passed is not False, f"{one.tried}: {one.came}")
             for one in self.findings
         ]
 

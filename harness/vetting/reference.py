@@ -19,7 +19,7 @@ import numpy as np
 from harness.errors import HarnessError, InputError, printable, refuse_unknown
 from harness.options import as_options
 from harness.parts.files import describe_fmu, make_plant
-from harness.scoring.acceptance import Check
+from harness.scoring.acceptance import Demand
 from harness.signals import FloatArray
 from harness.trust import names_fmu
 from harness.vetting.tubes import EVERY, Tube, read_tubes, tube_of
@@ -45,7 +45,7 @@ INTEGERS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class ComparedChannel:
     """One channel beside its reference.
 
     Attributes
@@ -85,7 +85,7 @@ class Agreement:
 
     run: str
     reference: Path
-    channels: tuple[Channel, ...]
+    channels: tuple[ComparedChannel, ...]
     lacking: Mapping[str, str]
     notes: tuple[str, ...] = ()
 
@@ -95,15 +95,15 @@ class Agreement:
         return not self.lacking and all(channel.passed for channel in self.channels)
 
     @property
-    def first(self) -> Channel | None:
+    def first(self) -> ComparedChannel | None:
         """The channel that leaves its tube first."""
         left = [channel for channel in self.channels if channel.first is not None]
         return min(left, key=lambda one: one.t[one.first or 0] if len(one.t) else -np.inf, default=None)
 
-    def checks(self) -> list[Check]:
+    def checks(self) -> list[Demand]:
         """Return a check for each channel, the one that fails first before the others."""
-        found = [Check(self.run, f"tube {one.name}", one.passed, one.text) for one in self.channels]
-        found += [Check(self.run, f"tube {name}", False, text) for name, text in self.lacking.items()]
+        found = [Demand(self.run, f"tube {one.name}", one.passed, one.text) for one in self.channels]
+        found += [Demand(self.run, f"tube {name}", False, text) for name, text in self.lacking.items()]
         first = self.first
         return sorted(found, key=lambda one: first is None or one.name != f"tube {first.name}")
 
@@ -264,14 +264,16 @@ def agreement(
     return Agreement(Path(run).name, reference, tuple(found), lacking, tuple(notes))
 
 
-def _miss(one: Channel) -> float:
+def _miss(one: ComparedChannel) -> float:
     """Return by how much a channel leaves its tube at most; 0 inside, NaN where it is no number."""
     with np.errstate(invalid="ignore"):
         out = np.maximum(np.maximum(one.y - one.high, one.low - one.y), 0.0)
     return float(out.max(initial=0.0))
 
 
-def _channel(name: str, tube: Tube, reference: tuple[FloatArray, FloatArray], t: FloatArray, y: FloatArray) -> Channel:
+def _channel(
+    name: str, tube: Tube, reference: tuple[FloatArray, FloatArray], t: FloatArray, y: FloatArray
+) -> ComparedChannel:
     """Hold one channel against its reference."""
     begin, end = float(reference[0][0]), float(reference[0][-1])
     slack = 1e-9 * max(1.0, abs(end)) + tube.time
@@ -284,13 +286,13 @@ def _channel(name: str, tube: Tube, reference: tuple[FloatArray, FloatArray], t:
         row = int(np.argmax(out))
         text = f"{name} leaves its tube at t = {t[row]:g} s: {y[row]:g} is not within [{low[row]:g}, {high[row]:g}]"
         text += f" ({int(out.sum())} of {len(t)} samples outside)" if out.sum() > 1 else ""
-        return Channel(name, tube, t, y, low, high, reference, row, text)
+        return ComparedChannel(name, tube, t, y, low, high, reference, row, text)
     step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     if not len(t) or t[0] > begin + slack + step or t[-1] < end - slack - step:
         span = f"{t[0]:g} to {t[-1]:g} s" if len(t) else "no instant"
         text = f"{name}: the run covers {span} of the reference's {begin:g} to {end:g} s"
-        return Channel(name, tube, t, y, low, high, reference, max(len(t) - 1, 0), text)
-    return Channel(name, tube, t, y, low, high, reference, None, f"inside at all {len(t)} samples")
+        return ComparedChannel(name, tube, t, y, low, high, reference, max(len(t) - 1, 0), text)
+    return ComparedChannel(name, tube, t, y, low, high, reference, None, f"inside at all {len(t)} samples")
 
 
 def _table(path: Path) -> tuple[list[str], FloatArray, FloatArray]:

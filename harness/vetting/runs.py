@@ -30,7 +30,7 @@ RETURNS = 1e-3  # Relative error of a directional derivative: differences are su
 
 
 @dataclass(frozen=True)
-class Subject:
+class FmuSubject:
     """An FMU under test: ``options`` of the plant, ``limit`` [s] for a call, ``slow`` lets it take its time."""
 
     path: Path
@@ -60,7 +60,7 @@ class Subject:
         return found
 
 
-def excited(subject: Subject) -> tuple[list[Finding], Trajectory | None]:
+def excited(subject: FmuSubject) -> tuple[list[Finding], Trajectory | None]:
     """Return the findings of the first run, and the run; None if there is nothing more to try."""
     tried = f"{subject.samples} samples under changing inputs"
     try:
@@ -85,7 +85,7 @@ def excited(subject: Subject) -> tuple[list[Finding], Trajectory | None]:
     return found, record
 
 
-def ran(subject: Subject, record: Trajectory) -> list[Finding]:
+def ran(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Return the findings of all other runs."""
     subject = replace(subject, samples=len(record))
     found: list[Finding] = []
@@ -108,7 +108,7 @@ def _difference(one: FloatArray, other: FloatArray) -> float:
     return float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else float("inf")
 
 
-def _own_experiment(subject: Subject, record: Trajectory) -> list[Finding]:
+def _own_experiment(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Run the default experiment to its end."""
     tried = "its default experiment, inputs at their start values"
     if not any(value is not None for value in subject.content["experiment"].values()):
@@ -127,7 +127,7 @@ def _own_experiment(subject: Subject, record: Trajectory) -> list[Finding]:
     return [Finding("own experiment", passed, tried, came, run.moved)]
 
 
-def _again(subject: Subject, record: Trajectory) -> list[Finding]:
+def _again(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Run once more in another process."""
     with subject.plant() as plant:
         off = _difference(_run(plant, record.u).y, record.y)
@@ -137,7 +137,7 @@ def _again(subject: Subject, record: Trajectory) -> list[Finding]:
     ]
 
 
-def _probed(subject: Subject, record: Trajectory) -> list[Finding]:
+def _probed(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Return what the probe of benchmarks finds about reset and states."""
     result = subject.inside(inside.probed, subject.samples)
     tried = {
@@ -153,7 +153,7 @@ def _probed(subject: Subject, record: Trajectory) -> list[Finding]:
     ]
 
 
-def _parameters(subject: Subject, record: Trajectory) -> list[Finding]:
+def _parameters(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Set every parameter to the value that it has."""
     from harness.calibration.variables import contents_of
 
@@ -176,7 +176,7 @@ def _parameters(subject: Subject, record: Trajectory) -> list[Finding]:
     ]
 
 
-def _halving(subject: Subject, record: Trajectory) -> list[Finding]:
+def _halving(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Halve the communication step three times."""
     dt = record.spec.sample_time
     if subject.abilities.get("fixed internal step"):
@@ -213,7 +213,7 @@ def _halving(subject: Subject, record: Trajectory) -> list[Finding]:
     ]
 
 
-def _binary(subject: Subject, record: Trajectory) -> list[Finding]:
+def _binary(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Look at the library that was loaded."""
     tried = "the functions that the standard demands, and what the library loads from this system"
     lacks, loaded, glibc = subject.inside(inside.binary)
@@ -223,7 +223,7 @@ def _binary(subject: Subject, record: Trajectory) -> list[Finding]:
     return [Finding("binary", not lacks, tried, came, float(len(lacks)))]
 
 
-def _kinds(subject: Subject, record: Trajectory) -> list[Finding]:
+def _kinds(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Run the other interface under the same inputs."""
     tried = "the same run by co-simulation and by model exchange with a solver of ours"
     if len(subject.content["kinds"]) < 2 or not record.spec.ny:
@@ -245,7 +245,7 @@ def _kinds(subject: Subject, record: Trajectory) -> list[Finding]:
     return [Finding("both interfaces", passed, tried, came, shares[worst])]
 
 
-def _beside(subject: Subject, record: Trajectory) -> list[Finding]:
+def _beside(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Run two instances in one process."""
     tried = "two instances of one loaded library, stepped in turn under different inputs"
     if "variable step" not in subject.abilities or str(subject.content["fmi"]).startswith("1"):
@@ -257,7 +257,7 @@ def _beside(subject: Subject, record: Trajectory) -> list[Finding]:
     return [Finding("two at once", off == 0.0, tried, came, off)]
 
 
-def _direct(subject: Subject, record: Trajectory) -> list[Finding]:
+def _direct(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Change the inputs while no time passes."""
     if not record.spec.nu:
         return []
@@ -272,7 +272,7 @@ def _direct(subject: Subject, record: Trajectory) -> list[Finding]:
     return [Finding("dependencies", True if moved or not declared else None, tried, came)]
 
 
-def _slopes(subject: Subject, record: Trajectory) -> list[Finding]:
+def _slopes(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Compare directional derivatives with differences."""
     tried = "d outputs / d inputs against differences"
     reals = [any(channel.kind == "real" for channel in group) for group in (record.spec.inputs, record.spec.outputs)]
@@ -295,7 +295,7 @@ def _slopes(subject: Subject, record: Trajectory) -> list[Finding]:
     return found
 
 
-def _serialised(subject: Subject, record: Trajectory) -> list[Finding]:
+def _serialised(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Write the state as bytes and read it."""
     tried = "the state written as bytes half way, read back, the run on"
     if not (subject.abilities.get("serialise state") and subject.abilities.get("get and set state")):
@@ -308,7 +308,7 @@ def _serialised(subject: Subject, record: Trajectory) -> list[Finding]:
     return [Finding("serialised state", off == 0.0, tried, came, off)]
 
 
-def _events(subject: Subject, record: Trajectory) -> list[Finding]:
+def _events(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Handle events outside, where the FMU lets us."""
     count = subject.content["event_indicators"] or 0
     if not subject.abilities.get("event mode"):
@@ -320,7 +320,7 @@ def _events(subject: Subject, record: Trajectory) -> list[Finding]:
     return [Finding("events", off <= 1e-3 * size, "events handled outside (event mode) and inside", came, off)]
 
 
-def _speed(subject: Subject, record: Trajectory) -> list[Finding]:
+def _speed(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Take the time."""
     found = subject.inside(inside.speed, subject.samples)
     times = found["sample_time"] / max(found["sample"], 1e-9)
@@ -338,7 +338,7 @@ def _speed(subject: Subject, record: Trajectory) -> list[Finding]:
     ]
 
 
-def _leaks(subject: Subject, record: Trajectory) -> list[Finding]:
+def _leaks(subject: FmuSubject, record: Trajectory) -> list[Finding]:
     """Make and free many instances."""
     tried = f"{INSTANCES} instances made, run and freed one after the other"
     if subject.abilities.get("once per process"):
@@ -354,7 +354,7 @@ def _leaks(subject: Subject, record: Trajectory) -> list[Finding]:
     return [Finding("leaks", not left, tried, came, found["memory"])]
 
 
-CHECKS: Mapping[str, Callable[[Subject, Trajectory], list[Finding]]] = {
+CHECKS: Mapping[str, Callable[[FmuSubject, Trajectory], list[Finding]]] = {
     "own experiment": _own_experiment,
     "binary": _binary,
     "determinism": _again,

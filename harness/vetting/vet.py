@@ -14,7 +14,7 @@ from harness.errors import HarnessError, InputError
 from harness.parts.files import describe_fmu
 from harness.vetting.described import NUMBERS, described
 from harness.vetting.findings import Finding, Vetting
-from harness.vetting.runs import FEWEST, SAMPLES, Subject, excited, ran
+from harness.vetting.runs import FEWEST, SAMPLES, FmuSubject, excited, ran
 
 STEPS = 500  # Samples of a default experiment that suggests no step.
 STEP = 0.01  # Sample time [s] where nothing is suggested at all.
@@ -95,7 +95,7 @@ def _run(
     """Run what can be run, and return all findings."""
     asked = bool(options)
     options = {"path": str(path), **_chosen(content), **options}
-    subject = Subject(path, content, options, limit, samples_of(content, float(options["sample_time"])))
+    subject = FmuSubject(path, content, options, limit, samples_of(content, float(options["sample_time"])))
     found.append(_setting(subject))
     try:
         first, record = excited(subject)
@@ -110,7 +110,7 @@ def _run(
     return Vetting(path, title, tuple(found), record)
 
 
-def _setting(subject: Subject) -> Finding:
+def _setting(subject: FmuSubject) -> Finding:
     """Say how, by what and where the FMU is run: a page is read long after it was made."""
     from harness import __version__
 

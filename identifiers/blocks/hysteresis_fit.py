@@ -13,7 +13,7 @@ from harness.errors import FitError
 from harness.models.damped import Damping, damped_descent
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray
-from identifiers.blocks.hysteresis_pass import Layout, played
+from identifiers.blocks.hysteresis_pass import HysteresisLayout, played
 
 Pair = tuple[FloatArray, FloatArray]  # Inputs (N, nu) and outputs (N, ny) of a record, scaled.
 _LAGS = 3  # Outputs of the first regression for each state: its modes are then cut to those that count.
@@ -27,7 +27,7 @@ _BLOCK = 8192  # Rows of the regression that are in memory at once.
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class HysteresisPoint:
     """Coefficients (p,) and the initial state of every record (R, nx)."""
 
     theta: FloatArray
@@ -35,7 +35,12 @@ class Point:
 
 
 def started(
-    layout: Layout, pairs: Sequence[Pair], radii: FloatArray, *, by: Literal["inputs", "outputs"], direct: bool
+    layout: HysteresisLayout,
+    pairs: Sequence[Pair],
+    radii: FloatArray,
+    *,
+    by: Literal["inputs", "outputs"],
+    direct: bool,
 ) -> FloatArray:
     """Return coefficients to descend from.
 
@@ -87,7 +92,13 @@ def stopped(z: FloatArray, radii: FloatArray) -> FloatArray:
 
 
 def _regression(
-    layout: Layout, pairs: Sequence[Pair], radii: FloatArray, mixing: FloatArray, by: str, lags: int, direct: bool
+    layout: HysteresisLayout,
+    pairs: Sequence[Pair],
+    radii: FloatArray,
+    mixing: FloatArray,
+    by: str,
+    lags: int,
+    direct: bool,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients (lags, ny + nu + nz, ny) of past outputs, inputs and stops, and those (ny, nu) of now."""
     each = layout.ny + layout.nu + layout.nz
@@ -109,7 +120,7 @@ def _regression(
 
 
 def _realised(
-    coefficients: FloatArray, now: FloatArray, layout: Layout, lags: int
+    coefficients: FloatArray, now: FloatArray, layout: HysteresisLayout, lags: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return A, B, C of the states in observer form, shrunk to be stable."""
     ny, own = layout.ny, coefficients[:, : layout.ny].transpose(0, 2, 1)
@@ -163,15 +174,15 @@ def _modal(a: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
 
 
 def descended(
-    layout: Layout,
-    point: Point,
+    layout: HysteresisLayout,
+    point: HysteresisPoint,
     pairs: Sequence[Pair],
     radii: FloatArray,
     rounds: int,
     *,
     direct: bool,
     positive: bool,
-) -> tuple[Point, float]:
+) -> tuple[HysteresisPoint, float]:
     """Return where no damped step lowers the squared error of free runs any more, and its root mean square.
 
     Raises FitError if the run to begin with diverges.
@@ -189,7 +200,7 @@ def descended(
     if not direct:
         free[layout.slices["D"]] = free[layout.slices["F"]] = False
 
-    def cost(now: Point) -> float:
+    def cost(now: HysteresisPoint) -> float:
         if not spectral_radius(layout.a_matrix(now.theta)) < 1.0:
             return np.inf
         value = 0.0
@@ -200,7 +211,7 @@ def descended(
             value += float(np.sum((run.y - y) ** 2)) + _KNOWN * float(x @ x)
         return value / total
 
-    def linearised(now: Point) -> list[FloatArray] | None:
+    def linearised(now: HysteresisPoint) -> list[FloatArray] | None:
         p, nx, cut = layout.count, layout.nx, layout.moving
         order = np.concatenate([np.arange(cut), np.arange(cut + nx, p + nx), np.arange(cut, cut + nx)])
         gram, right, starts = np.zeros((p, p)), np.zeros(p), []
@@ -222,7 +233,7 @@ def descended(
             starts.append(left)
         return [gram, right, *starts]
 
-    def moved(now: Point, system: list[FloatArray], damp: float) -> Point:
+    def moved(now: HysteresisPoint, system: list[FloatArray], damp: float) -> HysteresisPoint:
         gram, right, *starts = system
         part = gram[np.ix_(free, free)]
         size = np.diag(part)
@@ -234,7 +245,7 @@ def descended(
             theta[weights] = np.maximum(theta[weights], 0.0)
         _hold(layout.tables(theta)["A"])
         each = [x + left[:, -1] - left[:, :-1] @ step for x, left in zip(now.starts, starts, strict=True)]
-        return Point(theta, np.array(each))
+        return HysteresisPoint(theta, np.array(each))
 
     if not np.isfinite(cost(point)):
         raise FitError(

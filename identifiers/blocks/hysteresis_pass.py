@@ -29,7 +29,7 @@ def library() -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class HysteresisRun:
     """A free run and what was inside of it.
 
     Parameters
@@ -56,7 +56,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Layout:
+class HysteresisLayout:
     """``x+ = A x + B u + E w``, ``y = C x + D u + F w``, ``w`` hysteresis of ``z = G x + H u``, in one vector.
 
     Parameters
@@ -134,10 +134,12 @@ class Layout:
         a, t = self.a_matrix(theta), self.tables(theta)
         return a, a + t["E"] * t["W"].sum(axis=1) @ t["G"]
 
-    def run(self, theta: FloatArray, radii: FloatArray, x: FloatArray, memory: FloatArray, u: FloatArray) -> Run | None:
+    def run(
+        self, theta: FloatArray, radii: FloatArray, x: FloatArray, memory: FloatArray, u: FloatArray
+    ) -> HysteresisRun | None:
         """Return the free run from state x (nx,) and plays (nz, m) under inputs (N, nu), or None where it diverges."""
         n = len(u)
-        found = Run(
+        found = HysteresisRun(
             np.empty((n, self.ny)), np.empty((n, self.nx)), np.empty((n, self.nz, self.stops)),
             np.empty((n, self.nz)), np.empty((n, self.nz, self.stops), np.uint8), np.array(x, dtype=np.float64),
             np.array(memory, dtype=np.float64),
@@ -151,7 +153,7 @@ class Layout:
         sizes = (self.nx, self.nu, self.ny, self.nz, self.stops)
         return found if code.sysid_hysteresis_run(n, *sizes, *held, FAR, *inside) == n else None
 
-    def _stepped(self, theta: FloatArray, radii: FloatArray, found: Run, u: FloatArray) -> bool:
+    def _stepped(self, theta: FloatArray, radii: FloatArray, found: HysteresisRun, u: FloatArray) -> bool:
         """Fill a run in numpy; return False where it diverges."""
         t, a = self.tables(theta), self.a_matrix(theta)
         for k, v in enumerate(u):
@@ -168,7 +170,7 @@ class Layout:
                 return False
         return True
 
-    def slopes(self, theta: FloatArray, u: FloatArray, run: Run) -> FloatArray:
+    def slopes(self, theta: FloatArray, u: FloatArray, run: HysteresisRun) -> FloatArray:
         """Return the derivatives (N, ny, p + nx) of a run: by A to W, by the initial state, and by C, D and F."""
         found = np.empty((len(u), self.ny, self.count + self.nx))
         code = library()
@@ -182,7 +184,7 @@ class Layout:
             code.sysid_hysteresis_slopes(len(u), *sizes, *held)
         return found
 
-    def _carried(self, theta: FloatArray, u: FloatArray, run: Run, found: FloatArray) -> None:
+    def _carried(self, theta: FloatArray, u: FloatArray, run: HysteresisRun, found: FloatArray) -> None:
         """Fill the derivatives in numpy: by what moves the state, by the initial state, by C, D and F."""
         t, a, at, nx = self.tables(theta), self.a_matrix(theta), self.slices, self.nx
         cut = self.moving + nx

@@ -15,8 +15,8 @@ from harness.models.distributions import NormalMixture, normal
 from harness.options import check_options
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.blocks.hysteresis_fit import Pair, Point, descended, started
-from identifiers.blocks.hysteresis_pass import Layout, Run, played
+from identifiers.blocks.hysteresis_fit import HysteresisPoint, Pair, descended, started
+from identifiers.blocks.hysteresis_pass import HysteresisLayout, HysteresisRun, played
 from identifiers.common.described import Described
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
@@ -57,7 +57,7 @@ class PrandtlIshlinskiiModel(Described):
     """
 
     spec: PlantSpec
-    layout: Layout
+    layout: HysteresisLayout
     theta: FloatArray
     radii: FloatArray
     u_scale: FloatArray
@@ -153,9 +153,9 @@ class PrandtlIshlinskiiModel(Described):
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> PrandtlIshlinskiiModel:
         """Return the model of a description."""
-        return cls.read(content, layout=Layout(*map(int, content["layout"])))
+        return cls.read(content, layout=HysteresisLayout(*map(int, content["layout"])))
 
-    def _run(self, x: FloatArray, u: FloatArray) -> Run | None:
+    def _run(self, x: FloatArray, u: FloatArray) -> HysteresisRun | None:
         """Return the free run from a state, or None where it diverges."""
         nx = self.layout.nx
         return self.layout.run(self.theta, self.radii, x[:nx], x[nx:].reshape(self.radii.shape), self._input(u))
@@ -250,7 +250,7 @@ class PrandtlIshlinskii(Excited):
 
     def _descended(
         self, spec: PlantSpec, pairs: Sequence[Pair]
-    ) -> tuple[Layout, FloatArray, Point, float, Literal["inputs", "outputs"]]:
+    ) -> tuple[HysteresisLayout, FloatArray, HysteresisPoint, float, Literal["inputs", "outputs"]]:
         """Return where the better start ends: layout, radii, point, error, and what drew its hystereses at first."""
         direct = self.direct or spec.feedthrough
         ways: tuple[Literal["inputs", "outputs"], ...] = ("inputs", "outputs")
@@ -259,10 +259,10 @@ class PrandtlIshlinskii(Excited):
         found = []
         for by in ways:
             loops = self.hystereses or (spec.nu if by == "inputs" else spec.ny)
-            layout = Layout(self.order, spec.nu + self.offset, spec.ny, loops, self.stops)
+            layout = HysteresisLayout(self.order, spec.nu + self.offset, spec.ny, loops, self.stops)
             radii = np.tile(np.geomspace(_LEAST, _MOST, self.stops) if self.stops > 1 else [0.5], (loops, 1))
             theta = started(layout, pairs, radii, by=by, direct=direct)
-            begin = Point(theta, np.zeros((len(pairs), self.order)))
+            begin = HysteresisPoint(theta, np.zeros((len(pairs), self.order)))
             end, error = descended(layout, begin, pairs, radii, rounds, direct=direct, positive=self.positive)
             found.append((error, layout, radii, end, by))
         error, layout, radii, point, by = min(found, key=lambda one: one[0])
@@ -278,7 +278,7 @@ def _with_one(u: FloatArray, width: int) -> FloatArray:
 
 
 def _finished(
-    draft: PrandtlIshlinskiiModel, point: Point, pairs: Sequence[Pair], notes: dict[str, Any]
+    draft: PrandtlIshlinskiiModel, point: HysteresisPoint, pairs: Sequence[Pair], notes: dict[str, Any]
 ) -> PrandtlIshlinskiiModel:
     """Return the model with what its runs over the estimation data say of its states, errors and loops."""
     layout, t = draft.layout, draft.layout.tables(point.theta)

@@ -22,7 +22,7 @@ _FAR = 100.0  # A free run so many scales away from the data has diverged, as in
 
 
 @dataclass(frozen=True, eq=False)
-class Scaling(Described):
+class Standardisation(Described):
     """Mean and size of regressors and targets, so that learners see numbers about 1."""
 
     # (p,)
@@ -33,7 +33,7 @@ class Scaling(Described):
     y_std: FloatArray
 
     @classmethod
-    def of(cls, rows: FloatArray, targets: FloatArray) -> Scaling:
+    def of(cls, rows: FloatArray, targets: FloatArray) -> Standardisation:
         """Return the scaling of data; a column that never moves has the size 1."""
         x_std, y_std = rows.std(axis=0), targets.std(axis=0)
         return cls(
@@ -61,7 +61,8 @@ class LagModel(Described, ABC):
 
     spec: PlantSpec
     lags: int  # L, at least 1
-    scaling: Scaling  # Of the regressors ``[y lags, u lags]``, and of what is learned: the next output, or its change
+    scaling: Standardisation
+    """Of the regressors ``[y lags, u lags]``, and of what is learned: the next output, or its change."""
     bands: Bands | None = field(default=None, kw_only=True)
     """Factor of the standard deviation by the steps since an output was measured; 1 where there are none."""
     notes: dict[str, Any] = field(default_factory=dict, kw_only=True)

@@ -16,8 +16,8 @@ from harness.options import check_options
 from harness.scoring import linearise
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import Columns, refuse_feedback
-from identifiers.control.planning import Limits, Moves, Quadratic, limited_change, riccati, within
-from identifiers.control.repeating import Observer, Plan, Repeated, Repetition, quiet
+from identifiers.control.planning import Limits, Moves, QuadraticCost, limited_change, riccati, within
+from identifiers.control.repeating import MotionPlan, Observer, Repeated, Repetition, quiet
 from identifiers.linear.arx import one_step
 from identifiers.linear.iterative import TimeVarying
 from identifiers.linear.time_varying import AlongTrajectory, AlongTrajectoryModel
@@ -179,7 +179,7 @@ class _Stage:
         reference[:, 0] = options.height * rise
         weights = [np.broadcast_to(np.asarray(one, dtype=float), (n,)).copy() for one, n in
                    ((options.q, spec.ny), (options.r, spec.nu))]  # fmt: skip
-        self.cost = Quadratic(reference, weights[0], weights[1])
+        self.cost = QuadraticCost(reference, weights[0], weights[1])
         self.quiet = quiet(options.height, options.noise)
         self.first = self._believed(plant, make)
         self.trials = 0
@@ -203,14 +203,14 @@ class _Stage:
         self.residual = np.asarray(solution.residual_rms, dtype=float).reshape(-1)
         return AlongTrajectoryModel(self.spec, theta[None], options.order)
 
-    def _believed(self, plant: Any, make: Callable[..., Any]) -> Plan:
+    def _believed(self, plant: Any, make: Callable[..., Any]) -> MotionPlan:
         """Return the feedback of the plant that is believed, about the operating point."""
         options, n = self.options, self.count
         zero = np.zeros((n, self.spec.nu)), np.zeros((n, self.spec.ny))
         if not options.believed:
             blind = Observer(np.zeros((1, 1)), np.zeros((1, self.spec.nu)), np.zeros((self.spec.ny, 1)),
                              np.zeros((1, self.spec.ny)))  # fmt: skip
-            return Plan(*zero, np.zeros((n, self.spec.nu, 1)), blind)
+            return MotionPlan(*zero, np.zeros((n, self.spec.nu, 1)), blind)
         with make(**options.believed) as belief:
             model = linearise(belief, x0=options.start)
         parts = model.a_matrix, model.b_matrix, model.c_matrix
@@ -218,7 +218,7 @@ class _Stage:
 
     def _fed_back(
         self, parts: tuple[FloatArray, FloatArray, FloatArray], pushed: FloatArray, u: FloatArray, y: FloatArray
-    ) -> Plan:
+    ) -> MotionPlan:
         a, b, c = parts
         # What the cost does not see is weighed a little: the Riccati equation has a solution where it is stabilisable.
         gain = lqr_gain(a, b, (c.T * self.cost.q) @ c + _FREE * np.eye(len(a)), np.diag(self.cost.r))
@@ -230,9 +230,9 @@ class _Stage:
                 got="none",
                 remedy="say more of the plant, or record with more excitation",
             )
-        return Plan(u, y, np.repeat(gain[None], self.count, axis=0), watch)
+        return MotionPlan(u, y, np.repeat(gain[None], self.count, axis=0), watch)
 
-    def _excited(self, plan: Plan, *key: str) -> list[Trajectory]:
+    def _excited(self, plan: MotionPlan, *key: str) -> list[Trajectory]:
         """Return the records of repetitions with random steps added that came to their end."""
         records = []
         for _ in range(self.options.trials):
@@ -249,11 +249,11 @@ class _Stage:
 
     # ---- plans -------------------------------------------------------------------------------------------------------
 
-    def held(self, still: AlongTrajectoryModel) -> Plan:
+    def held(self, still: AlongTrajectoryModel) -> MotionPlan:
         """Return the feedback of the time-invariant model about the reference, nothing else."""
         return self._about(still, np.zeros((self.count, self.spec.nu)), self.cost.reference)
 
-    def ahead(self, still: AlongTrajectoryModel) -> Plan:
+    def ahead(self, still: AlongTrajectoryModel) -> MotionPlan:
         """Return the inputs of least cost on the time-invariant model, and its feedback about them."""
         n, zero = self.count, np.zeros((self.count, self.spec.nu))
         plan = self._about(still, zero, np.zeros((n, self.spec.ny)))
@@ -266,8 +266,8 @@ class _Stage:
         return self._changed(plan, still.along(n), rest, zero, _FREE, limited=False)
 
     def _changed(
-        self, plan: Plan, model: TimeVarying, y: FloatArray, u: FloatArray, effort: float, *, limited: bool
-    ) -> Plan:
+        self, plan: MotionPlan, model: TimeVarying, y: FloatArray, u: FloatArray, effort: float, *, limited: bool
+    ) -> MotionPlan:
         """Return the plan of least cost by a model along a motion y, u."""
         with np.errstate(over="ignore", invalid="ignore"):
             moves = Moves.of(model, plan.gains)
@@ -285,7 +285,7 @@ class _Stage:
             new = within(new, self.limits)  # what ADMM leaves of its tolerance
         return replace(plan, inputs=new, outputs=y + (moves.outputs @ v).reshape(y.shape))
 
-    def _about(self, still: AlongTrajectoryModel, u: FloatArray, y: FloatArray) -> Plan:
+    def _about(self, still: AlongTrajectoryModel, u: FloatArray, y: FloatArray) -> MotionPlan:
         model = still.along(1)
         parts = model.a_matrices[0], model.b_matrices[0], model.c_matrices[0]
         pushed = np.zeros_like(parts[0])
@@ -293,7 +293,9 @@ class _Stage:
         pushed[:ny, :ny] = np.diag(self.residual**2)
         return self._fed_back(parts, pushed, u, y)
 
-    def corrected(self, name: str, plan: Plan, model: TimeVarying, y: FloatArray, u: FloatArray, effort: float) -> Plan:
+    def corrected(
+        self, name: str, plan: MotionPlan, model: TimeVarying, y: FloatArray, u: FloatArray, effort: float
+    ) -> MotionPlan:
         """Return the plan of least cost by a model along the measured motion y, u."""
         if name == ITERATIVE:
             passed = riccati(model, self.cost, y, u, effort)
@@ -302,12 +304,12 @@ class _Stage:
                 change = passed.forward[k] - passed.gains[k] @ x
                 inputs[k], outputs[k] = u[k] + change, y[k] + model.c_matrices[k] @ x
                 x = model.a_matrices[k] @ x + model.b_matrices[k] @ change
-            return Plan(inputs, outputs, passed.gains, plan.observer)
+            return MotionPlan(inputs, outputs, passed.gains, plan.observer)
         return self._changed(plan, model, y, u, effort, limited=name == SPLIT)
 
     # ---- repetitions -------------------------------------------------------------------------------------------------
 
-    def scored(self, name: str, number: int, plan: Plan) -> tuple[_Row, Repetition]:
+    def scored(self, name: str, number: int, plan: MotionPlan) -> tuple[_Row, Repetition]:
         """Return what a repetition of a plan costs, and the repetition."""
         one = self.repeated.play(plan, self._rng())
         if not one.stayed:
@@ -318,7 +320,7 @@ class _Stage:
             float(np.abs(plan.inputs).max()), float(np.abs(np.diff(plan.inputs, axis=0, prepend=0.0)).max()),
         ), one  # fmt: skip
 
-    def learned(self, name: str, plan: Plan, still: AlongTrajectoryModel) -> tuple[list[_Row], Repetition]:
+    def learned(self, name: str, plan: MotionPlan, still: AlongTrajectoryModel) -> tuple[list[_Row], Repetition]:
         """Return a row for every repetition, and the best one."""
         effort = self.options.effort
         if name == SPLIT:  # it knows of the limits from the start
@@ -349,7 +351,7 @@ class _Stage:
         records = [record for one in apart for record in one]
         return AlongTrajectory(self.options.order).fit(records, rng=np.random.default_rng(0))
 
-    def hindsight(self, shown: Mapping[str, Repetition], plan: Plan) -> tuple[float, Repetition]:
+    def hindsight(self, shown: Mapping[str, Repetition], plan: MotionPlan) -> tuple[float, Repetition]:
         """Return the least cost that is known within the limits, and its repetition: slopes of the true plant."""
         finished = [one for one in shown.values() if one.stayed]
         if not finished:

@@ -52,7 +52,7 @@ def within(inputs: FloatArray, limits: Limits) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Quadratic:
+class QuadraticCost:
     """``sum (y - y*)' q (y - y*) + u' r u`` of a run of N samples."""
 
     reference: FloatArray  # (N, ny)
@@ -148,14 +148,16 @@ def limited_change(
 
 
 @dataclass(frozen=True, eq=False)
-class Recursion:
+class RiccatiRecursion:
     """``du[k] = -gains[k] dx[k] + forward[k]`` of a Riccati recursion along a motion."""
 
     gains: FloatArray
     forward: FloatArray
 
 
-def riccati(model: TimeVarying, cost: Quadratic, y: FloatArray, u: FloatArray, proximity: float) -> Recursion:
+def riccati(
+    model: TimeVarying, cost: QuadraticCost, y: FloatArray, u: FloatArray, proximity: float
+) -> RiccatiRecursion:
     """Return the feedback (N, nu, nx) and the feed-forward (N, nu) of least cost about a measured motion.
 
     The backward pass of iterative LQR (Li & Todorov 2004, *ICINCO*, sec. 3): ``dx+ = A[k] dx + B[k] du``, ``dy = C[k]
@@ -187,4 +189,4 @@ def riccati(model: TimeVarying, cost: Quadratic, y: FloatArray, u: FloatArray, p
         stiff = proximity * total
         if turn == 0 and proximity == 0:
             break
-    return Recursion(gains, forward)
+    return RiccatiRecursion(gains, forward)

@@ -52,7 +52,7 @@ class Observer:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class MotionPlan:
     """Inputs and outputs of a motion, and the feedback that holds it."""
 
     # (N, nu), (N, ny): Departures from the operating point
@@ -97,7 +97,9 @@ class Repeated:
         self.spec = PlantSpec(spec.inputs, spec.outputs, spec.sample_time)
         self.times = np.arange(samples) * spec.sample_time
 
-    def play(self, plan: Plan, rng: np.random.Generator | None, excitation: FloatArray | None = None) -> Repetition:
+    def play(
+        self, plan: MotionPlan, rng: np.random.Generator | None, excitation: FloatArray | None = None
+    ) -> Repetition:
         """Return one repetition of a plan; without ``rng`` nothing is noisy and every start is the same."""
         n, nu, ny = self.samples, self.spec.nu, self.spec.ny
         x0 = dict(self.start)
@@ -130,7 +132,7 @@ class Repeated:
         record = Trajectory(self.times[:last], applied[:last], seen[:last], self.spec)
         return Repetition(record, true, asked)
 
-    def map_of(self, plan: Plan, push: float) -> tuple[Repetition, Moves]:
+    def map_of(self, plan: MotionPlan, push: float) -> tuple[Repetition, Moves]:
         """Return the noise-free repetition of a plan, and what changes of its feed-forward do, by forward differences.
 
         Infinite where a repetition leaves.

@@ -23,7 +23,7 @@ _MOST = 40  # Windows of the past at most: the metric compares every two of them
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class HistoryWindows:
     """The last few actions and observations as the state of a decision process, counted from records."""
 
     memory: int
@@ -41,7 +41,7 @@ class Windows:
         return int(np.argmax(same)) if same.any() else int(np.argmax(self.count.sum(axis=1)))
 
 
-def windows_of(records: Sequence[Trajectory], memory: int, *, least: int = 10) -> Windows:
+def windows_of(records: Sequence[Trajectory], memory: int, *, least: int = 10) -> HistoryWindows:
     """Count the windows of records; those where an action was taken fewer than ``least`` times are left out.
 
     Raises FitError if the channels are others, or no window was visited often enough with every action.
@@ -97,7 +97,7 @@ def windows_of(records: Sequence[Trajectory], memory: int, *, least: int = 10) -
             remedy="record longer with actions at random, or lower memory",
         )
     visits = count[kept]
-    return Windows(
+    return HistoryWindows(
         memory,
         keys[kept],
         visits,
@@ -208,7 +208,7 @@ def _joined(distance: FloatArray) -> list[Labels]:
     return found
 
 
-def _longer(records: Sequence[Trajectory], windows: Windows, least: int) -> str:
+def _longer(records: Sequence[Trajectory], windows: HistoryWindows, least: int) -> str:
     """Return whether one pair more in the window predicts otherwise, beyond what its counts explain."""
     try:
         longer = windows_of(records, windows.memory + 1, least=least)

@@ -16,7 +16,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.judge.excited import Excited
 from identifiers.common.lag_state import LagModel
 from identifiers.common.records import real_signals, usable
-from identifiers.hybrid.jumps import Jump, find_jumps
+from identifiers.hybrid.jumps import StateJump, find_jumps
 from identifiers.hybrid.piecewise_affine import PiecewiseAffine, PiecewiseAffineModel, affine
 
 _MOST, _STARTS, _ROUNDS = 4, 20, 50  # Walls that are tried, random starts of each number, and rounds of one start.
@@ -351,7 +351,7 @@ class _Facet:
 
 
 def _facet(
-    spec: PlantSpec, jumps: Sequence[Jump], positions: npt.NDArray[np.intp], roles: npt.NDArray[np.intp],
+    spec: PlantSpec, jumps: Sequence[StateJump], positions: npt.NDArray[np.intp], roles: npt.NDArray[np.intp],
     size: FloatArray, records: Sequence[Trajectory],
 ) -> _Facet:  # fmt: skip
     """Return the guard and the reset of jumps that meet the same wall."""
@@ -391,7 +391,7 @@ def _roles(spec: PlantSpec, swaps: Sequence[Sequence[str]]) -> npt.NDArray[np.in
     return roles
 
 
-def _between(records: Sequence[Trajectory], jumps: Sequence[Jump]) -> list[Trajectory]:
+def _between(records: Sequence[Trajectory], jumps: Sequence[StateJump]) -> list[Trajectory]:
     """Return the stretches between jumps as records of their own."""
     pieces = []
     for number, record in enumerate(records):
@@ -405,7 +405,7 @@ def _guard(
     before: FloatArray,
     positions: npt.NDArray[np.intp],
     records: Sequence[Trajectory],
-    jumps: Sequence[Jump],
+    jumps: Sequence[StateJump],
     what: str,
 ) -> tuple[FloatArray, float]:
     """Return the guard (ny + 1,) and the rms distance of the jumps from it."""

@@ -16,7 +16,7 @@ _INSTANTS = 201  # Instants within a sample at which both sides are compared bef
 
 
 @dataclass(frozen=True, eq=False)
-class Jump:
+class StateJump:
     """One jump between two samples."""
 
     # It lies between ``sample`` and ``sample + 1`` of this record
@@ -34,7 +34,7 @@ def find_jumps(
     roles: npt.NDArray[np.intp],
     *,
     width: int = 6,
-) -> list[Jump]:
+) -> list[StateJump]:
     """Find jumps by continuing the record to each gap between samples from both sides (local parabolas).
 
     The instant within the gap is where those outputs meet that do not jump.
@@ -99,7 +99,7 @@ def _timed(
     roles: npt.NDArray[np.intp],
     width: int,
     size: FloatArray,
-) -> tuple[Jump, float]:
+) -> tuple[StateJump, float]:
     """Return the jump between samples k and k + 1, and how far apart the outputs are that should meet."""
     at = np.linspace(0.0, 1.0, _INSTANTS)
     left = _weights(width, at) @ y[k - width + 1 : k + 1]
@@ -114,5 +114,5 @@ def _timed(
     instant = np.array([(low + part) / (_INSTANTS - 1)])
     before = _weights(width, instant) @ y[k - width + 1 : k + 1]
     after = _weights(width, 1.0 - instant) @ y[k + 1 : k + 1 + width][::-1]
-    jump = Jump(number, k, float(instant[0]), before[0], after[0])
+    jump = StateJump(number, k, float(instant[0]), before[0], after[0])
     return jump, float(np.abs((before[0] - after[0, roles])[continuous] / size[continuous]).max())

@@ -16,7 +16,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import Columns, law_of_part
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
-from identifiers.common.lag_state import LagModel, Scaling, regression_data
+from identifiers.common.lag_state import LagModel, Standardisation, regression_data
 from identifiers.common.neighbours import edges
 from identifiers.common.records import learnable
 from identifiers.learned.trees import Tree, grow_tree
@@ -218,7 +218,7 @@ class PiecewiseAffine(Excited):
                 got=str(len(rows)),
                 remedy="record longer, or lower modes or order",
             )
-        scaling = Scaling.of(rows, targets)
+        scaling = Standardisation.of(rows, targets)
         r = np.hstack([scaling.rows(rows), np.ones((len(rows), 1))])
         y = scaling.targets(targets)
         starts = [_clustered(r, y, self.modes, rng)]
@@ -404,7 +404,7 @@ def _mean_square(wrong: FloatArray, otherwise: FloatArray) -> FloatArray:
     return np.asarray(np.mean((wrong if len(wrong) else otherwise) ** 2, axis=0) + 1e-18)
 
 
-def _unscaled(theta: FloatArray, scaling: Scaling) -> FloatArray:
+def _unscaled(theta: FloatArray, scaling: Standardisation) -> FloatArray:
     """Return coefficients (ny, p + 1) in the units of the data."""
     slopes = theta[:-1].T * scaling.y_std[:, None] / scaling.x_std
     offset = scaling.y_mean + theta[-1] * scaling.y_std - slopes @ scaling.x_mean

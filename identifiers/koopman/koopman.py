@@ -100,7 +100,7 @@ def _monomials(n: int, degree: int) -> npt.NDArray[np.intp]:
 
 
 @dataclass(frozen=True)
-class Dictionary(Described):
+class Lifting(Described):
     """Functions of the outputs (and their past) that lift them to a Koopman state.
 
     The lifted state starts with the arguments themselves, so that the output is read off without error.
@@ -187,7 +187,7 @@ class KoopmanModel:
     spec: PlantSpec
     a_matrix: FloatArray
     b_matrix: FloatArray
-    dictionary: Dictionary
+    dictionary: Lifting
     delays: int
     notes: dict[str, Any] = field(default_factory=dict)
     spread: Spread | None = None
@@ -272,7 +272,7 @@ class KoopmanModel:
         """Return the model of a description."""
         spec = spec_from_dict(content["spec"])
         without = {"width": 0.0, "fourier": 0, "functions": (), "units": ()}
-        dictionary = Dictionary.from_dict({**without, **content["dictionary"]})
+        dictionary = Lifting.from_dict({**without, **content["dictionary"]})
         for name in dictionary.functions:
             registered(name)
         a = np.array(content["a_matrix"], dtype=float)
@@ -419,14 +419,14 @@ class Edmdc:
                 remedy="leave out threshold: the nearest stable matrix is not sparse",
             )
 
-    def _dictionary(self, together: FloatArray, rng: np.random.Generator) -> Dictionary:
+    def _dictionary(self, together: FloatArray, rng: np.random.Generator) -> Lifting:
         """Return the functions over the scale of the arguments (N, k), centres drawn among them."""
         scale = divisor(np.abs(together).max(axis=0))
         centres: tuple[tuple[float, ...], ...] = ()
         if self.radial:
             picked = rng.choice(len(together), size=min(self.radial, len(together)), replace=False)
             centres = tuple(tuple(map(float, row)) for row in together[np.sort(picked)] / scale)
-        return Dictionary(
+        return Lifting(
             self.degree,
             self.trigonometric,
             centres,
@@ -438,11 +438,11 @@ class Edmdc:
 
     def _with_learned(
         self,
-        dictionary: Dictionary,
+        dictionary: Lifting,
         records: Sequence[Trajectory],
         arguments: Sequence[FloatArray],
         rng: np.random.Generator,
-    ) -> tuple[Dictionary, dict[str, Any]]:
+    ) -> tuple[Lifting, dict[str, Any]]:
         """Return the dictionary with the functions that were learned, and what their search says of itself."""
         size = np.asarray(dictionary.scale)
         force = divisor(np.abs(np.concatenate([record.u for record in records])).max(axis=0, initial=0.0))

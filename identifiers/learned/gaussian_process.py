@@ -15,7 +15,7 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.common.bands import Bands, held_out_folds, held_out_runs
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
-from identifiers.common.lag_state import LagModel, Scaling, regression_data
+from identifiers.common.lag_state import LagModel, Standardisation, regression_data
 
 _JITTER = 1e-10
 """Relative to the prior variance; keeps Cholesky factors of noise-free data real, and sets the least noise with it."""
@@ -167,7 +167,7 @@ class GaussianProcess(Excited):
                 remedy="record longer, or lower the order",
             )
         change = later - rows[:, : spec.ny]
-        scaling = Scaling.of(rows, change)
+        scaling = Standardisation.of(rows, change)
         x, y = scaling.rows(rows), scaling.targets(change)
         whole = len(x) <= self.exact
         few = np.arange(len(x)) if whole else np.sort(rng.choice(len(x), size=self.exact, replace=False))

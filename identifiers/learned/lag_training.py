@@ -13,7 +13,7 @@ from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.bands import Bands, held_out_runs
 from identifiers.common.judge.excited import Excited
-from identifiers.common.lag_state import LagModel, Scaling, regression_data
+from identifiers.common.lag_state import LagModel, Standardisation, regression_data
 from identifiers.common.reach import Reach
 from identifiers.learned.ensemble import Ensemble, own_spread
 from identifiers.learned.training import Trained, need_torch, one_thread, train
@@ -59,7 +59,7 @@ class LagTask:
 
     spec: PlantSpec
     order: int  # Lags
-    scaling: Scaling
+    scaling: Standardisation
     # (n, p), (n, ny): Scaled rows, and the leftover over its size
     x: FloatArray
     wanted: FloatArray
@@ -140,7 +140,7 @@ def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, asks: Ex
     cuts = [len(record) - max(len(record) // 5, order + 2) for record in records]
     rows, later = regression_data([record[:cut] for record, cut in zip(records, cuts, strict=True)], order)
     kept, kept_later = regression_data([record[cut:] for record, cut in zip(records, cuts, strict=True)], order)
-    scaling = Scaling.of(rows, later - rows[:, : spec.ny])
+    scaling = Standardisation.of(rows, later - rows[:, : spec.ny])
     x, y = scaling.rows(rows), scaling.targets(later - rows[:, : spec.ny])
     held_x, held_y = scaling.rows(kept), scaling.targets(kept_later - kept[:, : spec.ny])
     design = np.hstack([x, np.ones((len(x), 1))])

@@ -30,7 +30,7 @@ _FAR = 1e3  # A state so many sizes away from the data has diverged.
 
 
 @dataclass(frozen=True)
-class Form:
+class LagrangianForm:
     """What the equations look like: fixed, known before the fit."""
 
     names: tuple[str, ...]  # Coordinates
@@ -130,7 +130,7 @@ class LagrangianModel(BandedNetwork):
     """
 
     spec: PlantSpec
-    form: Form
+    form: LagrangianForm
     tables: dict[str, FloatArray]
     columns: tuple[int, ...]
     scale: FloatArray
@@ -284,7 +284,7 @@ class LagrangianNetwork(Trained):
         states: Sequence[FloatArray],
         records: Sequence[Trajectory],
         what: str,
-    ) -> tuple[Form, FloatArray, FloatArray]:
+    ) -> tuple[LagrangianForm, FloatArray, FloatArray]:
         """Return the form of the equations, the size of the states and that of the accelerations."""
         n = len(names)
         wanted = tuple(self.actuated) if self.actuated is not None else names[: spec.nu]
@@ -310,7 +310,7 @@ class LagrangianNetwork(Trained):
                 raise FitError(
                     f"{what}: angle {names[i]}", expected="a period of 2 pi rad", got=f"{period:g}", remedy="use rad"
                 )
-        return Form(names, periodic, size, tuple(names.index(name) for name in wanted), mass), scale, turns
+        return LagrangianForm(names, periodic, size, tuple(names.index(name) for name in wanted), mass), scale, turns
 
 
 def _coordinates(spec: PlantSpec, what: str) -> tuple[tuple[str, ...], tuple[int, ...]]:

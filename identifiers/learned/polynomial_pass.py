@@ -50,7 +50,7 @@ def exponents(variables: int, degree: int, bent: int) -> Counts:
 
 
 @dataclass(frozen=True)
-class Polynomials:
+class PolynomialTables:
     """``x+ = x + p(x, u) W``, ``y = q(x, u) V``: p and q are all monomials up to a degree, W and V in one vector.
 
     The form of Paduart et al. 2010 (Automatica 46, eq. 2), with constants, for signals that are scaled about a mean.
@@ -103,7 +103,7 @@ class Polynomials:
         parts = ((self.inner, self.nx), (self.outer, self.ny))
         return np.concatenate([np.repeat(one.sum(axis=1) > 1, columns) for one, columns in parts])
 
-    def grown(self, theta: FloatArray, layout: Polynomials) -> FloatArray:
+    def grown(self, theta: FloatArray, layout: PolynomialTables) -> FloatArray:
         """Return the coefficients of the same functions in a layout of higher degrees, of the same states.
 
         Examples
@@ -156,7 +156,7 @@ class Polynomials:
         return {name: int(value) for name, value in asdict(self).items()}
 
     @classmethod
-    def of(cls, content: dict[str, Any]) -> Polynomials:
+    def of(cls, content: dict[str, Any]) -> PolynomialTables:
         """Return the layout of a description."""
         nx, nu, ny, degree, outside = (int(content[name]) for name in ("nx", "nu", "ny", "degree", "outside"))
         return cls(nx, nu, ny, degree, outside, bool(content["direct"]), bool(content["crossed"]))

@@ -12,8 +12,8 @@ from harness.options import check_options
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
-from identifiers.learned.polynomial_pass import Polynomials
-from identifiers.learned.recurrent_fit import Fitted, Problem, cascade, descend_from, subspace_start
+from identifiers.learned.polynomial_pass import PolynomialTables
+from identifiers.learned.recurrent_fit import FittedStart, Problem, cascade, descend_from, subspace_start
 from identifiers.learned.recurrent_model import RecurrentEnsemble, own_member, vouched
 
 _MOST_ORDER, _MOST_DEGREE = 4, 3
@@ -42,8 +42,8 @@ _LINEAR_SHARE = 1e-3
 class _Grown:
     """A layout and where the descent to its coefficients ended."""
 
-    layout: Polynomials
-    fitted: Fitted
+    layout: PolynomialTables
+    fitted: FittedStart
 
 
 @dataclass(frozen=True)
@@ -143,12 +143,12 @@ class PolynomialStateSpace(Excited):
                 best = last
         return best
 
-    def _layouts(self, spec: PlantSpec, order: int) -> Iterator[Polynomials]:
+    def _layouts(self, spec: PlantSpec, order: int) -> Iterator[PolynomialTables]:
         """Yield the layouts of some order, by degree."""
         for degree in range(1, (self.degree or _MOST_DEGREE) + 1):
             outside = degree if self.outside is None else min(degree, self.outside)
             direct = self.direct or spec.feedthrough
-            yield Polynomials(order, spec.nu, spec.ny, degree, outside, direct, self.crossed)
+            yield PolynomialTables(order, spec.nu, spec.ny, degree, outside, direct, self.crossed)
 
     def _finished(
         self, spec: PlantSpec, best: _Grown, problems: Sequence[Problem], records: Sequence[Trajectory]
@@ -171,7 +171,7 @@ class PolynomialStateSpace(Excited):
         return RecurrentEnsemble(spec, (member,), held.notes)
 
 
-def _told(layout: Polynomials, problems: Sequence[Problem]) -> bool:
+def _told(layout: PolynomialTables, problems: Sequence[Problem]) -> bool:
     """Return True if the records hold enough numbers for the coefficients."""
     rows = sum(problem.cut * problem.y.shape[1] for problem in problems)
     return bool(_ROWS_EACH * layout.count <= rows)
@@ -183,7 +183,7 @@ def _better(larger: _Grown, smaller: _Grown) -> bool:
 
 
 def _linear(
-    layout: Polynomials, problems: Sequence[Problem], rng: np.random.Generator
+    layout: PolynomialTables, problems: Sequence[Problem], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients of a linear model to begin with, and initial states: a subspace model, or lags."""
     nx, nu = layout.nx, layout.nu
@@ -203,6 +203,6 @@ def _linear(
     return theta, np.tile(start, (len(problems), 1))
 
 
-def _next(last: _Grown, layout: Polynomials) -> tuple[FloatArray, FloatArray]:
+def _next(last: _Grown, layout: PolynomialTables) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients and initial states of a lower degree as those of a higher one."""
     return last.layout.grown(last.fitted.theta, layout), last.fitted.starts

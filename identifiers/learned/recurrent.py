@@ -17,9 +17,9 @@ from harness.signals import Trajectory
 from identifiers.common.bands import refuse_share
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
-from identifiers.learned.recurrent_fit import Fitted, Problem, descend
+from identifiers.learned.recurrent_fit import FittedStart, Problem, descend
 from identifiers.learned.recurrent_model import RecurrentEnsemble, RecurrentModel, vouched
-from identifiers.learned.recurrent_pass import Integrating, Layout
+from identifiers.learned.recurrent_pass import Integrating, RecurrentLayout
 from identifiers.learned.training import bar
 
 __all__ = ["NeuralOutputError", "RecurrentEnsemble", "RecurrentModel"]
@@ -89,7 +89,7 @@ class NeuralOutputError(Excited):
         refuse_share(self.held_out, what)
         records, spec = self.asked(trajectories, samples=ceil((self.order + 4) / self.held_out), what=what)
         problems = Problem.scaled(records, self.held_out)
-        network = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
+        network = RecurrentLayout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
         layout = Integrating(network, _increments(problems)) if self.integrated else network
         direct = self.direct or spec.feedthrough
         seed = int(rng.integers(2**62))
@@ -146,7 +146,7 @@ def _increments(problems: Sequence[Problem]) -> tuple[float, ...]:
     return tuple(float(size) for size in np.maximum(np.sqrt(np.mean(steps**2, axis=0)), 1e-12))
 
 
-def _kept(path: Path | None, key: str) -> list[Fitted]:
+def _kept(path: Path | None, key: str) -> list[FittedStart]:
     """Return the finished starts of a file, if it belongs to this fit."""
     if path is None or not path.is_file():
         return []
@@ -154,10 +154,10 @@ def _kept(path: Path | None, key: str) -> list[Fitted]:
         if str(content["key"]) != key:
             return []
         rows = zip(content["theta"], content["starts"], content["errors"], strict=True)
-        return [Fitted(theta, starts, float(e[0]), float(e[1])) for theta, starts, e in rows]
+        return [FittedStart(theta, starts, float(e[0]), float(e[1])) for theta, starts, e in rows]
 
 
-def _keep(path: Path | None, key: str, done: Sequence[Fitted]) -> None:
+def _keep(path: Path | None, key: str, done: Sequence[FittedStart]) -> None:
     """Write the finished starts, whole or not at all."""
     if path is None:
         return

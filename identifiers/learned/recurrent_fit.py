@@ -13,7 +13,7 @@ from harness.errors import FitError
 from harness.models.damped import Damping, damped_descent
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.scaling import centred
-from identifiers.learned.recurrent_pass import Integrating, Layout
+from identifiers.learned.recurrent_pass import Integrating, RecurrentLayout
 from identifiers.linear.n4sid import Subspace
 
 Mask = npt.NDArray[np.bool_]
@@ -114,7 +114,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedStart:
     """Where one start ended: weights (p,), initial states (R, nx), held-out and estimation rms in scaled units."""
 
     theta: FloatArray
@@ -124,7 +124,7 @@ class Fitted:
 
 
 def descend(
-    layout: Layout | Integrating,
+    layout: RecurrentLayout | Integrating,
     problems: Sequence[Problem],
     rng: np.random.Generator,
     ridge: float,
@@ -132,7 +132,7 @@ def descend(
     *,
     direct: bool,
     lags: bool,
-) -> Fitted:
+) -> FittedStart:
     """Return the state with the least held-out error on one descent from a random start.
 
     - ``ridge``: cost of the squares of the weights
@@ -163,7 +163,7 @@ def descend_from(
     weight: FloatArray,
     free: Mask,
     iterations: int,
-) -> Fitted:
+) -> FittedStart:
     """Return the state with the least held-out error on the descent from given coefficients.
 
     - ``problems``: where none of them holds anything out, the least error counts
@@ -172,7 +172,7 @@ def descend_from(
     - ``weight`` (p,): cost of the square of each coefficient
     - ``free`` array of bool (p,): which coefficients are fitted
     """
-    best, since = Fitted(theta, starts, np.inf, np.inf), 0
+    best, since = FittedStart(theta, starts, np.inf, np.inf), 0
 
     def cost(point: Point) -> float:
         return _cost(layout, problems, *point, weight)[0]
@@ -181,7 +181,7 @@ def descend_from(
         nonlocal best, since
         gram, gradient, corner, bridge, side, held_out, error = _normal(layout, problems, *point, weight)
         if held_out < best.held_out:
-            best, since = Fitted(*point, held_out, error), 0
+            best, since = FittedStart(*point, held_out, error), 0
         elif (since := since + 1) > _PATIENCE:
             return None
         return gram, gradient, corner, bridge, side
@@ -199,7 +199,7 @@ def descend_from(
                    rounds=iterations)  # fmt: skip
     end = damped_descent((theta, starts), cost, linearised, moved, rule)
     _, held_out, error = _cost(layout, problems, *end, weight)
-    return Fitted(*end, held_out, error) if held_out < best.held_out else best
+    return FittedStart(*end, held_out, error) if held_out < best.held_out else best
 
 
 def fit_start(
@@ -241,7 +241,7 @@ def fit_start(
 
 
 def _begin(
-    layout: Layout, problems: Sequence[Problem], rng: np.random.Generator, lags: bool
+    layout: RecurrentLayout, problems: Sequence[Problem], rng: np.random.Generator, lags: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Return weights whose linear part is a cascade of lags or a subspace model, and an initial state."""
     nx, nu, ny = layout.nx, layout.nu, layout.ny
@@ -302,7 +302,7 @@ def subspace_start(
     return a * size / size[:, None], b / size[:, None], c * size, model.d_matrix
 
 
-def _free(layout: Layout, direct: bool) -> Mask:
+def _free(layout: RecurrentLayout, direct: bool) -> Mask:
     """Return which weights are fitted (p,): those from inputs to outputs only where there is a direct term."""
     free = np.ones(layout.count)
     if not direct:
@@ -312,7 +312,7 @@ def _free(layout: Layout, direct: bool) -> Mask:
     return free > 0
 
 
-def _ridge(layout: Layout, ridge: float) -> FloatArray:
+def _ridge(layout: RecurrentLayout, ridge: float) -> FloatArray:
     """Return the cost of the square of each weight (p,)."""
     weight = np.full(layout.count, ridge)
     tables = layout.tables(weight)

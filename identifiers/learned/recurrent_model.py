@@ -17,9 +17,9 @@ from identifiers.common.bands import Ahead, Bands, held_out_runs
 from identifiers.common.observers import best_gain, riccati_gains, run_in_steps
 from identifiers.common.reach import Reach
 from identifiers.learned.ensemble import Ensemble, own_spread
-from identifiers.learned.polynomial_pass import Polynomials
-from identifiers.learned.recurrent_fit import Fitted, Problem, Recurrence, fit_start
-from identifiers.learned.recurrent_pass import Integrating, Layout
+from identifiers.learned.polynomial_pass import PolynomialTables
+from identifiers.learned.recurrent_fit import FittedStart, Problem, Recurrence, fit_start
+from identifiers.learned.recurrent_pass import Integrating, RecurrentLayout
 from identifiers.learned.state_network import StateNetwork
 
 _HORIZONS = (1, 2, 4, 8, 16, 32, 64, 128)
@@ -49,8 +49,8 @@ class RecurrentModel(StateNetwork):
     ----------
     spec : PlantSpec
     layout : Recurrence
-        A network (:class:`~identifiers.learned.recurrent_pass.Layout`) or polynomials
-        (:class:`~identifiers.learned.polynomial_pass.Polynomials`).
+        A network (:class:`~identifiers.learned.recurrent_pass.RecurrentLayout`) or polynomials
+        (:class:`~identifiers.learned.polynomial_pass.PolynomialTables`).
     theta : array (p,)
     u_mean, u_std, y_mean, y_std : array
         Scaling of the signals.
@@ -187,10 +187,10 @@ class RecurrentModel(StateNetwork):
 def _layout_of(sizes: Any) -> Recurrence:
     """Return the layout of a description."""
     if not isinstance(sizes, dict):
-        return Layout(*map(int, sizes))
+        return RecurrentLayout(*map(int, sizes))
     if "inner" in sizes:
-        return Integrating(Layout(*map(int, sizes["inner"])), tuple(map(float, sizes["size"])))
-    return Polynomials.of(sizes)
+        return Integrating(RecurrentLayout(*map(int, sizes["inner"])), tuple(map(float, sizes["size"])))
+    return PolynomialTables.of(sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ class RecurrentEnsemble(Ensemble):
 def vouched(
     spec: PlantSpec,
     layout: Recurrence,
-    best: Sequence[Fitted],
+    best: Sequence[FittedStart],
     problems: Sequence[Problem],
     records: Sequence[Trajectory],
     what: str,
@@ -254,7 +254,7 @@ def _lost_outside(model: RecurrentEnsemble, one: Ahead) -> Ahead:
 def own_member(
     spec: PlantSpec,
     layout: Recurrence,
-    fitted: Fitted,
+    fitted: FittedStart,
     problems: Sequence[Problem],
     records: Sequence[Trajectory],
     *,
@@ -286,7 +286,9 @@ def own_member(
     return replace(draft, filter_gain=gain, fade=fade, unseen=unseen)
 
 
-def _reach(member: RecurrentModel, problems: Sequence[Problem], records: Sequence[Trajectory], fitted: Fitted) -> Reach:
+def _reach(
+    member: RecurrentModel, problems: Sequence[Problem], records: Sequence[Trajectory], fitted: FittedStart
+) -> Reach:
     """Return where the states and inputs of the data lie, and how the error of the next output grows beyond."""
     rows, targets = [], []
     for problem, record, start in zip(problems, records, fitted.starts, strict=True):

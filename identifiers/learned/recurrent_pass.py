@@ -24,7 +24,7 @@ def library() -> Any:
 
 
 @dataclass(frozen=True)
-class Layout:
+class RecurrentLayout:
     """``x+ = x + z A + tanh(z W1) W2``, ``y = z C + tanh(z V1) V2`` with ``z = [x, u, 1]``; tables in one vector.
 
     Parameters
@@ -177,7 +177,7 @@ class Integrating:
     Control* 59, 69-81, sec. 2.3). The states are those of the network, then y.
     """
 
-    inner: Layout
+    inner: RecurrentLayout
     size: tuple[float, ...]  # Of an increment of each scaled output in a sample
 
     @property

@@ -16,7 +16,7 @@ from harness.options import check_options
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
-from identifiers.common.lag_state import LagModel, Scaling, regression_data
+from identifiers.common.lag_state import LagModel, Standardisation, regression_data
 from identifiers.common.records import learnable
 
 FEW = 64  # Rows up to which all trees are walked at once: below it the calls cost, beyond it the memory.
@@ -193,9 +193,9 @@ class RandomForest(Excited):
                 remedy="record longer, or lower leaf",
             )
         targets = later - rows[:, : spec.ny] if self.increments else later
-        fitted = Scaling.of(rows, targets)
+        fitted = Standardisation.of(rows, targets)
         if self.increments:
-            fitted = Scaling(fitted.x_mean, fitted.x_std, np.zeros(spec.ny), fitted.y_std)
+            fitted = Standardisation(fitted.x_mean, fitted.x_std, np.zeros(spec.ny), fitted.y_std)
         x, y = fitted.rows(rows), fitted.targets(targets)
         grown, total, seen = [], np.zeros_like(y), np.zeros(len(y))
         # A third of the columns is Breiman's choice for regression (2001, sec. 11).

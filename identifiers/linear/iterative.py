@@ -96,7 +96,7 @@ def linearised_along(model: Model, x0: FloatArray, u: FloatArray, *, size: float
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedInput:
     """What repetitions brought."""
 
     inputs: FloatArray  # (N, nu): The input of the best repetition
@@ -113,7 +113,7 @@ def learn_input(
     repetitions: int = 14,
     effort: float = 1e-4,
     weights: FloatArray | None = None,
-) -> Learned:
+) -> LearnedInput:
     """Learn the input that makes a plant follow a reference, by repeating it and correcting with a model.
 
     Norm-optimal iterative learning control (Amann, Owens & Rogers 1996, IEE Proc. D 143:217; Bristow, Tharayil &
@@ -155,7 +155,7 @@ def learn_input(
         gram = gain.T @ gain
         damping = effort * float(np.trace(gram)) / len(gram)
         u = u + np.linalg.solve(gram + damping * np.eye(len(gram)), gain.T @ miss).reshape(u.shape)
-    return Learned(best[1], tuple(errors))
+    return LearnedInput(best[1], tuple(errors))
 
 
 @dataclass(frozen=True)

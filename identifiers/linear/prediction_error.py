@@ -29,9 +29,9 @@ from identifiers.common.records import filled, missing_notes, moving, real_signa
 from identifiers.common.scaling import scaled
 from identifiers.common.stability import RADIUS
 from identifiers.linear.directions import lively_directions
-from identifiers.linear.polynomials.estimate import Fitted, in_units, prediction_error_estimate
+from identifiers.linear.polynomials.estimate import FittedOutput, in_units, prediction_error_estimate
 from identifiers.linear.polynomials.holes import in_pieces
-from identifiers.linear.polynomials.model import Orders, Part, Polynomials, block_form
+from identifiers.linear.polynomials.model import Orders, OutputRecord, Polynomials, block_form
 from identifiers.linear.polynomials.orders import LETTERS, Counts, orders_by_output
 from identifiers.linear.polynomials.search import best, needed, search
 from identifiers.linear.polynomials.starts import settled, starting_models
@@ -320,7 +320,7 @@ class PredictionError(Excited):
                 best_of = (error, order)
         return best_of[1], errors
 
-    def _fitted(self, records: Sequence[Trajectory], order: int, what: str) -> tuple[LinearModel, list[Fitted]]:
+    def _fitted(self, records: Sequence[Trajectory], order: int, what: str) -> tuple[LinearModel, list[FittedOutput]]:
         """Return the model of one order, of scaled records, and the fit of every output."""
         spec = records[0].spec
         every = orders_by_output(self.structure, spec, self._given(), order, what)
@@ -336,7 +336,7 @@ class PredictionError(Excited):
         model = innovation_form(spec, a, b, c, d, k, np.zeros(len(a)), level_of, notes=notes)
         return model, fits
 
-    def _with_spread(self, model: LinearModel, fits: Sequence[Fitted]) -> LinearModel:
+    def _with_spread(self, model: LinearModel, fits: Sequence[FittedOutput]) -> LinearModel:
         """Return the model with the fits without one stretch of the records each, one step of the search away."""
         moves = [fit.moves for fit in fits]
         count = min(0 if own is None else len(own) for own in moves)
@@ -352,7 +352,7 @@ class PredictionError(Excited):
             near.append((np.pad(a, (0, more)), np.pad(b, ((0, more), (0, 0))), np.pad(c, ((0, 0), (0, more))), d))
         return replace(model, spread=spread_of(near, warning=str(model.notes.get("warning", ""))))
 
-    def _one_output(self, parts: Sequence[Part], orders: Orders, what: str) -> Fitted:
+    def _one_output(self, parts: Sequence[OutputRecord], orders: Orders, what: str) -> FittedOutput:
         """Return polynomials, their covariance, and how the search ended."""
         count = orders.count
         rows = sum(part.y.size - len(part.holes) for part in parts)
@@ -385,20 +385,20 @@ class PredictionError(Excited):
         moves = steps_without(gradients, end.misses.errors)
         own = None if moves is None else moves[:, :count]
         white = whiteness(_residuals(end.misses.errors, parts))
-        return Fitted(end.model, covariance, rms, white, values, end.arrived, spare, stabilized, own)
+        return FittedOutput(end.model, covariance, rms, white, values, end.arrived, spare, stabilized, own)
 
 
-def _parts(records: Sequence[Trajectory], column: int, orders: Orders) -> list[Part]:
+def _parts(records: Sequence[Trajectory], column: int, orders: Orders) -> list[OutputRecord]:
     """Return the records of one output, cut where too much of it is missing."""
-    found: list[Part] = []
+    found: list[OutputRecord] = []
     for record in records:
         gone = () if record.missing is None else tuple(np.flatnonzero(record.missing[:, column]).tolist())
-        whole = Part(record.u, record.y[:, column], gone)
+        whole = OutputRecord(record.u, record.y[:, column], gone)
         found += in_pieces(whole, at_once=not (orders.na or orders.nc or orders.nd))
     return found
 
 
-def _residuals(errors: FloatArray, parts: Sequence[Part]) -> list[FloatArray]:
+def _residuals(errors: FloatArray, parts: Sequence[OutputRecord]) -> list[FloatArray]:
     """Return the errors record by record, zeros where a reading is missing."""
     found = [piece.copy() for piece in np.split(errors, np.cumsum([part.y.size for part in parts])[:-1])]
     for piece, part in zip(found, parts, strict=True):

@@ -27,7 +27,7 @@ _FREQUENCIES = 128  # Points of the half circle on which gains are taken.
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class UncertainResponse:
     """Markov parameters with what they may be wrong by.
 
     Parameters
@@ -96,7 +96,7 @@ class StateController:
 
 def estimated_response(
     trajectories: Sequence[Trajectory], length: int, *, confidence: float = 0.95, what: str = "response-control"
-) -> Response:
+) -> UncertainResponse:
     """Return the Markov parameters of records in open loop, and a bound on their error.
 
     The bound is that of :class:`identifiers.linear.bounds.responses.LagsKnown`, given these inputs. What lies beyond
@@ -151,7 +151,7 @@ def estimated_response(
     late = markov[-max(length // 10, 1) :]
     share = float(np.linalg.norm(late) / size / np.sqrt(len(late) / length))
     beyond = float(np.linalg.norm(late, axis=(1, 2)).sum()) if share > _TAIL else 0.0
-    return Response(markov, known.gain_bound(density, spec.ny, confidence) + beyond, natural, (y_mean, u_mean))
+    return UncertainResponse(markov, known.gain_bound(density, spec.ny, confidence) + beyond, natural, (y_mean, u_mean))
 
 
 def _lasting(records: Sequence[Trajectory], natural: Sequence[FloatArray], length: int) -> float:
@@ -193,7 +193,7 @@ def _lasting(records: Sequence[Trajectory], natural: Sequence[FloatArray], lengt
     return 0.0
 
 
-def response_controller(response: Response, q: FloatArray, r: FloatArray, taps: int) -> ResponseController:
+def response_controller(response: UncertainResponse, q: FloatArray, r: FloatArray, taps: int) -> ResponseController:
     """Return the disturbance feedback that minimises ``sum y' q y + u' r u`` on the records' own nature's y.
 
     With inputs linear in nature's y, outputs are linear in the controller: least squares (Simchowitz, Singh & Hazan
@@ -300,7 +300,7 @@ class ResponseControl:
         return Findings("control from a response", rows, words, details)
 
 
-def _vouched(response: Response, q: FloatArray, r: FloatArray, taps: int) -> ResponseController:
+def _vouched(response: UncertainResponse, q: FloatArray, r: FloatArray, taps: int) -> ResponseController:
     """Return the controller with as little more weight on inputs as the bound needs; none at all where none does."""
     for power in range(13):
         made = response_controller(response, q, r * 4.0**power, taps)

@@ -20,7 +20,7 @@ _AROUND = 8  # Lines of a whole record over which its inputs' power is asked for
 
 
 @dataclass(frozen=True, eq=False)
-class FrequencyResponse:
+class SpectralEstimate:
     """An estimated frequency response and how sure it is.
 
     Parameters
@@ -59,7 +59,7 @@ class FrequencyResponse:
         return found
 
 
-def welch(trajectories: Sequence[Trajectory], *, segment: int = 256) -> FrequencyResponse:
+def welch(trajectories: Sequence[Trajectory], *, segment: int = 256) -> SpectralEstimate:
     """Return the frequency response by averaged cross-spectra: ``G = S_yu S_uu^-1`` (Welch 1967; Ljung 1999, sec. 6.4).
 
     Hann windows that overlap by half, of every record by itself, their means taken away. Under feedback the estimate is
@@ -104,7 +104,7 @@ def welch(trajectories: Sequence[Trajectory], *, segment: int = 256) -> Frequenc
     return _response(frequency, found.uu, found.yu, found.yy, averages, density, lit, what)
 
 
-def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> FrequencyResponse:
+def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> SpectralEstimate:
     """Return the empirical transfer function estimate, smoothed over neighbouring frequencies (Ljung 1999, sec. 6.3-4).
 
     One record, or several of one length, averaged; for periodic inputs give whole periods. The Fourier transforms of
@@ -174,7 +174,7 @@ def _response(
     density: float,
     lit: npt.NDArray[np.bool_],
     what: str,
-) -> FrequencyResponse:
+) -> SpectralEstimate:
     """Return the response and its deviation from summed spectra."""
     size = np.sqrt(np.real(np.einsum("fii->fi", s_uu)))
     scale = np.maximum(size, 1e-300)
@@ -200,4 +200,4 @@ def _response(
     coherence = np.clip(1.0 - residual / np.maximum(s_yy, 1e-300), 0.0, 1.0)
     if averages <= nu:
         deviation = np.full_like(deviation, np.inf)
-    return FrequencyResponse(frequency, response, deviation, coherence, noise * density, averages)
+    return SpectralEstimate(frequency, response, deviation, coherence, noise * density, averages)

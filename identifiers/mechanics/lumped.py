@@ -18,7 +18,7 @@ from identifiers.mechanics.lumped_estimate import lumped_estimate, physical_esti
 from identifiers.mechanics.lumped_rows import instants, simulated_motion, weighted
 from identifiers.mechanics.motion import Motion, Smoothing, between, motion, noisier
 from identifiers.mechanics.physical import Recipe, recipe_for
-from identifiers.mechanics.simulated_records import Spread, corrected, pieces
+from identifiers.mechanics.simulated_records import EstimateSpread, corrected, pieces
 
 if TYPE_CHECKING:
     from harness.models.estimate import RankDecision
@@ -317,7 +317,7 @@ class Lumped:
         values: dict[str, float],
         records: list[Trajectory],
         rng: np.random.Generator,
-    ) -> tuple[dict[str, float], Spread | None, str]:
+    ) -> tuple[dict[str, float], EstimateSpread | None, str]:
         """Return the values without the bias that simulated records show, their spread, and how it was found."""
         if not self.intervals:
             return values, None, "no intervals: not asked for (option intervals = 60 simulates records)"

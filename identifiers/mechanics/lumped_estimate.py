@@ -12,7 +12,7 @@ from harness.signals import FloatArray
 
 if TYPE_CHECKING:
     from harness.physics import LumpedModel, System
-    from identifiers.mechanics.simulated_records import Spread
+    from identifiers.mechanics.simulated_records import EstimateSpread
 
 LEVEL = 0.95
 STEP = 1e-6  # Relative step of the derivatives of lumped by physical parameters.
@@ -22,7 +22,7 @@ def lumped_estimate(
     system: System,
     regression: LumpedModel,
     values: Mapping[str, float],
-    spread: Spread | None,
+    spread: EstimateSpread | None,
     how: str,
     rank: RankDecision,
     condition: float,

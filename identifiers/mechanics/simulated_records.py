@@ -36,7 +36,7 @@ WINDOW, LEAST = 1.0, 40  # Windows of the free run [s], and their least number o
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class SimulatedPiece:
     """A stretch of a record, and the noise (ny,) of that record."""
 
     record: Trajectory
@@ -44,7 +44,7 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class EstimateSpread:
     """How estimates scatter."""
 
     covariance: FloatArray  # (k, k): Of the corrected parameters
@@ -56,23 +56,23 @@ class Corrected:
     """Parameters (k,) whose simulated records give the estimate back on average; their spread, or None and why."""
 
     values: FloatArray
-    spread: Spread | None
+    spread: EstimateSpread | None
     how: str
 
 
-def pieces(records: Sequence[Trajectory]) -> list[Piece]:
+def pieces(records: Sequence[Trajectory]) -> list[SimulatedPiece]:
     """Return records in stretches that are short enough to be simulated, each as long as the others of its record."""
     found = []
     for record in records:
         longest = max(SHORT, round(PIECE / record.spec.sample_time))
         edges = np.linspace(0, len(record), max(1, len(record) // longest) + 1).round().astype(int)
         noise = _noise(record)
-        found += [Piece(record[first:last], noise) for first, last in itertools.pairwise(edges.tolist())]
+        found += [SimulatedPiece(record[first:last], noise) for first, last in itertools.pairwise(edges.tolist())]
     return found
 
 
 def corrected(
-    parts: Sequence[Piece],
+    parts: Sequence[SimulatedPiece],
     model_of: Callable[[FloatArray], tuple[GreyBoxModel, FloatArray]],
     refit: Callable[[list[Trajectory]], FloatArray],
     count: int,
@@ -147,7 +147,7 @@ def corrected(
             return leaves
     except (HarnessError, np.linalg.LinAlgError):  # parameters without a model
         return leaves
-    spread = Spread(covariance, len(all_of_them))
+    spread = EstimateSpread(covariance, len(all_of_them))
     return Corrected(values, spread, f"scatter of {spread.count} simulated records, bias taken off")
 
 

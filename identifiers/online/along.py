@@ -104,7 +104,7 @@ def told_of_pass(model: LinearModel, trajectories: Sequence[Trajectory], records
     return replace(model, notes=notes)
 
 
-class Standing(NamedTuple):
+class RunningLevel(NamedTuple):
     """About which levels signals (n,) move, and by how much, as they come (Welford 1962, *Technometrics* 4:419).
 
     Examples
@@ -121,15 +121,15 @@ class Standing(NamedTuple):
     samples: int
 
     @classmethod
-    def blank(cls, n: int) -> Standing:
+    def blank(cls, n: int) -> RunningLevel:
         """Return what is known of n signals before any sample."""
         return cls(np.zeros(n), np.zeros(n), 0)
 
-    def heard(self, values: FloatArray) -> Standing:
+    def heard(self, values: FloatArray) -> RunningLevel:
         """Return what is known after a further sample (n,)."""
         away = values - self.level
         level = self.level + away / (self.samples + 1)
-        return Standing(level, self.squares + away * (values - level), self.samples + 1)
+        return RunningLevel(level, self.squares + away * (values - level), self.samples + 1)
 
     @property
     def size(self) -> FloatArray:

@@ -13,7 +13,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.named import wrong_options
 from identifiers.common.records import moving, real_signals
-from identifiers.online.along import OnePass, Standing
+from identifiers.online.along import OnePass, RunningLevel
 
 _LEAST = 0.02  # Least real part of the characteristic polynomial on the unit circle, relative to z^n.
 _CIRCLE = 128  # Points of the unit circle on which it is held.
@@ -51,8 +51,8 @@ class GradientState(NamedTuple):
     block: tuple[FloatArray, ...]
     last: FloatArray
     seen: int
-    inputs: Standing
-    outputs: Standing
+    inputs: RunningLevel
+    outputs: RunningLevel
     steps: int
 
 
@@ -125,7 +125,7 @@ class GradientDescent(OnePass):
             )
         real_signals(spec, self.called)
         theta, w = np.zeros(self.order + (self.order + 1) * spec.nu * spec.ny + spec.ny), (self.order, spec.nu)
-        none = Standing.blank(spec.nu), Standing.blank(spec.ny)
+        none = RunningLevel.blank(spec.nu), RunningLevel.blank(spec.ny)
         return GradientState(theta, np.zeros(w), (), np.zeros(spec.ny), 0, *none, 0)
 
     def start(self, state: GradientState, y: FloatArray) -> GradientState:

@@ -45,7 +45,7 @@ class Context:
 
 
 @dataclass(frozen=True, eq=False)
-class RecursiveState:
+class LumpedState:
     """What a recursion knows."""
 
     context: Context
@@ -205,7 +205,7 @@ class RecursiveLumped:
 
     # ---- sample by sample ----------------------------------------------------------------------------------------
 
-    def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> RecursiveState:
+    def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> LumpedState:
         """Return the state before any data.
 
         Raises
@@ -217,12 +217,12 @@ class RecursiveLumped:
         context = self._context(spec)
         k = context.regression.k
         empty = np.zeros((0, 1 + 3 * len(context.positions) + 2 * spec.nu))
-        return RecursiveState(
+        return LumpedState(
             context, np.zeros((k, k + 1)), 0, 0.0, 0.0, None, None, np.zeros(spec.ny), np.zeros((0, spec.ny)),
             np.zeros((0, spec.nu)), empty, 0, 0.0,
         )  # fmt: skip
 
-    def start(self, state: RecursiveState, y: FloatArray) -> RecursiveState:
+    def start(self, state: LumpedState, y: FloatArray) -> LumpedState:
         """Return the state after the first output of a record; equations stay, nothing reaches across."""
         y = np.asarray(y, dtype=float)
         nu = state.u.shape[1]
@@ -231,7 +231,7 @@ class RecursiveLumped:
         )
         return replace(begun, x=self._placed(begun))
 
-    def predict(self, state: RecursiveState, u: FloatArray) -> FloatArray:
+    def predict(self, state: LumpedState, u: FloatArray) -> FloatArray:
         """Return the output (ny,) that ``u`` leads to; the last output while the parameters are not determined."""
         if state.model is None or state.x is None:
             return state.last.copy()
@@ -239,7 +239,7 @@ class RecursiveLumped:
         found: FloatArray = state.model.output(state.model.step(state.x, u), u)
         return found if np.isfinite(found).all() else state.last.copy()
 
-    def update(self, state: RecursiveState, u: FloatArray, y: FloatArray) -> RecursiveState:
+    def update(self, state: LumpedState, u: FloatArray, y: FloatArray) -> LumpedState:
         """Return the state after ``u`` led to ``y``."""
         context = state.context
         u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
@@ -346,7 +346,7 @@ class RecursiveLumped:
             )  # fmt: skip
         return np.column_stack([phi, target])
 
-    def _learned(self, state: RecursiveState) -> RecursiveState:
+    def _learned(self, state: LumpedState) -> LumpedState:
         """Return the state after the equations that the last sample completed."""
         from harness.physics.fitting.smoothing import local_taps
 
@@ -377,7 +377,7 @@ class RecursiveLumped:
         )
         return self._renewed(state)
 
-    def _renewed(self, state: RecursiveState) -> RecursiveState:
+    def _renewed(self, state: LumpedState) -> LumpedState:
         """Return the state with a model of the present parameters, where enough has changed."""
         k = len(state.triangle)
         due = state.rows >= 2 * k and (
@@ -397,7 +397,7 @@ class RecursiveLumped:
         state = replace(state, model=model, made_at=float(state.rows))
         return state if state.x is not None else replace(state, x=self._placed(state))
 
-    def _placed(self, state: RecursiveState) -> FloatArray | None:
+    def _placed(self, state: LumpedState) -> FloatArray | None:
         """Return the model's state at the last output: measured coordinates and rates, rates else by differences."""
         if state.model is None:
             return None
@@ -411,7 +411,7 @@ class RecursiveLumped:
                 x[coordinate.v] = (state.y[-1, p] - state.y[-3, p]) / (2 * dt)
         return np.concatenate([x, [state.clock]])
 
-    def _corrected(self, state: RecursiveState, u: FloatArray, y: FloatArray) -> FloatArray | None:
+    def _corrected(self, state: LumpedState, u: FloatArray, y: FloatArray) -> FloatArray | None:
         """Return the model's state after an output was seen."""
         if state.model is None or state.x is None:
             return None

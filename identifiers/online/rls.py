@@ -18,13 +18,13 @@ from identifiers.common.one_step_estimate import DEPENDENT, least_squares_estima
 from identifiers.common.records import lagged, moving, real_signals, usable
 from identifiers.linear.arx import lag_model, one_step, solution_notes
 from identifiers.online.along import OnePass
-from identifiers.online.rls_pass import Layout, learn, run
+from identifiers.online.rls_pass import RlsLayout, learn, run
 
 
 class RlsState(NamedTuple):
     """What recursive least squares knows: the memory (size,) of its recursion, and where things stand in it."""
 
-    layout: Layout
+    layout: RlsLayout
     memory: FloatArray
 
     @property
@@ -122,7 +122,7 @@ class RecursiveLeastSquares(OnePass):
             )
         real_signals(spec, "rls")
         burn_in = self._burn_in(spec)
-        layout = Layout(self.order, spec.ny, spec.nu, self.offset, burn_in, self.forgetting, self.prior)
+        layout = RlsLayout(self.order, spec.ny, spec.nu, self.offset, burn_in, self.forgetting, self.prior)
         return RlsState(layout, layout.blank())
 
     def start(self, state: RlsState, y: FloatArray) -> RlsState:

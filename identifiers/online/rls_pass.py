@@ -17,7 +17,7 @@ _HEAD = 9
 
 
 @dataclass(frozen=True)
-class Layout:
+class RlsLayout:
     """Where things stand in the memory of a recursion; ``rls_loop.c`` has the same order.
 
     Parameters
@@ -79,7 +79,7 @@ class Layout:
         return memory[self._starts[5] : self._starts[6]].reshape(self.p, self.ny)
 
 
-def learn(layout: Layout, memory: FloatArray) -> None:
+def learn(layout: RlsLayout, memory: FloatArray) -> None:
     """Learn from the sample that stands in the memory (size,), in place."""
     call = _compiled()
     if call is None:
@@ -90,7 +90,7 @@ def learn(layout: Layout, memory: FloatArray) -> None:
 
 
 def run(
-    layout: Layout, memory: FloatArray, u: FloatArray, y: FloatArray, guesses: FloatArray, *, native: bool = True
+    layout: RlsLayout, memory: FloatArray, u: FloatArray, y: FloatArray, guesses: FloatArray, *, native: bool = True
 ) -> None:
     """Learn from samples of one record, in place.
 
@@ -151,7 +151,7 @@ def _compiled() -> Any:
     )
 
 
-def _plain(layout: Layout, memory: FloatArray, u: FloatArray, y: FloatArray, guesses: FloatArray) -> None:
+def _plain(layout: RlsLayout, memory: FloatArray, u: FloatArray, y: FloatArray, guesses: FloatArray) -> None:
     """Do what the compiled recursion does."""
     ny, nu, first = layout.ny, layout.nu, layout.order * layout.ny
     row, triangle, theta = layout.row(memory), layout.triangle(memory), layout.theta(memory)
@@ -179,7 +179,7 @@ def _plain(layout: Layout, memory: FloatArray, u: FloatArray, y: FloatArray, gue
         _prepare(layout, memory)
 
 
-def _prepare(layout: Layout, memory: FloatArray) -> None:
+def _prepare(layout: RlsLayout, memory: FloatArray) -> None:
     """Write down what the next prediction is made of: the last output while there is nothing to predict by."""
     row, theta, first = layout.row(memory), layout.theta(memory), layout.order * layout.ny
     free, gain, _ = layout.ahead

@@ -15,7 +15,7 @@ from harness.protocols import Growth, Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.common.linear_model import LinearModel
 from identifiers.common.records import moving, real_signals
-from identifiers.online.along import OnePass, Standing
+from identifiers.online.along import OnePass, RunningLevel
 
 
 @functools.lru_cache(maxsize=16)
@@ -53,8 +53,8 @@ class SpectralState(NamedTuple):
     known: int
     last: FloatArray
     seen: int
-    inputs: Standing
-    outputs: Standing
+    inputs: RunningLevel
+    outputs: RunningLevel
     weights: FloatArray
     curvature: FloatArray
 
@@ -146,8 +146,8 @@ class SpectralFiltering(OnePass):
             0,
             np.zeros(spec.ny),
             0,
-            Standing.blank(spec.nu),
-            Standing.blank(spec.ny),
+            RunningLevel.blank(spec.nu),
+            RunningLevel.blank(spec.ny),
             np.zeros((p, spec.ny)),
             curvature,
         )

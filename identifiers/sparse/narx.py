@@ -20,7 +20,7 @@ from harness.units import quotient
 from identifiers.common.excitation import refuse_feedback_of_records
 from identifiers.common.judge.excited import Excited
 from identifiers.common.judge.told import told
-from identifiers.common.lag_state import Scaling
+from identifiers.common.lag_state import Standardisation
 from identifiers.common.library import Library
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import EXACT, LARGEST, LEVEL
@@ -28,7 +28,7 @@ from identifiers.common.records import lagged, missing_notes, moving, real_signa
 from identifiers.common.scaling import sizes
 from identifiers.sparse.narx_model import NarxModel, argument_names
 from identifiers.sparse.orthogonal import Criterion, criterion_value, frols
-from identifiers.sparse.pruning import LONGEST, Windows, pruned
+from identifiers.sparse.pruning import LONGEST, ScaledWindows, pruned
 
 __all__ = ["Narx", "NarxModel"]
 
@@ -151,7 +151,7 @@ class Narx(Excited):
             )
         return degree
 
-    def _scaling(self, records: Sequence[Trajectory]) -> Scaling:
+    def _scaling(self, records: Sequence[Trajectory]) -> Standardisation:
         """Return sizes of the signals, and the levels of those far from zero."""
         y, u = ([getattr(record, name) for record in records] for name in "yu")
         levels, spreads = [], []
@@ -161,7 +161,7 @@ class Narx(Excited):
             levels.append(np.where(np.abs(mean) > _LEVEL * spread, mean, 0.0))
             spreads.append(spread)
         x_mean, x_std = (np.concatenate([np.tile(side, self.lags) for side in both]) for both in (levels, spreads))
-        return Scaling(x_mean, x_std, levels[0], spreads[0])
+        return Standardisation(x_mean, x_std, levels[0], spreads[0])
 
     def _chosen(
         self, equations: NormalEquations, library: Library, records: Sequence[Trajectory], what: str
@@ -183,7 +183,7 @@ class Narx(Excited):
         known = [fit.white or fit.rms <= EXACT for fit in first]
         alive = np.array([fit.rms**2 < _HALF for fit in first])
         for longest in _SHORTER:
-            windows = Windows.of(records, self.lags, longest)
+            windows = ScaledWindows.of(records, self.lags, longest)
             found, errors = pruned(equations, library, windows, supports, 0, self.criterion, known)
             if longest != _SHORTER[-1] and not np.all(errors[alive] < _HALF):
                 continue  # it does not follow the record so far, as none does a chaotic one, and tells nothing
@@ -204,7 +204,7 @@ class Narx(Excited):
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class TermFit:
     """Coefficients (k,) of chosen terms, their covariance (k, k), rms, and whether the errors are white.
 
     ``noise`` is their moving average, ``coloured`` (N,) what it makes of the targets.
@@ -230,7 +230,7 @@ def _no_angles(spec: PlantSpec, what: str) -> None:
         )
 
 
-def _scaled(record: Trajectory, scaling: Scaling) -> Trajectory:
+def _scaled(record: Trajectory, scaling: Standardisation) -> Trajectory:
     """Return a record of signals about 1."""
     ny, nu = record.spec.ny, record.spec.nu
     level, size = scaling.x_mean[len(scaling.x_mean) - nu :], scaling.x_std[len(scaling.x_std) - nu :]
@@ -261,7 +261,7 @@ def _coloured(
 
 def last_fit(
     records: Sequence[Trajectory], library: Library, support: list[int], output: int, lags: int, memory: int
-) -> Fit:
+) -> TermFit:
     """Return the least-squares fit of chosen terms, with past errors of the equation beside them where asked for.
 
     Covariance ``s^2 (Phi' Phi)^-1`` (Ljung 1999, eq. 9.42), and a test of whether the errors are foretold by as many
@@ -302,7 +302,7 @@ def last_fit(
     left = errors - again @ least_squares(again, errors, 1e-12)
     share = 1.0 - float(left @ left) / max(float(errors @ errors), 1e-300)
     white = rms > EXACT and float(chi2.sf(len(y) * max(share, 0.0), lags)) >= DOUBT
-    return Fit(theta[:count], covariance, rms, white, theta[count:].tolist(), full[:, count:] @ theta[count:])
+    return TermFit(theta[:count], covariance, rms, white, theta[count:].tolist(), full[:, count:] @ theta[count:])
 
 
 def _estimate(

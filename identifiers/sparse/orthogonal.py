@@ -22,7 +22,7 @@ _LOST = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class SelectionPath:
     """Terms in the order in which they were chosen.
 
     Parameters
@@ -40,7 +40,7 @@ class Path:
         return max(1.0 - float(self.ratios[:count].sum()), _LOST)
 
 
-def frols(equations: NormalEquations, column: int, most: int) -> Path:
+def frols(equations: NormalEquations, column: int, most: int) -> SelectionPath:
     """Return the terms that explain most of a target, each beyond those before.
 
     Forward regression with orthogonal least squares (Chen, Billings & Luo 1989, Int. J. Control 50:1873, sec. 3;
@@ -78,7 +78,7 @@ def frols(equations: NormalEquations, column: int, most: int) -> Path:
         left[best] = 0.0
         order.append(best)
         ratios.append(float(gains[best]) / square)
-    return Path(tuple(order), np.array(ratios))
+    return SelectionPath(tuple(order), np.array(ratios))
 
 
 def helpful(equations: NormalEquations, column: int, keep: list[int], count: int) -> list[int]:

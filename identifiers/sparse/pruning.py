@@ -22,7 +22,7 @@ _EXACT = 1e-13  # Mean squares below this share of an output's are rounding of n
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class ScaledWindows:
     """Stretches of scaled records that free runs are compared with."""
 
     # (W, T, ny), (W, T, nu)
@@ -31,7 +31,7 @@ class Windows:
     lags: int  # Measured samples that a run starts from
 
     @classmethod
-    def of(cls, records: Sequence[Trajectory], lags: int, longest: int = LONGEST) -> Windows:
+    def of(cls, records: Sequence[Trajectory], lags: int, longest: int = LONGEST) -> ScaledWindows:
         """Return stretches of one length, spread over all records.
 
         Parameters
@@ -92,7 +92,7 @@ class Windows:
 def pruned(
     equations: NormalEquations,
     library: Library,
-    windows: Windows,
+    windows: ScaledWindows,
     supports: list[list[int]],
     most: int,
     criterion: Criterion,
@@ -159,7 +159,7 @@ def _ahead(equations: NormalEquations, output: int, keep: list[int], criterion: 
 def _judged(
     equations: NormalEquations,
     library: Library,
-    windows: Windows,
+    windows: ScaledWindows,
     trials: Sequence[list[list[int]]],
     criterion: Criterion,
 ) -> tuple[FloatArray, FloatArray]:

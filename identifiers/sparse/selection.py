@@ -128,7 +128,7 @@ def best_subset(equations: NormalEquations, most: int = 12) -> tuple[FloatArray,
 
 
 @dataclass(frozen=True, eq=False)
-class Ensemble:
+class ResampledTerms:
     """What a rule chooses from resampled data: inclusion (p, m) is the share of samples in which a term was chosen."""
 
     coefficients: FloatArray
@@ -137,7 +137,7 @@ class Ensemble:
     spread: FloatArray
 
 
-def ensemble(pieces: Sequence[NormalEquations], rule: Rule, count: int, rng: np.random.Generator) -> Ensemble:
+def ensemble(pieces: Sequence[NormalEquations], rule: Rule, count: int, rng: np.random.Generator) -> ResampledTerms:
     """Return the terms that a rule chooses in most bootstrap samples, fitted anew on all data.
 
     Whole pieces of the records are drawn with replacement, as samples near each other in time are not independent
@@ -170,7 +170,7 @@ def ensemble(pieces: Sequence[NormalEquations], rule: Rule, count: int, rng: np.
     coefficients, support = np.zeros_like(right), np.zeros(right.shape, dtype=bool)
     for column in range(right.shape[1]):
         _fill(coefficients, support, gram, right, column, np.flatnonzero(inclusion[:, column] >= 0.5).tolist())
-    return Ensemble(coefficients / size[:, None], support, inclusion, spread)
+    return ResampledTerms(coefficients / size[:, None], support, inclusion, spread)
 
 
 def _needed(

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from harness.diagnosis.dictionary import laws_of, placed
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.runs.equation_form import EquationForm
 from harness.diagnosis.runs.form import FreeRunForm
@@ -71,7 +71,7 @@ def answered(method: str, dataset: Dataset, system: System) -> Answer:
 
 def _regressed(dataset: Dataset, system: System, choose: Callable[[NormalEquations], FloatArray]) -> list[str]:
     """Return the laws whose columns are chosen to explain the force that the nominal model leaves over."""
-    form = EquationForm(system, dataset, sizes=Equations().form(system, dataset).sizes, shape="weak")
+    form = EquationForm(system, dataset, sizes=EquationsKind().form(system, dataset).sizes, shape="weak")
     motions, p = form.motions["estimation"], system.vector()
     free = [k for k, parameter in enumerate(system.parameters) if not parameter.fixed]
     plain = form.equations(())
@@ -134,7 +134,7 @@ def _thresholded(equations: NormalEquations) -> FloatArray:
 
 def _forward(dataset: Dataset, system: System) -> list[str]:
     """Return the laws that lower the BIC of output errors, one after the other."""
-    kind, effects = Equations(), list[Placed]()
+    kind, effects = EquationsKind(), list[Placed]()
     candidates = placed(system, laws_of())[0]
     while len(effects) < POLICY.most:
         form = kind.form(system, dataset)

@@ -119,7 +119,7 @@ def base_of(seeds: str, secret: int | None = None) -> int:
 
 @dataclass(frozen=True)
 class RecordFiles:
-    """The files of one record as a batch of one job; see :class:`harness.jobs.Batch`.
+    """The files of one record as a batch of one job; see :class:`harness.jobs.JobBatch`.
 
     Its row is that of ``truth.csv``, or ``{"failed": REASON}``.
 

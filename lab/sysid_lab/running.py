@@ -160,7 +160,7 @@ def study(
 
 @dataclass(frozen=True)
 class StudyJob:
-    """One row of a study as a batch of one job; see :class:`harness.jobs.Batch`.
+    """One row of a study as a batch of one job; see :class:`harness.jobs.JobBatch`.
 
     Parameters
     ----------

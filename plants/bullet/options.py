@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 from harness.errors import InputError
 from plants.bullet.engine import explicit_urdf, moving_joints, stated
 from plants.bullet.outputs import Camera, Keypoints
-from plants.bullet.world import Control, Settings
+from plants.bullet.world import BulletSettings, Control
 from plants.checking import per_item, positive, positives, refuse_option, whole
 
 MOTOR_FORCE = 300.0  # Greatest force [N m] of Bullet's motors at a joint whose file states no effort.
@@ -180,9 +180,9 @@ def joints_of(urdf: str | Path, options: ArmOptions) -> Joints:
     )
 
 
-def settings_of(options: ArmOptions, joints: Joints) -> Settings:
+def settings_of(options: ArmOptions, joints: Joints) -> BulletSettings:
     """Return everything that Bullet would otherwise choose in silence."""
-    return Settings(
+    return BulletSettings(
         step=options.sample_time / options.substeps,
         substeps=int(options.substeps),
         control=options.control,

@@ -19,7 +19,7 @@ Control = Literal["torque", "velocity", "position"]
 
 
 @dataclass(frozen=True)
-class Settings:
+class BulletSettings:
     """Everything that Bullet would otherwise choose in silence; see :class:`plants.bullet.robots.ArmPlant`."""
 
     step: float
@@ -60,7 +60,7 @@ class World:
     - ``settings``: what to build
     """
 
-    def __init__(self, urdf: ET.Element, settings: Settings) -> None:
+    def __init__(self, urdf: ET.Element, settings: BulletSettings) -> None:
         self.engine = bullet()
         self.client: int = self.engine.connect(self.engine.DIRECT)
         self.settings = settings

@@ -95,7 +95,7 @@ class AdaptiveEngine:
         return path
 
 
-class Engine:
+class OdeEngine:
     """One sample at a time through the compiled rollout, buffers allocated once; CasADi where there is no compiler."""
 
     def __init__(self, simulator: Any, p: FloatArray) -> None:

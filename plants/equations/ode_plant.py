@@ -15,8 +15,8 @@ from plants.base import BasePlant
 from plants.checking import checked_inputs, finite, initial_values, positive, refuse_input, whole
 from plants.equations.ode_engine import (
     AdaptiveEngine,
-    Engine,
     Integrator,
+    OdeEngine,
     checked_integrator,
     depends_on_time,
     needed_substeps,
@@ -133,8 +133,8 @@ class OdePlant(BasePlant):
         moving, self._noises = (self.system, 0) if self._noise == 0 else with_noise(self.system)
         steps = substeps or max(4, needed_substeps(self.system, dt))
         self._simulator = moving.simulator(dt, substeps=int(steps))
-        self._engine: Engine | AdaptiveEngine = (
-            Engine(self._simulator, self._p)
+        self._engine: OdeEngine | AdaptiveEngine = (
+            OdeEngine(self._simulator, self._p)
             if integrator == "rk4"
             else AdaptiveEngine(self._simulator, self._p, integrator, rtol, atol)
         )

@@ -16,12 +16,12 @@ from harness.errors import InputError
 from harness.protocols import Ability
 from harness.signals import FloatArray
 from plants.fmu.archive import FmuFile, Kind
-from plants.fmu.engine import Engine
+from plants.fmu.engine import FmuEngine
 from plants.fmu.instance import Instance
 from plants.fmu.options import encoded, refused
 from plants.fmu.snapshot import Snapshot
 from plants.fmu.trust import FirstRun, state_error
-from plants.fmu.variables import Port, port, unknown
+from plants.fmu.variables import FmuPort, port, unknown
 
 
 def slopes(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str], seed: FloatArray | None) -> FloatArray:
@@ -65,7 +65,7 @@ def _offers(file: FmuFile, kind: Kind) -> bool:
 
 
 @functools.lru_cache(maxsize=64)
-def _reals(file: FmuFile, names: tuple[str, ...]) -> list[Port]:
+def _reals(file: FmuFile, names: tuple[str, ...]) -> list[FmuPort]:
     """Return the variables of these names, which must be real scalars; asked again at every sample of a run."""
     variables = {v.name: v for v in file.description.modelVariables if v.type in ("Real", "Float64")}
     found = []
@@ -80,7 +80,7 @@ def _reals(file: FmuFile, names: tuple[str, ...]) -> list[Port]:
     return found
 
 
-def _product(instance: Instance, above: Sequence[Port], below: Sequence[Port], seed: FloatArray) -> FloatArray:
+def _product(instance: Instance, above: Sequence[FmuPort], below: Sequence[FmuPort], seed: FloatArray) -> FloatArray:
     """Return the derivative in one direction, in SI."""
     try:
         raw = instance.fmu.getDirectionalDerivative(
@@ -166,7 +166,7 @@ class Beyond:
     kind: Kind
     abilities: frozenset[Ability]
     _instance: Instance
-    _engine: Engine
+    _engine: FmuEngine
     _start: dict[str, Any]
     _one: Callable[[], int]
     _finalizer: weakref.finalize[Any, Any]

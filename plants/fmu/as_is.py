@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.cosim.free_run import FreeRun, free_run, hold, window
+from harness.cosim.free_run import CoupledRun, free_run, hold, window
 from harness.errors import InputError, PlantError
 from harness.options import meant_options
 from harness.signals import FloatArray
@@ -36,7 +36,7 @@ def run_as_is(
     timeout: float = 10.0,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
-) -> FreeRun:
+) -> CoupledRun:
     """Run an FMU with its default experiment.
 
     Parameters

@@ -16,7 +16,7 @@ import numpy as np
 from harness.errors import PlantError
 from harness.signals import FloatArray
 from plants.fmu.instance import Instance
-from plants.fmu.variables import Port
+from plants.fmu.variables import FmuPort
 
 log = logging.getLogger("plants.fmu.plant")
 FINE, SET_FAILED, STEP_FAILED, GET_FAILED, OUTPUT_NOT_FINITE, INPUT_NOT_FINITE, STEP_INTERRUPTED = range(7)
@@ -123,7 +123,7 @@ class NativeStep(NamedTuple):
     y: FloatArray
 
 
-class Engine:
+class FmuEngine:
     """Steps one co-simulation instance; row buffers ``u`` and ``y`` are shared with the plant.
 
     ``loop.rollback`` tells the FMU that the run may go back to an earlier state (FMI 2.0.5 sec. 4.2.2,
@@ -139,8 +139,8 @@ class Engine:
     def __init__(
         self,
         instance: Instance,
-        inputs: Sequence[Port],
-        outputs: Sequence[Port],
+        inputs: Sequence[FmuPort],
+        outputs: Sequence[FmuPort],
         timing: Timing | None,
     ) -> None:
         self.instance = instance
@@ -222,7 +222,7 @@ class Engine:
         """Call doStep from Python with any step size; returns the status, flags are in ``loop``."""
         return SlowLoop(self).do_step(t, h)
 
-    def _group(self, ports: Sequence[Port], verb: str, first: int) -> _Group:
+    def _group(self, ports: Sequence[FmuPort], verb: str, first: int) -> _Group:
         """Return the C view of variables of one type."""
         v = self.instance.version
         kind = ports[0].variable.type
@@ -248,13 +248,13 @@ class Engine:
         )
 
 
-def grouped(ports: Sequence[Port], *, apart: bool = False) -> list[tuple[list[Port], int]]:
+def grouped(ports: Sequence[FmuPort], *, apart: bool = False) -> list[tuple[list[FmuPort], int]]:
     """Return runs of neighbouring variables of one type, with the first column of each; discrete ones may be apart."""
 
-    def kind(one: Port) -> tuple[str, bool]:
+    def kind(one: FmuPort) -> tuple[str, bool]:
         return one.variable.type, apart and one.variable.variability == "discrete"
 
-    groups: list[tuple[list[Port], int]] = []
+    groups: list[tuple[list[FmuPort], int]] = []
     column = 0
     for one in ports:
         if groups and kind(groups[-1][0][0]) == kind(one):
@@ -268,7 +268,7 @@ def grouped(ports: Sequence[Port], *, apart: bool = False) -> list[tuple[list[Po
 class SlowLoop:
     """The same loop in Python, for systems without a C compiler and for the rest of an interrupted step."""
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: FmuEngine) -> None:
         self.u, self.y, self.loop = engine.u, engine.y, engine.loop
         self.in_groups = [self.opened(g) for g in engine.inputs]
         self.out_groups = [self.opened(g) for g in engine.outputs]

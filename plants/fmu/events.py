@@ -17,21 +17,23 @@ from plants.fmu.engine import (
     INPUT_NOT_FINITE,
     SET_FAILED,
     STEP_FAILED,
-    Engine,
+    FmuEngine,
     SlowLoop,
     Timing,
     grouped,
 )
 from plants.fmu.instance import Instance
-from plants.fmu.variables import Port
+from plants.fmu.variables import FmuPort
 
 EVENTS = 1000  # in one sample, before it counts as endless
 
 
-class EventEngine(Engine):
-    """Steps one instance in event mode; the same buffers and calls as :class:`plants.fmu.engine.Engine`."""
+class EventEngine(FmuEngine):
+    """Steps one instance in event mode; the same buffers and calls as :class:`plants.fmu.engine.FmuEngine`."""
 
-    def __init__(self, instance: Instance, inputs: Sequence[Port], outputs: Sequence[Port], timing: Timing) -> None:
+    def __init__(
+        self, instance: Instance, inputs: Sequence[FmuPort], outputs: Sequence[FmuPort], timing: Timing
+    ) -> None:
         super().__init__(instance, inputs, outputs, timing)
         self.native = False
         self._timing = timing
@@ -133,6 +135,6 @@ class EventEngine(Engine):
         return min(max(reached, t), stop)
 
 
-def _discrete(ports: Sequence[Port]) -> bool:
+def _discrete(ports: Sequence[FmuPort]) -> bool:
     """Return True if a group of inputs may change in event mode only."""
     return bool(ports[0].variable.variability == "discrete")

@@ -19,21 +19,21 @@ import numpy.typing as npt
 
 from harness.errors import InputError, PlantError
 from harness.signals import FloatArray
-from plants.fmu.engine import STEP_FAILED, Engine, Timing
+from plants.fmu.engine import STEP_FAILED, FmuEngine, Timing
 from plants.fmu.instance import Instance
-from plants.fmu.variables import Port
+from plants.fmu.variables import FmuPort
 
 EVENTS = 1000  # in one sample, before it counts as endless
 
 
-class ExchangeEngine(Engine):
-    """Steps one model exchange instance; the same buffers and calls as :class:`plants.fmu.engine.Engine`."""
+class ExchangeEngine(FmuEngine):
+    """Steps one model exchange instance; the same buffers and calls as :class:`plants.fmu.engine.FmuEngine`."""
 
     def __init__(
         self,
         instance: Instance,
-        inputs: Sequence[Port],
-        outputs: Sequence[Port],
+        inputs: Sequence[FmuPort],
+        outputs: Sequence[FmuPort],
         timing: Timing,
         *,
         solver: str,

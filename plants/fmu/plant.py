@@ -16,7 +16,7 @@ from harness.signals import FloatArray, PlantSpec
 from plants.checking import checked_inputs, refuse_input
 from plants.fmu.abilities import Beyond, idle
 from plants.fmu.archive import FmuFile, Kind, read_fmu
-from plants.fmu.engine import INPUT_NOT_FINITE, Engine, NativeStep, Timing
+from plants.fmu.engine import INPUT_NOT_FINITE, FmuEngine, NativeStep, Timing
 from plants.fmu.instance import Instance
 from plants.fmu.options import (
     check_event_mode,
@@ -31,7 +31,7 @@ from plants.fmu.options import (
 from plants.fmu.stops import finish, stopped
 from plants.fmu.trust import FirstRun, Start
 from plants.fmu.variables import (
-    Port,
+    FmuPort,
     channels,
     choose,
     describe,
@@ -171,19 +171,19 @@ class FmuPlant(Beyond):
         self._finalizer = weakref.finalize(self, self._instance.close)
         try:
             self._engine = self._made_engine(self._inputs, self._outputs, solver)
-            self._observer = Engine(self._instance, (), self._truth, None)
+            self._observer = FmuEngine(self._instance, (), self._truth, None)
         except BaseException:
             self.close()
             raise
         self._entered = Start()
         self._first: FirstRun | None = None  # the beginning of the first run, until the way back is known
         self.way_back: str | None = None  # "reset", "instance" or "process", known from the second reset on
-        self._both: Engine | None = None  # reads outputs and states at once; made when it is needed
+        self._both: FmuEngine | None = None  # reads outputs and states at once; made when it is needed
         self._solver = solver
         self._shape = (self.spec.nu,)
         self._one: Callable[[], int] = idle
 
-    def _made_engine(self, inputs: Sequence[Port], outputs: Sequence[Port], solver: str) -> Engine:
+    def _made_engine(self, inputs: Sequence[FmuPort], outputs: Sequence[FmuPort], solver: str) -> FmuEngine:
         """Return what steps the instance."""
         timing = Timing(self._t0, self.spec.sample_time, self._substeps)
         if self.kind == "cs" and self._instance.event_mode:
@@ -191,7 +191,7 @@ class FmuPlant(Beyond):
 
             return EventEngine(self._instance, inputs, outputs, timing)
         if self.kind == "cs":
-            return Engine(self._instance, inputs, outputs, timing)
+            return FmuEngine(self._instance, inputs, outputs, timing)
         from plants.fmu.exchange import ExchangeEngine
 
         return ExchangeEngine(self._instance, inputs, outputs, timing, solver=solver, tolerance=self.tolerance)
@@ -372,7 +372,7 @@ class FmuPlant(Beyond):
             self._engine.loop.k = self._both.loop.k
         return table[:, : self.spec.ny], table[:, self.spec.ny :]
 
-    def _rolled(self, engine: Engine, inputs: FloatArray) -> FloatArray:
+    def _rolled(self, engine: FmuEngine, inputs: FloatArray) -> FloatArray:
         """Apply inputs through one of the engines, bringing interrupted steps to their end."""
         rows = np.ascontiguousarray(checked_inputs(inputs, self.spec))
         if self._one is idle:
@@ -476,7 +476,7 @@ class FmuPlant(Beyond):
         """Pickle as a fresh plant with the same options; the running state stays behind."""
         return _rebuilt, (type(self), self._options)
 
-    def _finish(self, engine: Engine) -> None:
+    def _finish(self, engine: FmuEngine) -> None:
         """Bring an interrupted step to its end, or raise; after that only a reset helps."""
         if self._one is idle:
             self._not_ready()
@@ -489,7 +489,7 @@ class FmuPlant(Beyond):
             self._note_warnings(engine)
             raise
 
-    def _note_warnings(self, engine: Engine) -> None:
+    def _note_warnings(self, engine: FmuEngine) -> None:
         """Pass the number of calls that ended in a warning to the log."""
         if engine.loop.warnings:
             log.warning("%s: %d calls ended with a warning", self.file.path.name, engine.loop.warnings)

@@ -28,7 +28,7 @@ FINER: dict[Kind, tuple[Check, str]] = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class ProbeFinding:
     """One check: its verdict, the figure behind it, and what it means.
 
     ``passed`` is None where the FMU does not offer what is checked.
@@ -46,7 +46,7 @@ class ProbeResult:
 
     file: str
     sample_time: float
-    findings: tuple[Finding, ...]
+    findings: tuple[ProbeFinding, ...]
 
     @property
     def passed(self) -> bool:
@@ -130,8 +130,8 @@ def probe(
         finer = {"step": dt / described.substeps / 2} if kind == "cs" else {"tolerance": 0.01 * tolerance}
     others = tuple(text for text in others if text not in odd_units)
     findings = [
-        Finding("units", not odd_units, None, "; ".join(odd_units) or "known"),
-        Finding("description", None if others else True, None, "; ".join(others) or "sound"),
+        ProbeFinding("units", not odd_units, None, "; ".join(odd_units) or "known"),
+        ProbeFinding("description", None if others else True, None, "; ".join(others) or "sound"),
     ]
     with made() as plant:
         first = _tried(lambda: _run(plant, inputs), findings)
@@ -161,30 +161,32 @@ def _run(plant: FmuPlant | IsolatedPlant, inputs: FloatArray) -> FloatArray:
     return np.vstack([first, plant.rollout(inputs)])
 
 
-def _tried(job: Callable[[], FloatArray], findings: list[Finding]) -> FloatArray | None:
+def _tried(job: Callable[[], FloatArray], findings: list[ProbeFinding]) -> FloatArray | None:
     """Return the first run; record how it went."""
     try:
         outputs = job()
     except HarnessError as error:
         finite = error.status != "diverged"
-        findings.append(Finding("runs" if finite else "finite", False, None, f"{error.status}: {error}"))
+        findings.append(ProbeFinding("runs" if finite else "finite", False, None, f"{error.status}: {error}"))
         return None
-    findings.append(Finding("runs", True, None, f"{len(outputs)} samples"))
-    findings.append(Finding("finite", True, float(np.abs(outputs).max()), f"outputs up to {np.abs(outputs).max():.3g}"))
+    findings.append(ProbeFinding("runs", True, None, f"{len(outputs)} samples"))
+    findings.append(
+        ProbeFinding("finite", True, float(np.abs(outputs).max()), f"outputs up to {np.abs(outputs).max():.3g}")
+    )
     return outputs
 
 
-def _repeat(plant: FmuPlant | IsolatedPlant, inputs: FloatArray, first: FloatArray) -> list[Finding]:
+def _repeat(plant: FmuPlant | IsolatedPlant, inputs: FloatArray, first: FloatArray) -> list[ProbeFinding]:
     """Compare a second run after reset, and a continuation after a restored state."""
     try:
         again = float(np.abs(_run(plant, inputs) - first).max())
         said = [text for text in plant.warnings if text.startswith("reset does not")]
         note = said[0] if said else f"second run differs by {again:.3g}"
-        found = [Finding("reset", again == 0.0 and not said, again, note)]
+        found = [ProbeFinding("reset", again == 0.0 and not said, again, note)]
     except HarnessError as error:
-        return [Finding("reset", False, None, f"{error.status}: {error}")]
+        return [ProbeFinding("reset", False, None, f"{error.status}: {error}")]
     if "snapshots" not in plant.abilities:
-        return [*found, Finding("restore", None, None, "the FMU offers no get and set of its state")]
+        return [*found, ProbeFinding("restore", None, None, "the FMU offers no get and set of its state")]
     try:
         plant.reset(rng=stream("plants.fmu.probe"))
         half = len(inputs) // 2
@@ -194,22 +196,22 @@ def _repeat(plant: FmuPlant | IsolatedPlant, inputs: FloatArray, first: FloatArr
         plant.set_state(state)
         again_on = plant.rollout(inputs[half:])
         miss = float(np.abs(again_on - went_on).max())
-        return [*found, Finding("restore", miss == 0.0, miss, f"continuation differs by {miss:.3g}")]
+        return [*found, ProbeFinding("restore", miss == 0.0, miss, f"continuation differs by {miss:.3g}")]
     except HarnessError as error:
         note = error.got if isinstance(error, InputError) else f"{error.status}: {error}"  # not the plant's advice
-        return [*found, Finding("restore", False, None, note)]
+        return [*found, ProbeFinding("restore", False, None, note)]
 
 
 def _refined(
     make: Callable[[], FmuPlant | IsolatedPlant], inputs: FloatArray, first: FloatArray, check: Check, what: str
-) -> Finding:
+) -> ProbeFinding:
     """Compare with a run at a finer step or tolerance."""
     try:
         with make() as plant:
             finer = _run(plant, inputs)
     except HarnessError as error:
-        return Finding(check, None, None, f"cannot run with {what}: {error.status}: {error}")
+        return ProbeFinding(check, None, None, f"cannot run with {what}: {error.status}: {error}")
     spread = np.std(first, axis=0)
     scale = np.where(spread > 0, spread, np.maximum(np.abs(first).max(axis=0), 1e-12))
     change = float((np.sqrt(np.mean((finer - first) ** 2, axis=0)) / scale).max())
-    return Finding(check, change < STEP_TOLERANCE, change, f"{what} changes the outputs by {100 * change:.3g} %")
+    return ProbeFinding(check, change < STEP_TOLERANCE, change, f"{what} changes the outputs by {100 * change:.3g} %")

@@ -10,7 +10,7 @@ from plants.fmu.engine import (
     OUTPUT_NOT_FINITE,
     SET_FAILED,
     STEP_FAILED,
-    Engine,
+    FmuEngine,
 )
 from plants.fmu.instance import LEVELS
 
@@ -19,7 +19,7 @@ TERMINATED, LAST_SUCCESSFUL_TIME = 3, 2  # kinds of status (FMI 2.0.5 sec. 4.2.4
 ATTEMPTS = 10_000  # pieces of one step, before it counts as endless
 
 
-def stopped(engine: Engine) -> PlantError:
+def stopped(engine: FmuEngine) -> PlantError:
     """Return the error for the call that stopped the engine's loop."""
     loop = engine.loop
     if engine.error is not None:
@@ -41,7 +41,7 @@ def stopped(engine: Engine) -> PlantError:
     return engine.instance.failure(f"{what} in the step from t = {t:g} s ({level})")
 
 
-def finish(engine: Engine) -> None:
+def finish(engine: FmuEngine) -> None:
     """Bring an interrupted step to its end, so that ``engine.y`` and ``engine.loop.k`` are those of the next sample.
 
     Raises PlantError: ``terminated`` if the FMU ends the simulation, ``diverged`` for NaN, ``timeout`` for steps that
@@ -74,7 +74,7 @@ def finish(engine: Engine) -> None:
     loop.k += 1
 
 
-def _reached(engine: Engine, status: int, t: float, end: float) -> float:
+def _reached(engine: FmuEngine, status: int, t: float, end: float) -> float:
     """Return the time that a step over [t, end] has reached, or raise."""
     loop, instance = engine.loop, engine.instance
     if status > DISCARD or status < OK:
@@ -103,7 +103,7 @@ def _reached(engine: Engine, status: int, t: float, end: float) -> float:
     return last
 
 
-def _asked(engine: Engine, method: str, kind: int) -> float | None:
+def _asked(engine: FmuEngine, method: str, kind: int) -> float | None:
     """Return an answer of the FMU about its last step, or None if it gives none."""
     from fmpy.fmi1 import FMICallException
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from harness.errors import HarnessError, PlantError
 from harness.signals import FloatArray
-from plants.fmu.engine import Engine
+from plants.fmu.engine import FmuEngine
 
 ROWS = 50  # Samples of the first run that are repeated.
 LONGEST = 2.0  # Seconds of computing after which no more samples of the first run are kept.
@@ -41,7 +41,7 @@ class FirstRun:
     - ``values``: what the first run began from
     """
 
-    def __init__(self, engine: Engine, values: Start) -> None:
+    def __init__(self, engine: FmuEngine, values: Start) -> None:
         self._engine, self.values = engine, values
         self._first = engine.y.copy()
         self._u: list[FloatArray] = []
@@ -126,7 +126,9 @@ def _difference(one: FloatArray | None, other: FloatArray | None) -> float:
     return float(np.nan_to_num(np.abs(one - other) / size, nan=np.inf).max())
 
 
-def state_error(engine: Engine, take: Callable[[], Any], put: Callable[[Any], None], held: FloatArray) -> float | None:
+def state_error(
+    engine: FmuEngine, take: Callable[[], Any], put: Callable[[Any], None], held: FloatArray
+) -> float | None:
     """Return by how much the continuation from a kept state differs from the first one; None if it cannot be told.
 
     - ``engine``: what steps the instance; afterwards it is where it was, if the FMU keeps its state

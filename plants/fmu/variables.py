@@ -22,7 +22,7 @@ INTEGERS = frozenset(
 
 
 @dataclass(frozen=True, eq=False)
-class Port:
+class FmuPort:
     """One variable of an FMU with its channels (several for an array) and its way to SI."""
 
     variable: Any
@@ -37,7 +37,7 @@ class Port:
         return len(self.channels)
 
 
-def port(file: FmuFile, variable: Any) -> Port:
+def port(file: FmuFile, variable: Any) -> FmuPort:
     """Return a variable as channels in SI.
 
     Raises
@@ -58,7 +58,7 @@ def port(file: FmuFile, variable: Any) -> Port:
     if shape:
         names = [f"{variable.name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*shape)]
     if variable.type == "Boolean":
-        return Port(variable, tuple(Channel(n, "1", 0.0, 1.0, "boolean") for n in names), 1.0, 0.0, None)
+        return FmuPort(variable, tuple(Channel(n, "1", 0.0, 1.0, "boolean") for n in names), 1.0, 0.0, None)
     declared = variable.declaredType
     if variable.type == "Enumeration":
         values = [int(item.value) for item in declared.items] if declared is not None else []
@@ -67,17 +67,17 @@ def port(file: FmuFile, variable: Any) -> Port:
             low, high = float(min(values)), float(max(values))
         else:
             kind, low, high = "integer", -np.inf, np.inf
-        return Port(variable, tuple(Channel(n, "1", low, high, kind) for n in names), 1.0, 0.0, None)
+        return FmuPort(variable, tuple(Channel(n, "1", low, high, kind) for n in names), 1.0, 0.0, None)
     low, high = (_limit(variable, declared, side) for side in ("min", "max"))
     if variable.type in INTEGERS:
-        return Port(variable, tuple(Channel(n, "1", low, high, "integer") for n in names), 1.0, 0.0, None)
+        return FmuPort(variable, tuple(Channel(n, "1", low, high, "integer") for n in names), 1.0, 0.0, None)
     unit = variable.unit or (declared.unit if declared is not None else None)
     definition = next((u for u in file.description.unitDefinitions if u.name == unit), None)
     found = si_conversion(unit, definition)
     low, high = found.scale * low + found.offset, found.scale * high + found.offset
     made = tuple(Channel(n, found.unit, min(low, high), max(low, high)) for n in names)
     complaint = None if found.complaint is None else f"{variable.name}: {found.complaint}"
-    return Port(variable, made, found.scale, found.offset, complaint)
+    return FmuPort(variable, made, found.scale, found.offset, complaint)
 
 
 def resize(file: FmuFile, parameters: object) -> None:
@@ -115,7 +115,7 @@ def _limit(variable: Any, declared: Any, side: Literal["min", "max"]) -> float:
     return default if np.isnan(value) else value
 
 
-def choose(file: FmuFile, names: Sequence[str] | None, causality: Literal["input", "output"]) -> tuple[Port, ...]:
+def choose(file: FmuFile, names: Sequence[str] | None, causality: Literal["input", "output"]) -> tuple[FmuPort, ...]:
     """Return the inputs or outputs of a plant.
 
     Parameters
@@ -170,7 +170,7 @@ def _listed(text: str, known: Collection[str]) -> list[str]:
     return names if all(names) else [text]
 
 
-def starts(ports: Iterable[Port], given: Mapping[str, Any]) -> list[float]:
+def starts(ports: Iterable[FmuPort], given: Mapping[str, Any]) -> list[float]:
     """Return the start values of all channels in SI, those ``given`` first; 0 where the description gives none."""
     values: list[float] = []
     for one in ports:
@@ -182,7 +182,7 @@ def starts(ports: Iterable[Port], given: Mapping[str, Any]) -> list[float]:
     return values
 
 
-def own_values(ports: Iterable[Port], u: FloatArray) -> dict[str, Any]:
+def own_values(ports: Iterable[FmuPort], u: FloatArray) -> dict[str, Any]:
     """Return inputs (nu,) in SI as values of scalar variables, by name, in the FMU's own types and units."""
     kinds: dict[str, Callable[[float], Any]] = {"Boolean": bool, "Integer": round, "Enumeration": round}
     return {
@@ -203,12 +203,12 @@ def unknown(file: FmuFile, what: str, name: object, known: Sequence[str]) -> Inp
     )
 
 
-def channels(ports: Iterable[Port]) -> tuple[Channel, ...]:
+def channels(ports: Iterable[FmuPort]) -> tuple[Channel, ...]:
     """Return the channels of all ports, in order."""
     return tuple(channel for one in ports for channel in one.channels)
 
 
-def states_of(file: FmuFile) -> tuple[Port, ...]:
+def states_of(file: FmuFile) -> tuple[FmuPort, ...]:
     """Return the continuous states that the description names (a derivative points to its state), else nothing."""
     ordered = [u.variable for u in file.description.derivatives if u.variable is not None]
     if not ordered:
@@ -221,7 +221,7 @@ def states_of(file: FmuFile) -> tuple[Port, ...]:
     return tuple(port(file, state) for state in states if state.type in REALS)
 
 
-def feeds_through(file: FmuFile, inputs: Sequence[Port], outputs: Sequence[Port]) -> tuple[bool, bool]:
+def feeds_through(file: FmuFile, inputs: Sequence[FmuPort], outputs: Sequence[FmuPort]) -> tuple[bool, bool]:
     """Return whether a chosen output depends directly on a chosen input, and whether the description tells."""
     given = {id(one.variable) for one in inputs}
     names = {one.variable.name for one in inputs}

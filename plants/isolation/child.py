@@ -24,7 +24,7 @@ from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, 
 from harness.signals import FloatArray
 from harness.supervision.whereabouts import at_time, share
 from plants.isolation import frames
-from plants.isolation.frames import Answer, Made
+from plants.isolation.frames import Made, Reply
 
 if TYPE_CHECKING:
     import importlib.metadata
@@ -73,24 +73,24 @@ def serve() -> None:
                 drives = bool(getattr(plant, "drives", False))
                 tolerance = None if tolerance is None else float(tolerance)
                 made = Made(plant.spec, abilities, tolerance, starts, beyond, drives)
-                answer = Answer(made=made)
+                answer = Reply(made=made)
             elif plant is None:
                 raise PlantError("no plant was made")
             elif name == "get_state":
                 number += 1
                 states[number] = cast(Snapshots, plant).get_state()
-                answer = Answer(number=number)
+                answer = Reply(number=number)
             else:
                 outputs = np.ascontiguousarray(_obey(plant, name, arguments, states), dtype=np.float64)
                 knows = "truth" in plant.abilities and name not in ("preset", "enter", "drive")  # then it does not run
                 truth = cast(Truth, plant).truth().tobytes() if knows else b""
                 renew = name in ("reset", "enter") and bool(getattr(plant, "needs_process", False))
-                answer = Answer(values=outputs.tobytes(), truth=truth, renew=renew)
+                answer = Reply(values=outputs.tobytes(), truth=truth, renew=renew)
         except HarnessError as error:
-            answer = Answer(trouble=frames.trouble(error))
+            answer = Reply(trouble=frames.trouble(error))
         except Exception as error:
             text = " ".join(f"raised {type(error).__name__}: {error}".split())
-            answer = Answer(trouble=frames.trouble(PlantError(text[:500], status="crashed")))
+            answer = Reply(trouble=frames.trouble(PlantError(text[:500], status="crashed")))
         said = tuple(getattr(plant, "warnings", ()))
         if len(said) > told:
             answer, told = msgspec.structs.replace(answer, notes=said[told:]), len(said)

@@ -46,7 +46,7 @@ class Made(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     drives: bool = False
 
 
-class Answer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Reply(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """The answer to one order: numbers as bytes of float64, row by row.
 
     ``notes`` are what the plant has to say beside it; ``renew`` asks for a new process, in which the order is given

@@ -142,7 +142,7 @@ class IsolatedPlant:
         """End what :meth:`enter` began; returns ``y[0]`` (ny,)."""
         return self._output(self._call("leave"), (self.spec.ny,))
 
-    def _begun(self, order: str, rng: np.random.Generator, x0: Mapping[str, float] | None) -> frames.Answer:
+    def _begun(self, order: str, rng: np.random.Generator, x0: Mapping[str, float] | None) -> frames.Reply:
         """Give the order that begins a run, again in a new child where only that brings the plant back."""
         self._resets += 1
         if self._child is None or self._doubtful or self._resets > self._recycle:
@@ -223,7 +223,7 @@ class IsolatedPlant:
             size = int(np.clip(size * 0.02 * self._timeout / max(spent, 1e-6), 1, min(4 * size, LAST_CHUNK)))
         return both[:, :ny], both[:, ny:]
 
-    def _stepped(self, order: str, inputs: FloatArray, steps: int, size: int) -> frames.Answer:
+    def _stepped(self, order: str, inputs: FloatArray, steps: int, size: int) -> frames.Reply:
         """Have the child do so many steps, within the time that they may take by those before them."""
         started = time.perf_counter()
         answer = self._call(order, inputs, limit=self._patience.limit(steps), size=size)
@@ -294,7 +294,7 @@ class IsolatedPlant:
             )
         return self._child
 
-    def _call(self, name: str, *arguments: Any, limit: float | None = None, size: int = 0) -> frames.Answer:
+    def _call(self, name: str, *arguments: Any, limit: float | None = None, size: int = 0) -> frames.Reply:
         """Have the child do something, within the time limit; ``size`` is the count of numbers in the answer."""
         child = self._living()
         try:
@@ -322,7 +322,7 @@ class IsolatedPlant:
         self.warnings += (note,)
         log.warning("%s: %s", self._name, note)
 
-    def _output(self, answer: frames.Answer, shape: tuple[int, ...]) -> FloatArray:
+    def _output(self, answer: frames.Reply, shape: tuple[int, ...]) -> FloatArray:
         """Return the outputs of an answer, keep the truth that came with them; NaN is divergence."""
         try:
             outputs = frames.array_of(answer.values, shape)
@@ -369,7 +369,7 @@ def isolated(plant: str, *, timeout: float = LONGEST, **options: Any) -> Isolate
     return IsolatedPlant(plant, options, timeout=timeout)
 
 
-_DECODER = msgspec.msgpack.Decoder(frames.Answer)
+_DECODER = msgspec.msgpack.Decoder(frames.Reply)
 
 
 class _Gone(Exception):
@@ -419,7 +419,7 @@ class _Child:
         theirs.close()
         self._finalizer = weakref.finalize(self, _end, self.process, self.pipe, self.folder)
 
-    def call(self, name: str, arguments: tuple[Any, ...], limit: float, largest: int) -> frames.Answer:
+    def call(self, name: str, arguments: tuple[Any, ...], limit: float, largest: int) -> frames.Reply:
         """Send an order and wait for the answer, which has at most so many bytes."""
         dropped, self.dropped[:] = self.dropped.copy(), []
         try:

@@ -17,7 +17,7 @@ from harness.physics.arms.formats.mjcf_spec import mujoco
 from harness.signals import FloatArray, PlantSpec
 from plants.base import BasePlant
 from plants.checking import checked_inputs, initial_values, refuse_input, with_fields
-from plants.mujoco.settings import Settings, built, times
+from plants.mujoco.settings import MujocoSettings, built, times
 from plants.mujoco.signals import Inputs, Outputs, inputs_of, outputs_of, states_of
 
 BLOCK = 4000  # Engine steps that a roll-out takes at once: their states are held in memory.
@@ -95,10 +95,10 @@ class MujocoPlant(BasePlant):
     ...         assert str(plant.spec) == "tau1 [N m] -> q1 [rad] every 0.01 s"
     """
 
-    __signature__ = with_fields(Settings, "model")
+    __signature__ = with_fields(MujocoSettings, "model")
 
     def __init__(self, model: str | Path, **options: Any) -> None:
-        engine, given = mujoco(), Settings(**options)
+        engine, given = mujoco(), MujocoSettings(**options)
         sampled, step, self._substeps = times(model, given.sample_time, given.timestep, given.substeps)
         given = replace(given, timestep=step)
         self._model = built(model, given)

@@ -24,7 +24,7 @@ WHOLE = 1e-6  # Relative difference from a whole number of engine steps that is 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class MujocoSettings:
     """Options of :class:`plants.mujoco.plant.MujocoPlant`; None keeps what the file says."""
 
     sample_time: float | None = None
@@ -53,7 +53,7 @@ class Settings:
     shapes: bool | None = None
 
 
-def built(source: str | Path, given: Settings) -> Any:
+def built(source: str | Path, given: MujocoSettings) -> Any:
     """Return the compiled model of a robot with the options in it.
 
     Raises InputError if the file cannot be used or an option does not fit it.
@@ -145,7 +145,7 @@ def _lock(spec: Any, locked: Sequence[str]) -> None:
         spec.delete(key)
 
 
-def _put_options(spec: Any, given: Settings) -> None:
+def _put_options(spec: Any, given: MujocoSettings) -> None:
     """Put the options of the solver into a spec."""
     engine, option = mujoco(), spec.option
     words = (("integrator", Integrator, "INT"), ("solver", Solver, "SOL"), ("cone", Cone, "CONE"))

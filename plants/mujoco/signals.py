@@ -14,7 +14,7 @@ from harness.physics.arms.formats.mjcf import Drive, drives, joint_names, simple
 from harness.physics.arms.formats.mjcf_spec import mujoco
 from harness.signals import Channel
 from plants.checking import per_item, positive
-from plants.mujoco.settings import Settings
+from plants.mujoco.settings import MujocoSettings
 
 GROUPS = ("q", "qd", "sensors")
 AXES = {1: ("",), 3: ("_x", "_y", "_z"), 4: ("_w", "_x", "_y", "_z")}
@@ -90,7 +90,7 @@ def states_of(model: Any, called: Sequence[str] | None) -> States:
     return States(tuple(positions), tuple(rates), tuple(activations), tuple(simple))
 
 
-def inputs_of(model: Any, states: States, given: Settings) -> Inputs:
+def inputs_of(model: Any, states: States, given: MujocoSettings) -> Inputs:
     """Return the inputs: chosen actuators, and forces on joints (of a model without actuators, on every joint).
 
     A motor without gear at a joint is ``tau1``, a position or velocity servo ``target1`` or ``rate1``, by the number of

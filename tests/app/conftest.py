@@ -15,7 +15,7 @@ pytest.importorskip("starlette", reason="the extra app is not installed")
 pytest.importorskip("uvicorn", reason="the extra app is not installed")
 
 from harness.app.gate import Gate
-from harness.app.reach import Reach
+from harness.app.reach import SessionFiles
 from harness.app.server import Session, application
 
 PORT = 5999
@@ -48,15 +48,15 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def reach(folder: Path) -> Reach:
-    return Reach(folder, folder.parent / "work")
+def reach(folder: Path) -> SessionFiles:
+    return SessionFiles(folder, folder.parent / "work")
 
 
 Work = Callable[[httpx.AsyncClient, Session], Awaitable[Any]]
 
 
 @pytest.fixture
-def inside(reach: Reach) -> Callable[[Work], Any]:
+def inside(reach: SessionFiles) -> Callable[[Work], Any]:
     """Run a coroutine with a client that knows the token and comes from the page, then end what it started."""
 
     def run(work: Work) -> Any:

@@ -9,16 +9,16 @@ from typing import Any
 
 import pytest
 
-from harness.app.commands import Choice, Column, matched, ports_told, read_choice, spoken, words
-from harness.app.reach import Reach
+from harness.app.commands import Choice, LogColumn, matched, ports_told, read_choice, spoken, words
+from harness.app.reach import SessionFiles
 from harness.cli.app import run
 from harness.errors import InputError
 from harness.supervision.interrupts import Interrupts
 from plants.mockups import mockup
 
 
-def columns(*given: tuple[str, ...]) -> list[Column]:
-    return [Column(title, *rest) for title, *rest in given]  # type: ignore[arg-type]
+def columns(*given: tuple[str, ...]) -> list[LogColumn]:
+    return [LogColumn(title, *rest) for title, *rest in given]  # type: ignore[arg-type]
 
 
 def chosen(task: Any = "identify", log: str = "log.csv", **more: Any) -> Choice:
@@ -26,14 +26,14 @@ def chosen(task: Any = "identify", log: str = "log.csv", **more: Any) -> Choice:
     return Choice(task, log, **more)
 
 
-def said(choice: Choice, reach: Reach, monkeypatch: pytest.MonkeyPatch) -> str:
+def said(choice: Choice, reach: SessionFiles, monkeypatch: pytest.MonkeyPatch) -> str:
     assert reach.opened is not None
     monkeypatch.chdir(reach.opened)
     return spoken(words(choice, reach, shown=True))
 
 
 def test_columns_are_named_and_the_command_runs_as_it_is_copied(
-    reach: Reach, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    reach: SessionFiles, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = said(chosen(options=["order=1"]), reach, monkeypatch)
     assert line == "sysid identify log.csv --input 'u [V]' --output 'y [m]' --option order=1"
@@ -41,17 +41,17 @@ def test_columns_are_named_and_the_command_runs_as_it_is_copied(
     assert "NRMSE" in capsys.readouterr().out
 
 
-def test_without_an_input_nothing_drives_the_output(reach: Reach, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_input_nothing_drives_the_output(reach: SessionFiles, monkeypatch: pytest.MonkeyPatch) -> None:
     line = said(chosen(columns=columns(("y [m]", "output"))), reach, monkeypatch)
     assert line == "sysid identify log.csv --output 'y [m]' --input none"
 
 
-def test_without_an_output_there_is_nothing_to_run(reach: Reach) -> None:
+def test_without_an_output_there_is_nothing_to_run(reach: SessionFiles) -> None:
     with pytest.raises(InputError, match="which columns are outputs"):
         words(chosen(columns=columns(("u [V]", "input"))), reach)
 
 
-def test_a_loop_without_a_model_starts_from_a_linear_one(reach: Reach, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loop_without_a_model_starts_from_a_linear_one(reach: SessionFiles, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "--model linear" in said(chosen("close-loop"), reach, monkeypatch)
     assert "--model" not in said(chosen("identify"), reach, monkeypatch)
 
@@ -64,7 +64,7 @@ def pendulum_log(folder: Path, header: str) -> str:
 
 
 def test_columns_with_the_names_of_ports_go_without_saying(
-    reach: Reach, folder: Path, monkeypatch: pytest.MonkeyPatch
+    reach: SessionFiles, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = pendulum_log(folder, "time [s],u [N m],theta [rad]")
     assert matched(folder / log, "pendulum") == {"u [N m]": ("input", "u"), "theta [rad]": ("output", "theta")}
@@ -74,7 +74,7 @@ def test_columns_with_the_names_of_ports_go_without_saying(
 
 
 def test_other_columns_are_put_on_ports_with_units_and_the_clock(
-    reach: Reach, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    reach: SessionFiles, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = pendulum_log(folder, "Zeitpunkt,Moment [N m],Winkel")
     own = columns(
@@ -90,7 +90,7 @@ def test_other_columns_are_put_on_ports_with_units_and_the_clock(
 
 
 def test_a_column_that_is_a_port_by_name_may_stay_unused(
-    reach: Reach, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    reach: SessionFiles, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = pendulum_log(folder, "u [N m],torque [N m],theta [rad]")
     own = columns(("torque [N m]", "input", "u"), ("theta [rad]", "output", "theta"))
@@ -103,14 +103,16 @@ def test_a_column_that_is_a_port_by_name_may_stay_unused(
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_what_begins_like_an_option_is_no_option(reach: Reach, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_begins_like_an_option_is_no_option(
+    reach: SessionFiles, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (folder / "-x.csv").write_text("time [s],--out,y\n0,1,2\n")
     own = columns(("--out", "input"), ("y", "output"))
     line = said(chosen("identify", "-x.csv", columns=own), reach, monkeypatch)
     assert line == "sysid identify ./-x.csv --input=--out --output y"
 
 
-def test_a_file_out_of_reach_is_in_no_command(reach: Reach) -> None:
+def test_a_file_out_of_reach_is_in_no_command(reach: SessionFiles) -> None:
     for more in (
         {"log": "../secret.csv"},
         {"validation": "../secret.csv"},
@@ -121,7 +123,7 @@ def test_a_file_out_of_reach_is_in_no_command(reach: Reach) -> None:
             words(chosen("close-loop", **more), reach)
 
 
-def test_an_fmu_runs_only_when_it_is_trusted(reach: Reach, folder: Path) -> None:
+def test_an_fmu_runs_only_when_it_is_trusted(reach: SessionFiles, folder: Path) -> None:
     shutil.copyfile(mockup("pendulum", 2), folder / "theirs.fmu")
     log = pendulum_log(folder, "time [s],u [N m],theta [rad]")
     ports = ports_told("theirs.fmu", reach)["ports"]
@@ -142,6 +144,8 @@ def test_what_the_page_does_not_send_is_refused(text: bytes) -> None:
 
 
 @pytest.mark.parametrize("option", ["model=evil.py:m", "model=../evil.fmu", "weights=/etc/passwd"])
-def test_an_option_that_names_code_or_a_file_elsewhere_is_refused(reach: Reach, folder: Path, option: str) -> None:
+def test_an_option_that_names_code_or_a_file_elsewhere_is_refused(
+    reach: SessionFiles, folder: Path, option: str
+) -> None:
     with pytest.raises(InputError, match=r"runs code|reaches out"):
         words(chosen(options=[option]), reach)

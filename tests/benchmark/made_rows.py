@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from harness.benchmark.parts import Cell, Part, Score, Task
+from harness.benchmark.parts import Cell, ScoreSettings, SuitePart, Task
 from harness.benchmark.row import Row
 
 SCORES = (
@@ -17,9 +17,11 @@ def task(
     identifier: str = "hold", seed: int = 0, *, jobs: tuple[str, ...] = ("j",), plant: str = "p", **more: Any
 ) -> Task:
     """Return a task of cells of one identifier."""
-    part = Part(identifier, more.pop("options", {}))
+    part = SuitePart(identifier, more.pop("options", {}))
     cells = tuple(Cell(job, part) for job in jobs)
-    return Task(Part(plant), Part("s"), seed, more.pop("score", Score()), more.pop("time_limit", 60.0), cells)
+    return Task(
+        SuitePart(plant), SuitePart("s"), seed, more.pop("score", ScoreSettings()), more.pop("time_limit", 60.0), cells
+    )
 
 
 def row(name: str = "arx", seed: int = 0, **more: Any) -> Row:

@@ -13,7 +13,7 @@ from made_rows import SCORES, row, task
 from scipy import stats
 
 from harness.benchmark.control import _point, _regret
-from harness.benchmark.parts import Part, Score, Task
+from harness.benchmark.parts import ScoreSettings, SuitePart, Task
 from harness.benchmark.statistics import Ranking, Standing, _median_ratio, ranking, replicates, standings
 from harness.benchmark.summary import figure, pairs_in_words, summarise
 from harness.benchmark.work import _do_cell, _score_distributions
@@ -263,7 +263,7 @@ def about(offset: float, swing: float) -> tuple[Task, list[Trajectory]]:
     x += rest + offset * x.std(axis=0) - x.mean(axis=0)
     u = hold + 0.5 * rng.normal(size=(n, 1))
     u += hold - u.mean(axis=0)
-    made = Task(Part("linear", SPRING), Part("s"), 0, Score(), 1.0, ())
+    made = Task(SuitePart("linear", SPRING), SuitePart("s"), 0, ScoreSettings(), 1.0, ())
     return made, [Trajectory(np.arange(n) * 0.1, u, x, spec, x)]
 
 

@@ -18,8 +18,8 @@ from harness.benchmark import BenchResult, running
 from harness.benchmark.columns import arrow_table, columns_of_files, plain_values, rows_of, write_rows
 from harness.benchmark.page.exports import latex_text, render
 from harness.benchmark.page.tables import _Column, _folded, _reasons, _status
-from harness.benchmark.parts import Part, Score, Suite, Task
-from harness.benchmark.planning import Plan, plan_of
+from harness.benchmark.parts import ScoreSettings, Suite, SuitePart, Task
+from harness.benchmark.planning import BenchPlan, plan_of
 from harness.benchmark.row import STATUSES, Row, blank, encoded, one_line, read_row, sound
 from harness.benchmark.running import _batches, _logged, _missing, _result, plan
 from harness.benchmark.store import BATCH, Store, versions
@@ -146,19 +146,25 @@ def test_a_plan_multiplies_cells_by_the_mean_times_of_their_kind(tmp_path: Path)
     fresh = plan_of(tasks, set(), [], workers=1)
     assert (fresh.seconds, fresh.known, fresh.declared) == (None, 0, None)
     assert str(fresh) == "12 cells to run, 0 already there; time unknown until some have run, at most 6 min"
-    assert str(Plan({}, 3, None, 0, 0.0)) == "0 cells to run, 3 already there"
+    assert str(BenchPlan({}, 3, None, 0, 0.0)) == "0 cells to run, 3 already there"
 
 
 def test_every_part_of_a_cell_makes_its_job_another() -> None:
     def job(**more: Any) -> str:
-        own = {"plant": Part("p"), "scenario": Part("s"), "identifier": Part("i"), "seed": 0, "score": Score()} | more
+        own = {
+            "plant": SuitePart("p"),
+            "scenario": SuitePart("s"),
+            "identifier": SuitePart("i"),
+            "seed": 0,
+            "score": ScoreSettings(),
+        } | more
         return _job(**own)
 
-    jobs = [job(), job(seed=1), job(score=Score(runs=2))]
+    jobs = [job(), job(seed=1), job(score=ScoreSettings(runs=2))]
     for kind, letter in (("plant", "p"), ("scenario", "s"), ("identifier", "i")):
-        jobs += [job(**{kind: Part(letter, **own)}) for own in ({"options": {"a": 1}}, {"label": "other"})]
-        jobs.append(job(**{kind: Part("other", label=letter)}))
-    jobs += [job(plant=Part("p", streams="x")), job(scenario=Part("s", streams="x"))]
+        jobs += [job(**{kind: SuitePart(letter, **own)}) for own in ({"options": {"a": 1}}, {"label": "other"})]
+        jobs.append(job(**{kind: SuitePart("other", label=letter)}))
+    jobs += [job(plant=SuitePart("p", streams="x")), job(scenario=SuitePart("s", streams="x"))]
     assert len(set(jobs)) == len(jobs)
     assert job() == jobs[0]
 
@@ -362,7 +368,7 @@ def test_a_plant_is_probed_again_only_where_its_options_changed(
 
     def probed(**options: Any) -> list[Any]:
         asked.clear()
-        tasks = [Task(Part(id, options, label), Part("s"), seed, Score(), 1.0, ()) for seed in (0, 1)
+        tasks = [Task(SuitePart(id, options, label), SuitePart("s"), seed, ScoreSettings(), 1.0, ()) for seed in (0, 1)
                  for id, label in (("mass-spring-fmu", "spring"), ("linear-ode", "ode"))]  # fmt: skip
         running.probe_plants(tasks, file)
         return list(asked)

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from harness.benchmark.parts import Cell, Part, Score, Task
+from harness.benchmark.parts import Cell, ScoreSettings, SuitePart, Task
 from harness.benchmark.records import make_records, noise_floor
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import _holm, enough_pairs, standings
@@ -42,8 +42,8 @@ class Desk:
 
 def worked(*names: str, options: dict[str, Any] | None = None, **score: Any) -> tuple[Task, dict[str, Row]]:
     """Return a task of a linear plant whose output is measured with noise, and the rows of its identifiers."""
-    plant, scenario = Part("linear", options or SPRING), Part("prbs", {"samples": 120, "noise": 0.2})
-    made = Task(plant, scenario, 3, Score(**score), 60.0, tuple(Cell(name, Part(name)) for name in names))
+    plant, scenario = SuitePart("linear", options or SPRING), SuitePart("prbs", {"samples": 120, "noise": 0.2})
+    made = Task(plant, scenario, 3, ScoreSettings(**score), 60.0, tuple(Cell(name, SuitePart(name)) for name in names))
     desk: Any = Desk()
     CellBatch(made, trace=True).work(desk)
     return made, desk.rows

@@ -17,7 +17,7 @@ from harness.benchmark import BenchResult, rich_table
 from harness.benchmark.columns import columns_of_files, rows_of, write_rows
 from harness.benchmark.control import _point, _regret
 from harness.benchmark.page.exports import render
-from harness.benchmark.parts import Part, Score, Task
+from harness.benchmark.parts import ScoreSettings, SuitePart, Task
 from harness.benchmark.planning import read_shard, share
 from harness.benchmark.records import _recorded
 from harness.benchmark.row import Row
@@ -145,7 +145,7 @@ def test_what_a_suite_does_not_say(tmp_path: Path) -> None:
     )
     read = load_suite(tmp_path / "least.toml")
     assert (read.seeds, read.time_limit, read.cell_seconds, read.description) == ((0, 1, 2), 60.0, None, "")
-    assert read.groups[0].score == Score(None, 1, 1, False, 40)
+    assert read.groups[0].score == ScoreSettings(None, 1, 1, False, 40)
     for axes in ('"scenarios." = [1.0]', '"scenarios" = [1.0]', '"plant.mass" = [1.0]', '"plants.m" = [1.0, 1.0]'):
         (tmp_path / "axes.toml").write_text((tmp_path / "least.toml").read_text() + f"axes = {{ {axes} }}\n")
         with pytest.raises(InputError):
@@ -222,7 +222,7 @@ def test_a_plant_is_held_where_a_sample_moves_no_state_by_more_than_a_fiftieth_o
     options: dict[str, Any] = {"A": [[0.5, 0.0], [0.0, 0.5]], "B": [[1.0], [1.0]], "sample_time": 0.1}
     with LinearPlant(**options) as plant:
         spec = plant.spec
-    made = Task(Part("linear", options), Part("s"), 0, Score(), 1.0, ())
+    made = Task(SuitePart("linear", options), SuitePart("s"), 0, ScoreSettings(), 1.0, ())
     t = np.arange(400) * 0.1
     x = np.column_stack([np.sin(0.2 * t), np.cos(0.2 * t)])
     x -= x.mean(axis=0)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from harness import registry
 from harness.benchmark.public.choices import read_choices
 from harness.benchmark.public.published import published
-from harness.benchmark.public.reading import READERS, Split, downloaded, found_in, read
+from harness.benchmark.public.reading import READERS, PublicSplit, downloaded, found_in, read
 from harness.benchmark.public.rules import OFFICIAL, RULES
 from harness.benchmark.public.scores import figure, horizon_errors, simulated, window_rmse
 from harness.benchmark.public.tables import cited
@@ -32,7 +32,7 @@ def counted(length: int, start: float = 0.0) -> np.ndarray:
     return start + np.arange(length, dtype=float)
 
 
-def of(tmp_path: Path, id: str) -> Split:
+def of(tmp_path: Path, id: str) -> PublicSplit:
     """Return a set from the folder that a test has filled."""
     place = found_in(RULES[id], tmp_path)
     assert place is not None

@@ -12,7 +12,7 @@ import pytest
 from harness.benchmark.public import greybox, structures
 from harness.benchmark.public.choices import GreyChoice
 from harness.benchmark.public.rules import RULES, Rule
-from harness.benchmark.public.structures import Structure, grown, halves_figure, refitted
+from harness.benchmark.public.structures import PublicModel, grown, halves_figure, refitted
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
@@ -21,7 +21,7 @@ from harness.signals import PlantSpec, Trajectory
 
 RULE = RULES["emps"]
 PLACES = ["coulomb_friction@q", "linear_spring@q", "input_gain@u"]
-BARE = Structure("drive")
+BARE = PublicModel("drive")
 ALL_PLACES = structures._places
 
 
@@ -57,7 +57,7 @@ def test_the_effect_that_is_there_is_added_and_no_other(record: Trajectory) -> N
 
 def test_a_start_that_does_worse_than_where_another_led_is_not_followed(record: Trajectory) -> None:
     said: list[str] = []
-    wrong = Structure("drive", effects=("linear_spring@q",))
+    wrong = PublicModel("drive", effects=("linear_spring@q",))
     best, _ = grown(RULE, [BARE, wrong], [record], 1, said.append)
     assert best.effects == ("coulomb_friction@q",)
     assert not any(text.startswith("linear_spring@q,") for text in said)
@@ -77,7 +77,7 @@ def test_an_effect_that_errs_more_where_it_was_fitted_is_passed_over(
 
 
 def test_a_structure_that_cannot_be_fitted_is_none(record: Trajectory) -> None:
-    broken = Structure("drive", start={"no-such-parameter": 1.0})
+    broken = PublicModel("drive", start={"no-such-parameter": 1.0})
     assert refitted(RULE, broken, [record]) is None
     assert halves_figure(RULE, broken, [record]) == np.inf
 
@@ -96,7 +96,7 @@ def test_the_grey_box_grows_beyond_what_the_loop_ended_with(
 
     monkeypatch.setattr(harness.diagnosis, "close_loop_file", loop)
     choice = GreyChoice(model="drive", grow=grow)
-    monkeypatch.setattr(greybox, "signals_of", lambda rule, choice: greybox.Signals(record.spec, (1.0,), (0.0,)))
+    monkeypatch.setattr(greybox, "signals_of", lambda rule, choice: greybox.PublicSignals(record.spec, (1.0,), (0.0,)))
     found = greybox.repaired(RULE, [record], choice, tmp_path)
     if grow:
         assert found.words.startswith("drive with coulomb friction at q, added by free runs (0.")
@@ -107,6 +107,6 @@ def test_the_grey_box_grows_beyond_what_the_loop_ended_with(
 
 def test_what_acts_at_some_time_of_the_training_records_is_not_added() -> None:
     """A disturbance faster than half of the sampling rate had been added to the tanks."""
-    found = set(ALL_PLACES(Structure("drive")))
+    found = set(ALL_PLACES(PublicModel("drive")))
     assert "coulomb_friction@q" in found
     assert not {"periodic_disturbance@q", "payload_step@q", "drifting_damping@q", "sensor_drift@q"} & found

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness import api, calibrate
-from harness.calibration.runs import FreeModel, FreeRuns
+from harness.calibration.runs import FreeModel, RecordSimulator
 from harness.errors import FitError, InputError, PlantError
 from harness.physics.definition.parameters import Parameter
 from harness.signals import Channel, Dataset, PlantSpec, Trajectory
@@ -283,7 +283,7 @@ def test_derivatives_and_a_plant_that_breaks() -> None:
     model = FreeModel(
         "lag", Fragile.spec.inputs, Fragile.spec.outputs, (), (Parameter("T", "s", 1.0, 0.0),), {"T": "T"}
     )
-    runs = FreeRuns(model, Fragile(), {})  # type: ignore[arg-type]
+    runs = RecordSimulator(model, Fragile(), {})  # type: ignore[arg-type]
     u = np.ones((30, 1))
     assert np.isnan(runs.run(np.array([0.3]), np.zeros(0), u)).all()
     assert runs.broken is not None

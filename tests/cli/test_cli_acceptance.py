@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 from harness import api, diagnosis
 from harness.comparison import compare_reports
 from harness.errors import InputError
-from harness.fleet.row import Row
+from harness.fleet.row import FleetRow
 from harness.fleet.running import FleetResult
-from harness.scoring.acceptance import Check, Demands, write_junit
+from harness.scoring.acceptance import Demand, Demands, write_junit
 
 FOLDER = Path(__file__).resolve().parents[2]
 
@@ -93,7 +93,7 @@ def test_a_fleet_holds_only_if_every_record_does(
     sysid: Callable[..., Any],
 ) -> None:  # fmt: skip
     rows = tuple(
-        Row(job=str(k), record=f"r{k}", file="", status=s, reason="" if s == "ok" else "no column")
+        FleetRow(job=str(k), record=f"r{k}", file="", status=s, reason="" if s == "ok" else "no column")
         for k, s in enumerate(statuses)
     )
     for row in rows:
@@ -141,9 +141,9 @@ def test_junit_tells_failures_from_what_could_not_be_judged(tmp_path: Path) -> N
         path,
         "close-loop",
         [
-            *(Check("a", name, True) for name in "xyz"),
-            Check("b", "x", False, "2 > 1 \x00"),
-            Check("c", "y", False, "no <file>", broken=True),
+            *(Demand("a", name, True) for name in "xyz"),
+            Demand("b", "x", False, "2 > 1 \x00"),
+            Demand("c", "y", False, "no <file>", broken=True),
         ],
     )
     (suite,) = ElementTree.parse(path).getroot()

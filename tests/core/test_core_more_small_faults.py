@@ -10,7 +10,7 @@ import pytest
 from harness.cosim.convergence import halved
 from harness.errors import InputError
 from harness.fleet.changes import changes
-from harness.fleet.row import Found, Row
+from harness.fleet.row import FleetRow, FoundEffect
 from harness.fleet.trends import new_effects
 from harness.scoring.prediction import _score
 from harness.scoring.regret import _scale
@@ -44,14 +44,16 @@ def test_cycles_are_no_rate_of_an_angle_by_themselves(unit: str) -> None:
         convert(np.ones(1), unit, "rad/s")
 
 
-def row(day: int, size: float | None, machine: str = "A") -> Row:
+def row(day: int, size: float | None, machine: str = "A") -> FleetRow:
     """Return a record with a friction of this size, or without."""
     effects = ()
     if size is not None:
         each = ((size,), (size - 0.02,), (size + 0.02,))
-        effects = (Found("coulomb@q", "q", "Fc", size, size - 0.02, size + 0.02, "N m", (), ("Fc",), *each, ("N m",)),)
+        effects = (
+            FoundEffect("coulomb@q", "q", "Fc", size, size - 0.02, size + 0.02, "N m", (), ("Fc",), *each, ("N m",)),
+        )
     when = (date(2026, 1, 1) + timedelta(days=day)).isoformat()
-    return Row(job=f"{machine}{day}", record=f"{machine}-{day}", file="", machine=machine, date=when, status="ok",
+    return FleetRow(job=f"{machine}{day}", record=f"{machine}-{day}", file="", machine=machine, date=when, status="ok",
                effects=effects)  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from harness.diagnosis.search.scores import Lead, ScoreTest, score_test
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import FitError
-from harness.fleet.row import Found, Row, fill
+from harness.fleet.row import FleetRow, FoundEffect, fill
 from harness.fleet.trends import new_effects, series_of, trends
 from harness.protocols import Hindsight
 from harness.scoring import errors, predict
@@ -76,15 +76,15 @@ def test_a_conversion_by_hand(value: float, unit: str, target: str, wanted: floa
 # ---- fleet
 
 
-def found(name: str, size: float, half: float, ties: tuple[str, ...] = ()) -> Found:
+def found(name: str, size: float, half: float, ties: tuple[str, ...] = ()) -> FoundEffect:
     effect, _, at = name.partition("@")
-    return Found(effect, at, "Fc", size, size - half, size + half, "N m", ties, ("Fc",), (size,), (size - half,),
+    return FoundEffect(effect, at, "Fc", size, size - half, size + half, "N m", ties, ("Fc",), (size,), (size - half,),
                  (size + half,), ("N m",))  # fmt: skip
 
 
-def on_day(day: int, *effects: Found) -> Row:
+def on_day(day: int, *effects: FoundEffect) -> FleetRow:
     when = (date(2026, 1, 1) + timedelta(days=day)).isoformat()
-    return Row(job=str(day), record=str(day), file="", date=when, effects=effects)
+    return FleetRow(job=str(day), record=str(day), file="", date=when, effects=effects)
 
 
 def test_the_interval_of_a_slope_by_hand() -> None:

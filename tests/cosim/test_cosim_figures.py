@@ -11,11 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.cosim import Connection, Coupled
-from harness.cosim.controlled import Controlled, Lines
+from harness.cosim.controlled import Controlled, SignalLines
 from harness.cosim.convergence import Convergence, halved
 from harness.cosim.free_run import free_run, hold, window
 from harness.cosim.graph import newton
-from harness.cosim.structure.conversion import Chain, Linear, Table, Unit, change_of_unit, named_unit, undefined_unit
+from harness.cosim.structure.conversion import (
+    Chain,
+    IntegerConversion,
+    LinearConversion,
+    Unit,
+    change_of_unit,
+    named_unit,
+    undefined_unit,
+)
 from harness.cosim.structure.describe import _words
 from harness.cosim.structure.flat import channels_of, each, members, start_of
 from harness.cosim.structure.package import FolderPackage
@@ -165,7 +173,7 @@ def test_lines_within_a_step_are_extrapolated_from_the_last_and_interpolated_fro
     words: Any = Lag(0.5, 1.0)
     words.spec = PlantSpec((Channel("u"),), (Channel("y", kind="category", minimum=0, maximum=9),), 0.1)
     with Coupled({"p": words, "q": Lag(0.5, 1.0)}, [("q.y", "p.u")], inputs=["q.u"], outputs=["p.y"]) as made:
-        lines = Lines(made._parts, 2)
+        lines = SignalLines(made._parts, 2)
     lines.remember([1.0, 2.0], [3.0, 5.0], 0.5)
     assert lines.rates == [0.0, 6.0]  # a category does not move along a line
     assert lines.extrapolated([3.0, 5.0, 7.0], 0.5) == [3.0, 6.5, 7.0]
@@ -384,12 +392,13 @@ def test_a_unit_that_says_nothing_is_none() -> None:
 
 def test_a_chain_reads_as_what_it_does() -> None:
     assert [_words(chain) for chain in (
-        Chain(), Chain().then(Linear(2.0)), Chain().then(Linear(1.0, -3.0)), Chain().then(Linear(1.5, 0.25)),
-        Chain().then(Table(((1.0, 2.0),))), Chain((Linear(), )),
+        Chain(), Chain().then(LinearConversion(2.0)), Chain().then(LinearConversion(1.0, -3.0)),
+        Chain().then(LinearConversion(1.5, 0.25)),
+        Chain().then(IntegerConversion(((1.0, 2.0),))), Chain((LinearConversion(), )),
     )] == ["", "2 x", "1 x -3", "1.5 x +0.25", "table", ""]  # fmt: skip
-    assert Table(((1.0, 2.0), (3.0, 1.0)))(3.0) == 1.0
-    assert Table(((1.0, 2.0),))(5.0) == 5.0
-    assert each([1.0, [2.0, "x"], b"y", True], Chain().then(Linear(2.0, 1.0))) == [3.0, [5.0, "x"], b"y", 3.0]
+    assert IntegerConversion(((1.0, 2.0), (3.0, 1.0)))(3.0) == 1.0
+    assert IntegerConversion(((1.0, 2.0),))(5.0) == 5.0
+    assert each([1.0, [2.0, "x"], b"y", True], Chain().then(LinearConversion(2.0, 1.0))) == [3.0, [5.0, "x"], b"y", 3.0]
 
 
 def test_elements_of_arrays_are_counted_from_one_row_by_row() -> None:

@@ -11,10 +11,18 @@ import pytest
 from lxml import etree
 
 from harness.cosim.ssp import _coupled, _own_step, _step
-from harness.cosim.structure.conversion import Linear, Unit
+from harness.cosim.structure.conversion import LinearConversion, Unit
 from harness.cosim.structure.flat import FlatComponent, FlatSystem
 from harness.cosim.structure.flatten import flatten
-from harness.cosim.structure.model import Component, Connector, Description, Mapped, System, Value, Wire
+from harness.cosim.structure.model import (
+    Component,
+    Connector,
+    ElementWire,
+    Mapped,
+    SystemDescription,
+    SystemElement,
+    Value,
+)
 from harness.cosim.structure.osp import _simulator, _typed, _vector_sum
 from harness.cosim.structure.values import _value
 from harness.errors import InputError
@@ -37,21 +45,25 @@ ROWS = [
 ]  # fmt: skip
 
 
-def flat(connectors: list[Connector], wires: list[Wire], *, parts: tuple[str, ...] = ("p",), **more: Any) -> FlatSystem:
+def flat(
+    connectors: list[Connector], wires: list[ElementWire], *, parts: tuple[str, ...] = ("p",), **more: Any
+) -> FlatSystem:
     inside = [Component(name, {}, more.pop(f"bindings_{name}", []), Path("x.fmu")) for name in parts]
-    top = System("", {one.name: one for one in connectors}, more.pop("bindings", []), list(inside), wires)
+    top = SystemElement("", {one.name: one for one in connectors}, more.pop("bindings", []), list(inside), wires)
     about = {"variables": ROWS, "experiment": {"stepSize": None}, "fmi": "2.0", "tool": "", "platforms": []}
-    return flatten(Description(Path("s.ssd"), "s", top), lambda path: about, parameters=more.pop("parameters", None))
+    return flatten(
+        SystemDescription(Path("s.ssd"), "s", top), lambda path: about, parameters=more.pop("parameters", None)
+    )
 
 
 @pytest.mark.parametrize(
     ("target", "unit", "change", "start", "si"),
     [
         ("u", None, None, 4.0, "1"),
-        ("u", None, Linear(2.0, 1.0), 1.5, "1"),  # 2 x + 1 = 4
+        ("u", None, LinearConversion(2.0, 1.0), 1.5, "1"),  # 2 x + 1 = 4
         ("u", MM, None, 4e-3, "m"),
         ("v", None, None, 2.5e-3, "m"),
-        ("v", MM, Linear(0.5, 1.0), 3e-3, "m"),  # 0.5 x + 1 mm = 2.5 mm
+        ("v", MM, LinearConversion(0.5, 1.0), 3e-3, "m"),  # 0.5 x + 1 mm = 2.5 mm
         ("n", None, None, 3.0, "1"),
         ("b", None, None, 1.0, "1"),
     ],
@@ -59,7 +71,7 @@ def flat(connectors: list[Connector], wires: list[Wire], *, parts: tuple[str, ..
 def test_an_input_starts_where_what_it_drives_starts(
     target: str, unit: Any, change: Any, start: float, si: str
 ) -> None:
-    made = flat([Connector("w", "input", "Real", unit)], [Wire((None, "w"), ("p", target), change)])
+    made = flat([Connector("w", "input", "Real", unit)], [ElementWire((None, "w"), ("p", target), change)])
     (one,) = made.inputs
     assert (one.name, one.unit) == ("w", si)
     assert one.start == pytest.approx(start)
@@ -81,11 +93,13 @@ def test_a_value_goes_to_every_variable_of_its_name_outer_ones_last() -> None:
     with pytest.raises(InputError, match=r"parameter 'p\.q'"):
         flat([], [], parameters={"p.q": 1.0})
     led = [Connector("size", "parameter", "Real", MM)]
-    wires = [Wire((None, "size"), ("p", "k"), Linear(3.0))]
+    wires = [ElementWire((None, "size"), ("p", "k"), LinearConversion(3.0))]
     through = flat(led, wires, bindings=[(Value("size", 2.0, None),)])
     assert through.components[0].parameters["k"] == pytest.approx(6.0)
     assert flat(led, wires, parameters={"size": 2.0}).components[0].parameters["k"] == pytest.approx(6000.0)
-    mapped = [(Value("i", 2, None, Mapped("Integer", (("2", "7"),))), Value("k", 2.0, None, Linear(4.0, 1.0)))]
+    mapped = [
+        (Value("i", 2, None, Mapped("Integer", (("2", "7"),))), Value("k", 2.0, None, LinearConversion(4.0, 1.0)))
+    ]
     assert flat([], [], bindings_p=mapped).components[0].parameters == {"i": 7, "k": 9.0}
     many = [tuple(Value(f"x{k}", 1.0) for k in range(9))]
     assert flat([], [], bindings=many).notes[0].endswith("x6, x7, ...")
@@ -98,20 +112,20 @@ def test_outputs_that_nothing_drives_are_said_and_others_are_shown() -> None:
         Connector("in", "input"),
         Connector("fixed", "output"),
     ]
-    made = flat(shown, [Wire(("p", "y"), (None, "out"), Linear(2.0))])
+    made = flat(shown, [ElementWire(("p", "y"), (None, "out"), LinearConversion(2.0))])
     assert [(one.name, one.source, one.chain(3.0)) for one in made.outputs] == [("out", "p.y", 6.0)]
     assert made.notes == ["outputs of the system that nothing drives: silent, fixed"]
     assert made.components[0].outputs == ["y"]
     everything = flat([], [], parts=("p", "q"))
     assert [(one.name, one.source) for one in everything.outputs] == [("p.y", "p.y"), ("q.y", "q.y")]
-    chain = flat([], [Wire(("p", "y"), ("q", "u"))], parts=("p", "q"))
+    chain = flat([], [ElementWire(("p", "y"), ("q", "u"))], parts=("p", "q"))
     assert [(one.source, one.target) for one in chain.wires] == [("p.y", "q.u")]
     assert (chain.components[1].inputs, chain.inputs) == (["u"], [])
     for start, end in ((("p", "u"), ("q", "u")), (("p", "y"), ("q", "y"))):
         with pytest.raises(InputError, match="one source and one sink"):
-            flat([], [Wire(start, end)], parts=("p", "q"))
+            flat([], [ElementWire(start, end)], parts=("p", "q"))
     with pytest.raises(InputError, match="input driven twice"):
-        flat([], [Wire(("p", "y"), ("q", "u")), Wire(("q", "y"), ("q", "u"))], parts=("p", "q"))
+        flat([], [ElementWire(("p", "y"), ("q", "u")), ElementWire(("q", "y"), ("q", "u"))], parts=("p", "q"))
 
 
 def component(step: float | None, suggested: float | None = None) -> FlatComponent:
@@ -139,7 +153,7 @@ def test_a_component_steps_in_multiples_of_the_communication_step(own: float | N
 def test_the_communication_step_is_that_of_who_says_one(
     asked: Any, stated: Any, suggested: Any, stop: Any, start: Any, step: float, notes: int
 ) -> None:
-    description = Description(Path("s"), "s", System("", {}, []), start, stop, stated)
+    description = SystemDescription(Path("s"), "s", SystemElement("", {}, []), start, stop, stated)
     made = FlatSystem([component(None, one) for one in suggested], [], [], [], [])
     found, said = _step(description, made, asked)
     assert found == pytest.approx(step)
@@ -162,7 +176,11 @@ class Still:
 def test_an_input_of_the_whole_has_the_channel_of_what_it_drives_unchanged() -> None:
     made = flat(
         [Connector("a", "input"), Connector("b", "input", "Real", MM), Connector("out", "output")],
-        [Wire((None, "a"), ("p", "u")), Wire((None, "b"), ("p", "v")), Wire(("p", "y"), (None, "out"))],
+        [
+            ElementWire((None, "a"), ("p", "u")),
+            ElementWire((None, "b"), ("p", "v")),
+            ElementWire(("p", "y"), (None, "out")),
+        ],
     )
     coupled = _coupled(made, {"p": Still()}, {"sample_time": 0.1})  # type: ignore[dict-item]
     first, second = coupled.spec.inputs

@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from harness.cosim import Connection, Coupled
-from harness.cosim.wiring import Shown
+from harness.cosim.wiring import ShownOutput
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
@@ -325,7 +325,7 @@ def test_a_coupling_shows_its_own_inputs_beside_its_outputs() -> None:
         {"law": gain(3.0), "held": integrator(x0=[5.0])},
         [Connection("pull", "held.u0"), Connection("push", "law.u0")],
         inputs={"pull": "held.u0", "push": "law.u0"},
-        outputs=[Shown("push", Channel("push")), "law.y0", Shown("pull", Channel("pull")), "held.y0"],
+        outputs=[ShownOutput("push", Channel("push")), "law.y0", ShownOutput("pull", Channel("pull")), "held.y0"],
     )
     line.reset(rng=RNG)
     assert line.output(np.array([2.0, 7.0])) == pytest.approx([7.0, 21.0, 2.0, 5.0])

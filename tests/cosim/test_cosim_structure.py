@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.cosim.structure import opened
-from harness.cosim.structure.conversion import Chain, Linear, Table, change_of_unit, unit_of
+from harness.cosim.structure.conversion import Chain, IntegerConversion, LinearConversion, change_of_unit, unit_of
 from harness.cosim.structure.flat import FlatSystem
 from harness.cosim.structure.flatten import flatten
 from harness.cosim.structure.package import PROXIED
@@ -372,9 +372,9 @@ def test_a_chain_is_its_steps_one_after_another(steps: list[tuple[float, float]]
     chain, expected = Chain(), x
     for place, (factor, offset) in enumerate(steps):
         if place == at:
-            chain = chain.then(Table(((1.0, 2.0),)))
+            chain = chain.then(IntegerConversion(((1.0, 2.0),)))
             expected = 2.0 if expected == 1.0 else expected
-        chain = chain.then(Linear(factor, offset))
+        chain = chain.then(LinearConversion(factor, offset))
         expected = factor * expected + offset
     size = abs(x) + 1e3
     for factor, _ in steps:
@@ -391,7 +391,7 @@ def test_a_unit_and_back_is_nothing(factor: float, offset: float, x: float) -> N
     assert back is not None
     assert there(x) == pytest.approx(factor * x + offset)
     assert back(there(x)) == pytest.approx(x, rel=1e-6, abs=1e-6)
-    assert change_of_unit(odd, odd) == Linear()
+    assert change_of_unit(odd, odd) == LinearConversion()
     assert change_of_unit(odd, unit_of("m", {"m": 1}, 1.0, 0.0)) is None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from harness.cosim.structure.conversion import Chain, Linear, Unit, change_of_unit, named_unit, unit_of
+from harness.cosim.structure.conversion import Chain, LinearConversion, Unit, change_of_unit, named_unit, unit_of
 
 
 @pytest.mark.parametrize(
@@ -37,19 +37,19 @@ def test_a_bare_number_has_no_unit() -> None:
 
 def test_one_name_with_one_factor_is_one_unit_whatever_its_powers() -> None:
     right, wrong = Unit("N", "N", 1.0, 0.0, (("kg", 1.0),)), Unit("N", "N", 1.0, 0.0, (("m", 1.0),))
-    assert change_of_unit(right, wrong) == Linear()
+    assert change_of_unit(right, wrong) == LinearConversion()
     for other in (Unit("n", "N", 1.0, 0.0, wrong.powers), Unit("N", "N", 2.0, 0.0, wrong.powers),
                   Unit("N", "N", 1.0, 2.0, wrong.powers)):  # fmt: skip
         assert change_of_unit(right, other) is None
     doubled = Unit("N", "N", 2.0, 6.0, right.powers)
-    assert change_of_unit(right, doubled) == Linear(0.5, -3.0)
-    assert change_of_unit(doubled, right) == Linear(2.0, 6.0)
+    assert change_of_unit(right, doubled) == LinearConversion(0.5, -3.0)
+    assert change_of_unit(doubled, right) == LinearConversion(2.0, 6.0)
 
 
 def test_a_chain_of_nothing_is_nothing() -> None:
-    assert Chain().then(Linear()).steps == ()
-    there = Chain().then(Linear(1.8, 32.0))
-    assert there.then(Linear(1 / 1.8, -32.0 / 1.8)).steps == ()
+    assert Chain().then(LinearConversion()).steps == ()
+    there = Chain().then(LinearConversion(1.8, 32.0))
+    assert there.then(LinearConversion(1 / 1.8, -32.0 / 1.8)).steps == ()
     assert there(10.0) == 50.0
-    assert there.linear == Linear(1.8, 32.0)
-    assert Chain().then(Linear(1.0, 1e-9)).steps == (Linear(1.0, 1e-9),), "small is not rounding"
+    assert there.linear == LinearConversion(1.8, 32.0)
+    assert Chain().then(LinearConversion(1.0, 1e-9)).steps == (LinearConversion(1.0, 1e-9),), "small is not rounding"

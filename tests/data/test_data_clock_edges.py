@@ -16,7 +16,7 @@ from harness.data.conditioning.repeats import (
     without_duplicates,
     without_tail,
 )
-from harness.data.conditioning.timebase import FEW_FIRST, SHORTEST, Piece, pieces_of
+from harness.data.conditioning.timebase import FEW_FIRST, SHORTEST, RecordPiece, pieces_of
 from harness.data.oddities.examine import _reads, _th
 from harness.data.oddities.held import rhythm_of
 from harness.data.oddities.leaps import leaps_of
@@ -30,7 +30,7 @@ STEP = 0.125  # exact in binary, and so are its multiples
 THETA = Channel("theta", "rad")
 
 
-def pieces(time: FloatArray, values: FloatArray | None = None, **rules: Any) -> tuple[list[Piece], list[str]]:
+def pieces(time: FloatArray, values: FloatArray | None = None, **rules: Any) -> tuple[list[RecordPiece], list[str]]:
     rows = np.arange(len(time), dtype=np.float64)
     table = np.column_stack([rows % 7, rows]) if values is None else values
     return pieces_of(time, table, names=("u", "y"), inputs=(True, False), rules=TimeRules(**rules))

@@ -16,7 +16,7 @@ from harness.data.oddities import examined
 from harness.diagnosis import close_loop
 from harness.diagnosis.records.inputs_check import inputs_checked
 from harness.diagnosis.records.stretches import parted
-from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.kalman_pass import KalmanPass, PassNoise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.physics.fitting.likelihood_fit import fit_likelihood
 from harness.physics.models import pendulum
@@ -173,7 +173,7 @@ def test_a_filter_passes_over_missing_readings(clean: tuple[FloatArray, FloatArr
     record = Trajectory(np.arange(N) * DT, u[:, None], y[:, None], SPEC, missing=missing)
     other = replace(record, y=np.where(missing, 1e6, record.y))
     system = pendulum().system()
-    noise = Noise(np.array([1e-3]), np.array([1e-3]), np.array([0.1]), np.zeros(1))
+    noise = PassNoise(np.array([1e-3]), np.array([1e-3]), np.array([0.1]), np.zeros(1))
     for compiled in (True, False):
         run = KalmanPass(with_latent_forces(system), DT, compiled=compiled)
         first, second = (run(one, system.vector(TRUE), [0.0, 0.0], noise) for one in (record, other))

@@ -11,7 +11,7 @@ import numpy as np
 from harness.diagnosis.search.fit import Begun, Column, Fit, Jump, Linearised, Suspect
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.search import search
-from harness.diagnosis.search.table import Accepted, Answer, Round, Table
+from harness.diagnosis.search.table import Accepted, Answer, FitTable, Round
 from harness.diagnosis.systems import Starts
 from harness.effects import Dictionary, builtin
 from harness.effects.effect import Placed
@@ -184,9 +184,9 @@ def answer_of(model: Fit, *chosen: Placed) -> Answer:
     return Answer(model, tuple(Accepted(one, ((one,),), 1, 1) for one in chosen))
 
 
-def table_of(form: LinearForm, nominal: Fit, *rounds: Round) -> Table:
+def table_of(form: LinearForm, nominal: Fit, *rounds: Round) -> FitTable:
     """Return a table in which some rounds were made."""
-    return Table(form, nominal, ALL, rounds=list(rounds))
+    return FitTable(form, nominal, ALL, rounds=list(rounds))
 
 
 def found_in(hidden: Mapping[str, float], seed: int = 0, **more: object) -> Outcome:

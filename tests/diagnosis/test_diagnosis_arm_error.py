@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from harness.diagnosis.arm.regression import RegressionForm
-from harness.diagnosis.arm.wide_regression import Linear, LinearEquation
+from harness.diagnosis.arm.wide_regression import LinearEquation, LinearRegressors
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.diagnosis.search.compare import compared
 from harness.physics.definition.parameters import Parameter
@@ -67,7 +67,7 @@ class Line:
         self, seed: int, estimation: Sequence[tuple[float, float]] = ((-1.0, 1.0),),
         validation: Sequence[tuple[float, float]] = ((-1.0, 1.0),), along: FloatArray = RAMP, fixed: bool = False,
     ) -> None:  # fmt: skip
-        self.nominal = Linear((Parameter("level", "1", 0.0), Parameter("slope", "1", 0.0, fixed=fixed)))
+        self.nominal = LinearRegressors((Parameter("level", "1", 0.0), Parameter("slope", "1", 0.0, fixed=fixed)))
         self.own: frozenset[str] = frozenset()
         self.counts, self._target, self._columns = {}, {}, {}
         x = np.stack([np.ones(400), along], axis=1)[:, None, :]

@@ -24,7 +24,7 @@ from harness.diagnosis.search.fit import Begun, Fit
 from harness.diagnosis.search.generalised import generalise, generalised, starts_of
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.scores import ScoreTest
-from harness.diagnosis.search.table import Round, Table
+from harness.diagnosis.search.table import FitTable, Round
 from harness.diagnosis.search.ties import held, tie_set
 from harness.diagnosis.stand_in import stand_in_reasons
 from harness.effects import Dictionary, builtin, compose
@@ -100,8 +100,8 @@ class Told:
         return a_fit(begun.effects, begun.log_likelihood + 100.0 * self.pace)
 
 
-def table_of(form: Any, root: Fit, untried: Sequence[Placed]) -> Table:
-    return Table(form, root, untried)
+def table_of(form: Any, root: Fit, untried: Sequence[Placed]) -> FitTable:
+    return FitTable(form, root, untried)
 
 
 def grown(ends: Mapping[str, float], **simple: float) -> tuple[Told, dict[Placed, Fit | None]]:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.diagnosis.forms.likelihood_form import LikelihoodForm
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.search.fit import Fit
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -55,7 +55,7 @@ def swing(seed: int, *, line: float = 0.0) -> Trajectory:
 def form_of(*records: Trajectory) -> LikelihoodForm:
     """Return the form of a pendulum for an estimation and a validation record."""
     runs = (Run(record, use) for record, use in zip(records, ("estimation", "validation"), strict=True))
-    form = Equations().form(load_model("pendulum"), Dataset("swings", tuple(runs)))
+    form = EquationsKind().form(load_model("pendulum"), Dataset("swings", tuple(runs)))
     assert isinstance(form, LikelihoodForm)
     return form
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from harness.diagnosis.records.motion import Motion
+from harness.diagnosis.records.motion import SmoothedMotion
 from harness.diagnosis.runs.equation import decimated, equations_of, expressible, weak_rows
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -17,13 +17,13 @@ from harness.signals import FloatArray
 DT = 0.01
 
 
-def swing(n: int = 2000, factor: int = 1, counts: FloatArray | None = None) -> Motion:
+def swing(n: int = 2000, factor: int = 1, counts: FloatArray | None = None) -> SmoothedMotion:
     """Return a pendulum's motion under the torque that its equation asks for: J = 0.1, b = 0.05, mgl = 1."""
     t = np.arange(n) * DT
     q, v, a = 0.5 * np.sin(2 * t), np.cos(2 * t), -2.0 * np.sin(2 * t)
     u = 0.1 * a + 0.05 * v + np.sin(q)
     columns = [one[:, None] for one in (q, v, a, u)]
-    return Motion(t, *columns, slice(0, n), factor, DT, counts)
+    return SmoothedMotion(t, *columns, slice(0, n), factor, DT, counts)
 
 
 def test_on_exact_motion_the_equation_leaves_what_parameters_are_off_by() -> None:

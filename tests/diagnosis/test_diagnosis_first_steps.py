@@ -15,10 +15,10 @@ from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.forms.equations_form import EquationsForm
 from harness.diagnosis.forms.first_steps import in_sight, looked
 from harness.diagnosis.forms.likelihood_form import LikelihoodForm
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.refusal import Kind, Refusal
-from harness.diagnosis.search.table import Table
+from harness.diagnosis.search.table import FitTable
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
@@ -57,7 +57,7 @@ def _oscillating(n: int, seed: int) -> EquationsForm:
         u = np.repeat(rng.normal(size=(n // 20, 1)), 20, axis=0)
         y = system.simulator(dt).rollout(system.vector(None), np.zeros(system.nx), u)
         runs.append(Run(Trajectory(np.arange(n) * dt, u, y + 1e-3 * rng.normal(size=y.shape), spec), use))
-    return Equations().form(system, Dataset("oscillator", tuple(runs)))
+    return EquationsKind().form(system, Dataset("oscillator", tuple(runs)))
 
 
 @pytest.mark.parametrize(
@@ -189,14 +189,14 @@ def test_a_motor_that_lost_its_mass_is_no_answer_and_takes_no_finer_steps() -> N
         assert form.substeps(system, values) <= 9
     fast = replace(nominal, values=values, unseen=form.unseen(system, values))
     assert Kind.UNSEEN in {refusal.kind for refusal in judged(form, [law], fast, nominal, nominal).refusals}
-    assert not Table(form, nominal, [law]).lawful(fast)
+    assert not FitTable(form, nominal, [law]).lawful(fast)
 
 
 def test_values_of_other_readings_stay_until_states_and_noise_suit_them() -> None:
     """At once with them they were led away to a bound, 104 below the maximum, and a force did what the friction did."""
     hidden = Task("confusion", "pendulum", "hardware", ("stribeck_friction@theta",), "quarter", "high", 0.0, 0, 4100)
     records = make_records(hidden, samples=5000)
-    form, (effect,) = Equations().form(load_model("pendulum"), records.dataset), records.known
+    form, (effect,) = EquationsKind().form(load_model("pendulum"), records.dataset), records.known
     law = Placed(builtin()[effect.name], effect.at)
     named = {law.name(name): value for name, value in effect.named.items()}
     fit = form.fit([law], [{**records.parameters, **named}], None)

@@ -28,7 +28,7 @@ from harness.errors import InputError
 from harness.export.package import write_package
 from harness.export.ssp_elements import SSP
 from harness.parts.files import make_plant
-from harness.physics.compiled.kalman_pass import Noise
+from harness.physics.compiled.kalman_pass import PassNoise
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from harness.specs import spec_to_dict
 from harness.trust import trusting
@@ -122,7 +122,7 @@ def counted(simulator, monkeypatch):
 def test_a_step_of_a_fit_runs_the_fmu_once_and_for_the_derivatives_that_it_asks_for(monkeypatch):
     around, run = simulator([("coulomb_friction", "theta", {"Fc": 0.05})])
     runs, passes = counted(around, monkeypatch), FreePass(around)
-    noise = Noise(np.array([1e-3]), *[np.zeros(0)] * 3)
+    noise = PassNoise(np.array([1e-3]), *[np.zeros(0)] * 3)
     p, x0 = around.system.vector(), np.array([0.4, 0.0])
     plain = passes(run, p, x0, noise)
     wanted = [around.system.parameter_names.index("mgl"), around.np + 1]

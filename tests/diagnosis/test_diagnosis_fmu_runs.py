@@ -15,11 +15,11 @@ from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator, Loan
 from harness.data import load_dataset
 from harness.diagnosis.fmu.form import _convolution
-from harness.diagnosis.fmu.passes import FreePass, Run
+from harness.diagnosis.fmu.passes import FreePass, StateRun
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import InputError
-from harness.physics.compiled.kalman_pass import Noise
+from harness.physics.compiled.kalman_pass import PassNoise
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from plants.mockups import mockup
 
@@ -114,9 +114,9 @@ def test_pushes_are_convolved_with_one_response_where_that_is_what_they_do(
     passes = FreePass(FmuSimulator(system, Runner(system, DT)))
     record = Trajectory(T, 5 * U, np.zeros((N, system.ny)), spec)
     x0 = np.zeros(system.nx)
-    noise = Noise(np.ones(system.ny), np.zeros(0), np.zeros(0), np.zeros(0))
+    noise = PassNoise(np.ones(system.ny), np.zeros(0), np.zeros(0), np.zeros(0))
     run = passes(record, system.vector(), x0, noise, keep=True)
-    assert isinstance(run, Run)
+    assert isinstance(run, StateRun)
     still = run.pushed(np.zeros_like(U))
     found = _convolution(run, still, record.u, 1e-3)
     assert (found is not None) == alike

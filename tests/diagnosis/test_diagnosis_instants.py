@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.algorithm import diagnose
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
@@ -53,7 +53,7 @@ def record(seed: int, instant: float, *, moving: bool = False, force: float = 0.
 def test_a_load_is_found_when_it_was_picked_up(fitted: float, judged: float, begun: float) -> None:
     """Along the instant the likelihood is a staircase: steps stop on the tread that they begin on."""
     runs = Run(record(0, fitted), "estimation"), Run(record(1, judged), "validation")
-    form = Equations().form(load_model("pendulum"), Dataset("load", runs))
+    form = EquationsKind().form(load_model("pendulum"), Dataset("load", runs))
     nominal = form.fit((), form.first_starts(), None)
     assert nominal is not None
     start = {LAW.name("dJ"): MORE_J, LAW.name("dG"): MORE_G, LAW.name("t0"): begun}

@@ -15,7 +15,7 @@ from sysid_lab.truths.context import Context, Hidden
 from harness.diagnosis import diagnose
 from harness.diagnosis.dictionary import laws_of, placed
 from harness.diagnosis.directions.damping import damping_along
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Axis, Leftover
@@ -109,7 +109,7 @@ def test_a_damping_that_falls_along_the_way_is_named_all_the_same(monkeypatch: p
 def test_no_refit_starts_below_what_it_adds_to() -> None:
     """What nominal parameters and initial states take up nearly whole started 8000 units too low, and was lost."""
     records = make_records(replace(TASK, plant="cart-pole", engine="pymunk", effects=("sensor_gain@x",), noise="low"))
-    form = Equations().form(load_model("cart-pole"), records.dataset)
+    form = EquationsKind().form(load_model("cart-pole"), records.dataset)
     nominal = form.fit((), form.first_starts(), None)
     assert nominal is not None
     form.resize(nominal)

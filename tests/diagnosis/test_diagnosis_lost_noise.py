@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
@@ -39,7 +39,7 @@ def test_a_law_that_takes_up_the_force_gives_the_sensor_its_noise_back() -> None
     runs = (Run(record(0), "estimation"), Run(record(1), "validation"))
     dataset = Dataset("hardening", runs, intersample="smooth")
     nominal = load_model("oscillator").with_parameters(PLANT)
-    form = Equations().form(nominal, dataset)
+    form = EquationsKind().form(nominal, dataset)
     poor = form.fit((), form.first_starts(), None)
     assert poor is not None
     point = poor.detail.points["estimation"]  # what is missing looks like a force, and a fit may end there
@@ -74,7 +74,7 @@ def late_cart(seed: int, n: int = 2500) -> Trajectory:
 def test_a_parameter_that_went_to_nothing_comes_back() -> None:
     """Through a logarithm no derivative brings it back: without its lag the cart has no friction, and kept none."""
     dataset = Dataset("late", (Run(late_cart(0), "estimation"), Run(late_cart(1), "validation")))
-    form = Equations().form(load_model("cart-pole"), dataset)
+    form = EquationsKind().form(load_model("cart-pole"), dataset)
     poor = form.fit((), form.first_starts(), None)
     assert poor is not None
     assert poor.values["bx"] < 1e-6

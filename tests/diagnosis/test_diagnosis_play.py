@@ -8,7 +8,7 @@ from sysid_lab.records import make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.dictionary import laws_of
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.steps import candidates_of, form_of, nominal_fit
@@ -29,8 +29,8 @@ def test_play_is_found_from_every_start() -> None:
     """With sharp flanks a fit ended where it began, or at elasticity alone (26 209 of 27 083)."""
     records = make_records(task("laws", "nominal", "high", 0.02, 20))
     system = load_model("pendulum")
-    dataset, doubts = Equations().prepared(checked(records.dataset, system), system)
-    form, _ = form_of(Equations(), system, dataset, POLICY, laws_of().dictionary)
+    dataset, doubts = EquationsKind().prepared(checked(records.dataset, system), system)
+    form, _ = form_of(EquationsKind(), system, dataset, POLICY, laws_of().dictionary)
     nominal = nominal_fit(form, form, doubts)  # type: ignore[arg-type]
     candidates, _ = candidates_of(form, laws_of())
     play = next(one for one in candidates if str(one) == "backlash@theta")

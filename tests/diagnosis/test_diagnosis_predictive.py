@@ -17,7 +17,7 @@ from harness import api
 from harness.diagnosis.forms.halves import judged_by_halves, told_by_halves
 from harness.diagnosis.forms.predictive import _outside_starts, predictive, spread_of
 from harness.physics import load_model
-from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.kalman_pass import KalmanPass, PassNoise
 from harness.physics.compiled.latent import without_latent_forces
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import NoiseModel, Point
@@ -37,7 +37,7 @@ def swing(seed: int, n: int = 60, dt: float = 0.05, x0: tuple[float, float] = (0
     passes = KalmanPass(without_latent_forces(system), dt)
     p = system.vector({"J": 0.25, "b": 0.05, "mgl": 4.9})
     zero = np.zeros(0)
-    point = Point(p, [np.array(x0)], Noise(np.array([R]), zero, zero, zero))
+    point = Point(p, [np.array(x0)], PassNoise(np.array([R]), zero, zero, zero))
     run = Likelihood(system, [blank], nothing, passes=passes).filtered(point)
     assert run is not None
     record = Trajectory(t, blank.u, -run[0].e + R * rng.normal(size=(n, 1)), spec)

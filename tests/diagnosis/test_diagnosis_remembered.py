@@ -27,7 +27,7 @@ from harness.diagnosis.search.fit import Begun
 from harness.effects.effect import Placed
 from harness.fingerprint import files_named, fingerprint
 from harness.physics import Mechanism
-from harness.physics.compiled.kalman_pass import Noise
+from harness.physics.compiled.kalman_pass import PassNoise
 from harness.physics.compiled.system import System
 from harness.physics.fitting.maximum import Point
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
@@ -163,7 +163,7 @@ def test_a_plug_in_is_the_code_in_its_file(tmp_path: Path, monkeypatch: pytest.M
 
 def test_forces_that_nobody_measured_are_told_as_shares_of_the_typical_ones() -> None:
     """What lasts and what is new with every sample together, each port over its own typical force."""
-    noise = Noise(np.array([0.1]), np.array([3.0, 0.0]), np.array([1.0, 1.0]), np.array([4.0, 2.0]))
+    noise = PassNoise(np.array([0.1]), np.array([3.0, 0.0]), np.array([1.0, 1.0]), np.array([4.0, 2.0]))
     point, nothing = Point(np.array([1.0, 2.0]), [np.array([0.5, -0.5])], noise), cast(Any, None)
     fit = a_fit(detail=LikelihoodDetail({"estimation": point}, nothing, nothing, nothing))
     assert latent_shares(fit, np.array([10.0, 4.0])).tolist() == [0.5, 0.5]

@@ -13,7 +13,7 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report import candidates, evidence_json
 from harness.diagnosis.report.estimates import effect_data
 from harness.diagnosis.report.html import environment
-from harness.diagnosis.search.compare import Comparison, Judged
+from harness.diagnosis.search.compare import FitComparison, Judged
 from harness.diagnosis.search.fit import Jump
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.table import Accepted
@@ -56,7 +56,7 @@ def test_what_is_not_known_is_null() -> None:
 
 
 def test_a_candidate_shows_why_it_was_rejected_or_what_it_ties_with() -> None:
-    comparison = Comparison(30.0, 10.0, 4.0, 8.0)
+    comparison = FitComparison(30.0, 10.0, 4.0, 8.0)
     passed = Judged((DRAG,), a_fit(), comparison, ())
     rejected = Judged((DRAG,), a_fit(), comparison, (Refusal(Kind.UNCONVERGED),))
     row = candidates._row(passed, 1, {passed.name}, set())
@@ -216,7 +216,9 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
 )
 def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict[str, Any], words: str) -> None:
     gain = more.get("rival")
-    row = None if gain is None else Judged((DRAG,), a_fit(), Comparison(*gain, 4.0, 8.0), (Refusal(Kind.UNCONVERGED),))
+    row = (
+        None if gain is None else Judged((DRAG,), a_fit(), FitComparison(*gain, 4.0, 8.0), (Refusal(Kind.UNCONVERGED),))
+    )
     found = SimpleNamespace(
         left=SimpleNamespace(name=more["best"]) if "best" in more else None,
         promised=row,

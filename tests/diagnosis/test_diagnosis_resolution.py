@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.diagnosis.algorithm import diagnose
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.thinning import thinned_by
 from harness.diagnosis.store import data_fingerprint
@@ -41,7 +41,7 @@ def test_the_noise_of_an_encoder_is_no_less_than_its_step_says() -> None:
     plant = load_model("pendulum")
     data = checked(DATA, plant)
     assert data.resolution == {"theta": pytest.approx(STEP)}
-    form = Equations().form(plant, data)
+    form = EquationsKind().form(plant, data)
     fit = form.fit((), form.first_starts(), None)
     assert fit is not None
     assert fit.detail.points["estimation"].noise.r[0] >= STEP / np.sqrt(12) * (1 - 1e-9)
@@ -107,7 +107,7 @@ def test_a_wide_motion_on_a_grid_is_rounded_though_hardly_two_readings_are_equal
 
 def test_the_step_of_a_sensor_stays_what_it_is_on_the_way_back_to_the_base() -> None:
     """A start a hair below its base was shortened with all that it holds: a step of 0.01 A was said to be 0.0003."""
-    form = Equations().form(load_model("pendulum"), DATA)
+    form = EquationsKind().form(load_model("pendulum"), DATA)
     base = form.fit((), form.first_starts(), None)
     assert base is not None
     rounded = Placed(builtin()["sensor_quantisation"], "theta")

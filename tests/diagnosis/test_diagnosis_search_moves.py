@@ -28,7 +28,7 @@ from linear_form import (
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search import moves
-from harness.diagnosis.search.compare import Comparison, Judged, compared, judged
+from harness.diagnosis.search.compare import FitComparison, Judged, compared, judged
 from harness.diagnosis.search.fit import Begun, Fit, Suspect
 from harness.diagnosis.search.generalised import refined_twice
 from harness.diagnosis.search.moves import best_of, climbed, drop, exchange, exchange_contradicted, pair
@@ -36,13 +36,13 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.scores import score_test
 from harness.diagnosis.search.search import _step, search
-from harness.diagnosis.search.table import Answer, Round, Table, value
+from harness.diagnosis.search.table import Answer, FitTable, Round, value
 from harness.diagnosis.search.ties import total, unknown_parts
 from harness.diagnosis.search.warm import as_good
 from harness.effects.effect import Placed
 
 
-def pair_instead(table: Table, answer: Answer) -> Answer | None:
+def pair_instead(table: FitTable, answer: Answer) -> Answer | None:
     return best_of(table, answer, pair(table, answer))
 
 
@@ -170,7 +170,7 @@ def test_a_joint_has_its_bristles_once() -> None:
     for own in form.records.x.values():
         own["lugre_coulomb_friction"], own["lugre_friction"] = own["quadratic_drag"], own["linear_spring"]
     nominal = form.fit((), [], None)
-    rival = Judged((other,), form.fit([other], [], nominal), Comparison(50.0, 50.0, 5.0, 5.0), ())
+    rival = Judged((other,), form.fit([other], [], nominal), FitComparison(50.0, 50.0, 5.0, 5.0), ())
     past = Round(nominal, score_test(form, nominal, ALL), (rival,))
     for later, begun in ((bristles, 0), (placed("quadratic_drag"), 1)):
         chosen = [placed("cubic_spring"), later]
@@ -480,7 +480,7 @@ def test_a_second_friction_keeps_no_refinement_of_the_first_from_its_place(
     answer = answer_of(base, law)
     past = Round(base, score_test(form, nominal, ALL), (row,))
 
-    def refining(table: Table, answer: Answer) -> list[Answer]:
+    def refining(table: FitTable, answer: Answer) -> list[Answer]:
         return [answer.exchanged(0, rich, instead, 0)]
 
     monkeypatch.setattr("harness.diagnosis.search.search.generalise_earlier", refining)
@@ -548,6 +548,6 @@ def test_what_the_estimation_records_alone_are_sure_of_is_told(evidence: float, 
     nominal = form.fit((), [], None)
     refused = Refusal(Kind.VALIDATION, numbers=(validation, 6.7))
     fit = form.fit([placed("cubic_spring")], [], nominal)
-    row = Judged(fit.effects, fit, Comparison(evidence, validation, 6.7, 48.0), (refused,))
+    row = Judged(fit.effects, fit, FitComparison(evidence, validation, 6.7, 48.0), (refused,))
     outcome = Outcome(form, nominal, nominal, rounds=(Round(nominal, score_test(form, nominal, ALL), (row,)),))
     assert (outcome.promised() is row) == sure

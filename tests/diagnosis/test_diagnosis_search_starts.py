@@ -25,7 +25,7 @@ from made_fits import NoForm, a_fit
 
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.compare import Comparison, Judged
+from harness.diagnosis.search.compare import FitComparison, Judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised
 from harness.diagnosis.search.generalised import generalise, starts_of
 from harness.diagnosis.search.leftover import left_over
@@ -315,7 +315,7 @@ def test_a_rival_that_was_left_on_its_way_is_an_answer_where_its_end_passes(sign
     form = LinearForm(linear_records(9, {"quadratic_drag": 0.4 * sign}))
     nominal, drag = form.fit((), [], None), placed("quadratic_drag")
     fit = replace(form.fit([drag], [], nominal), converged=False, beyond=True)
-    row = Judged((drag,), fit, Comparison(60.0, 60.0, 5.0, 5.0), (Refusal(Kind.STOPPED),))
+    row = Judged((drag,), fit, FitComparison(60.0, 60.0, 5.0, 5.0), (Refusal(Kind.STOPPED),))
     past = Round(nominal, score_test(form, nominal, ALL), (row,))
     found = [accepted(one) for one in pair(table_of(form, nominal, past), Answer(nominal))]
     assert ({"quadratic_drag"} in found) is (sign > 0), "of the wrong sign it is no law"
@@ -452,8 +452,8 @@ def test_a_function_that_the_motion_never_reaches_changes_no_free_force() -> Non
 def test_a_rival_is_tied_where_it_pays_for_itself_and_helps(evidence: float, validation: float, ties: bool) -> None:
     answer, rival = placed("linear_spring"), placed("quadratic_drag")
     gains = np.full(400, 0.0)
-    best = Judged((answer,), a_fit((gains, gains), [answer]), Comparison(1.0, 1.0, 1.0, 1.0), ())
-    row = Judged((rival,), a_fit((gains, gains), [rival]), Comparison(evidence, validation, 1.0, 1.0), ())
+    best = Judged((answer,), a_fit((gains, gains), [answer]), FitComparison(1.0, 1.0, 1.0, 1.0), ())
+    row = Judged((rival,), a_fit((gains, gains), [rival]), FitComparison(evidence, validation, 1.0, 1.0), ())
     found = tie_set(NoForm(), best, [best, row])  # type: ignore[arg-type]
     assert found == ((answer,), *[(rival,)] * ties)
 
@@ -465,7 +465,7 @@ def law_on_bound(bounds: Sequence[str], *, gap: float = 0.0, more: int = 0, **fi
     gains = (np.full(400, -gap / 800), np.full(400, -gap / 800))
     fit = a_fit(gains, [law], count=answer.count + more, **fields)
     refusals = tuple(Refusal(Kind.BOUND, name, (0.05,)) for name in bounds)
-    return answer, Judged((law,), fit, Comparison(50.0, 50.0, 5.0, 5.0), refusals)
+    return answer, Judged((law,), fit, FitComparison(50.0, 50.0, 5.0, 5.0), refusals)
 
 
 def test_a_law_on_a_bound_of_its_exponent_is_asked_with_a_usual_one() -> None:
@@ -548,7 +548,7 @@ def test_what_was_promised_of_the_validation_records_must_be_evidence_to_be_deni
     base, fit = (
         a_fit(innovations={use: [(part[:, None], np.ones((400, 1)))] for use in USES}) for part in (law, 0.0 * law)
     )
-    row = Judged((spring,), fit, Comparison(50.0, -5.0, 0.5, 1.0), ())
+    row = Judged((spring,), fit, FitComparison(50.0, -5.0, 0.5, 1.0), ())
     one = Accepted(spring, ((spring,),), 50.0, -5.0)
     nothing: Any = None
     outcome = Outcome(nothing, base, fit, (one,), (Round(base, nothing, (row,)),))

@@ -17,7 +17,7 @@ from harness.diagnosis import diagnose
 from harness.diagnosis.contested import simple_fits_of, uncontested
 from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.remembered import Remembered
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.runs.simple_fits import SimpleFit, SimpleFits
 from harness.diagnosis.search.compare import impossible
@@ -82,11 +82,11 @@ def judged_by_hand(foreign_pendulum: Callable[..., Dataset]) -> Any:
     dataset = foreign_pendulum(3, lambda q, v, u, t: -0.25 * np.tanh(v / 0.01), n=700, amplitude=0.7)
     names = ("coulomb_friction", "quadratic_drag", "linear_spring", "force_bias")
     laws = laws_of([builtin()[name] for name in names])
-    form, _ = form_of(Equations(), system, dataset, POLICY, laws.dictionary)
+    form, _ = form_of(EquationsKind(), system, dataset, POLICY, laws.dictionary)
     remembered = Remembered(form, None)
     nominal = nominal_fit(remembered, form, [])
     candidates, _ = candidates_of(form, laws)
-    simple = simple_fits_of(Equations(), form, nominal, candidates, silent)
+    simple = simple_fits_of(EquationsKind(), form, nominal, candidates, silent)
     assert simple is not None
     return SimpleNamespace(form=form, remembered=remembered, nominal=nominal, candidates=candidates, simple=simple)
 

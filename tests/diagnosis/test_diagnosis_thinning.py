@@ -20,7 +20,7 @@ from harness import api
 from harness.diagnosis import close_loop
 from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.remembered import Remembered
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.thinning import hat_projection, local_cubics, thinned_by, thinned_dataset
 from harness.diagnosis.report.refusals import refusals_text
@@ -217,7 +217,7 @@ def test_all_readings_of_a_spinning_pole_tell_the_law_that_the_fewer_told() -> N
     t = np.arange(n) * dt
     lines = 2 * np.pi * np.array([0.3, 0.7, 1.1, 1.9])
     u = [20 * np.sin(np.outer(t, lines) + rng.uniform(0, 6, 4)).sum(axis=1) for _ in range(2)]
-    spec, kind, laws = PlantSpec((Channel("u", "N"),), system.outputs, dt), Equations(), laws_of(None).dictionary
+    spec, kind, laws = PlantSpec((Channel("u", "N"),), system.outputs, dt), EquationsKind(), laws_of(None).dictionary
 
     def dataset(y: list[np.ndarray]) -> Dataset:
         pairs = zip(u, y, ("estimation", "validation"), strict=True)

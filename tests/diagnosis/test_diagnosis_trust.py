@@ -17,7 +17,7 @@ from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.forms.fit_records import LikelihoodDetail
 from harness.diagnosis.forms.suspects import piled_up
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.misfit import carried_away
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.horizon import Horizon
@@ -25,7 +25,7 @@ from harness.diagnosis.records.stretches import uncut
 from harness.diagnosis.runs.compare import _motion
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.refusal import Kind
-from harness.diagnosis.search.table import Table
+from harness.diagnosis.search.table import FitTable
 from harness.diagnosis.search.warm import polished
 from harness.effects import builtin
 from harness.effects.compose import compose
@@ -134,7 +134,7 @@ def test_an_accepted_law_is_not_polished_into_what_it_forbids() -> None:
     for level, kept in ((-0.17, True), (0.12, False)):
         better = Stub(level, 160.0)
         form.finish = lambda begun, fit, better=better: better
-        table = Table(form, base, [])  # type: ignore[arg-type]
+        table = FitTable(form, base, [])  # type: ignore[arg-type]
         assert (polished(table, base, [rival]) is base) is kept  # type: ignore[arg-type, list-item]
         assert (table.fits[frozenset({str(placed)})] is base) is kept, "the set has its best fit"
 
@@ -245,7 +245,7 @@ def test_a_free_run_is_no_evidence_from_where_a_small_force_explains_any_error(
 def test_a_force_that_remembers_is_also_asked_without_its_memory() -> None:
     model: Any = load_model("pendulum")
     dataset = Dataset("x", (Run(swing(seed=1), "estimation"), Run(swing(seed=2), "validation")))
-    form = Equations().form(model, dataset)
+    form = EquationsKind().form(model, dataset)
     fit = form.fit((), form.first_starts(), None)
     assert fit is not None
     assert form.without_memory(fit) is None, "there is no force that remembers"
@@ -281,7 +281,7 @@ def test_peaks_of_a_swing_are_no_ceiling_of_the_sensor() -> None:
     for cut, expected in ((np.inf, 0), (ceiling, 1)):
         flat = [replace(one, y=np.clip(one.y, -cut, cut)) for one in (first, second)]
         runs = (Run(flat[0], "estimation"), Run(flat[1], "validation"))
-        form = Equations().form(load_model("pendulum"), Dataset("flat", runs))
+        form = EquationsKind().form(load_model("pendulum"), Dataset("flat", runs))
         fit = form.fit((), form.first_starts(), None)
         assert fit is not None
         assert len(piled_up(form, fit, sensor)) == expected

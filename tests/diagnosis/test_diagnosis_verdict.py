@@ -15,13 +15,13 @@ from harness.diagnosis.close import close_loop
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.forms.apart import Apart
 from harness.diagnosis.forms.fit_records import LikelihoodDetail
-from harness.diagnosis.kinds import Equations
+from harness.diagnosis.kinds import EquationsKind
 from harness.diagnosis.misfit import _shifted, misfit_reasons, mistakes
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.horizon import Horizon, choose_horizon
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.runs.errors import figures
-from harness.diagnosis.store import Store, data_fingerprint
+from harness.diagnosis.store import CandidateStore, data_fingerprint
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import InputError
@@ -309,7 +309,7 @@ def test_an_input_that_is_late_or_early_is_named_with_the_samples(foreign_pendul
         return replace(record, u=u)[20:-20]
 
     runs = tuple(replace(run, trajectory=moved(run.trajectory)) for run in good)
-    found = list(_shifted(Equations().form(load_model("pendulum"), replace(good, runs=runs)), 1))
+    found = list(_shifted(EquationsKind().form(load_model("pendulum"), replace(good, runs=runs)), 1))
     assert len(found) == bool(words)
     for text, repaired, _ in found:
         assert words in text
@@ -365,13 +365,13 @@ def test_everything_that_decides_a_refit_is_in_its_fingerprint() -> None:
 
 
 def test_refits_of_other_data_are_not_seen(tmp_path: Path) -> None:
-    Store(tmp_path, "a").put("drag#1", {"value": 1.0})
-    assert Store(tmp_path, "a").get("drag#1") == {"value": 1.0}
-    assert Store(tmp_path, "b").get("drag#1") is None
-    assert Store(tmp_path, "a").get("drag#2") is None
+    CandidateStore(tmp_path, "a").put("drag#1", {"value": 1.0})
+    assert CandidateStore(tmp_path, "a").get("drag#1") == {"value": 1.0}
+    assert CandidateStore(tmp_path, "b").get("drag#1") is None
+    assert CandidateStore(tmp_path, "a").get("drag#2") is None
     (path,) = (tmp_path / "candidates").glob("*.json")
     path.write_text("{half")
-    assert Store(tmp_path, "a").get("drag#1") is None, "a broken file counts as absent"
+    assert CandidateStore(tmp_path, "a").get("drag#1") is None, "a broken file counts as absent"
 
 
 # ---- horizon and errors ----------------------------------------------------------------------------------------------

@@ -10,19 +10,21 @@ from msgspec.structs import replace
 
 from harness.fleet.changes import changes, odd_machines
 from harness.fleet.page import fleet_page
-from harness.fleet.row import Found, Row
+from harness.fleet.row import FleetRow, FoundEffect
 
 
-def row(day: int, size: float | None, deviation: float, machine: str = "A") -> Row:
+def row(day: int, size: float | None, deviation: float, machine: str = "A") -> FleetRow:
     low, high = (size - 1.96 * deviation, size + 1.96 * deviation) if size is not None else (0.0, 0.0)
     effects = () if size is None else (
-        Found("coulomb", "q", "Fc", size, low, high, "N m", (), ("Fc",), (size,), (low,), (high,), ("N m",)),
+        FoundEffect("coulomb", "q", "Fc", size, low, high, "N m", (), ("Fc",), (size,), (low,), (high,), ("N m",)),
     )  # fmt: skip
     when = (date(2026, 1, 1) + timedelta(days=day)).isoformat()
-    return Row(job=f"{machine}{day}", record=f"{machine}-{day}", file="", machine=machine, date=when, effects=effects)
+    return FleetRow(
+        job=f"{machine}{day}", record=f"{machine}-{day}", file="", machine=machine, date=when, effects=effects
+    )
 
 
-def fleet(levels: dict[str, np.ndarray], seed: int, *, excess: float = 1.0, deviation: float = 0.01) -> list[Row]:
+def fleet(levels: dict[str, np.ndarray], seed: int, *, excess: float = 1.0, deviation: float = 0.01) -> list[FleetRow]:
     rng = np.random.default_rng(seed)
     return [
         row(k, float(level + excess * deviation * rng.standard_normal()), deviation, machine)

@@ -11,18 +11,18 @@ from typing import Any
 import pytest
 
 from harness.fleet import close_fleet, find_records, is_fleet, running
-from harness.fleet.row import Found, Row, encoded
+from harness.fleet.row import FleetRow, FoundEffect, encoded
 from harness.fleet.trends import new_effects, series_of, trends
 
 NORMAL = 1.959963984540054
 
 
-def row(day: int | None, size: float | None, deviation: float = 0.01, *, status: str = "ok") -> Row:
+def row(day: int | None, size: float | None, deviation: float = 0.01, *, status: str = "ok") -> FleetRow:
     low, high = (None, None) if size is None else (size - NORMAL * deviation, size + NORMAL * deviation)
-    found = Found("coulomb", "q", "Fc", size, low, high, "N m", (), ("Fc",), (size,), (low,), (high,), ("N m",))
+    found = FoundEffect("coulomb", "q", "Fc", size, low, high, "N m", (), ("Fc",), (size,), (low,), (high,), ("N m",))
     when = None if day is None else (date(2026, 1, 1) + timedelta(days=day)).isoformat()
     effects = () if size is None else (found,)
-    return Row(job=f"A{day}", record=f"A-{day}", file="", machine="A", date=when, effects=effects, status=status)
+    return FleetRow(job=f"A{day}", record=f"A-{day}", file="", machine="A", date=when, effects=effects, status=status)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_an_interval_that_holds_zero_is_no_trend(low: float, high: float, word: 
 
 
 @pytest.mark.parametrize("silent", [row(0, None, status="refused"), row(0, None, status="failed"), row(None, None)])
-def test_a_record_without_answer_or_date_is_not_the_first_of_its_machine(silent: Row) -> None:
+def test_a_record_without_answer_or_date_is_not_the_first_of_its_machine(silent: FleetRow) -> None:
     """What the first dated answer shows was there; what a later one adds is new."""
     assert new_effects([silent, row(1, 0.1), row(2, 0.1)]) == []
     (found,) = new_effects([silent, row(1, None), row(2, 0.1)])
@@ -66,7 +66,7 @@ def test_only_records_without_a_row_are_done_when_a_fleet_is_continued(
     def stand_in(todo: Sequence[Any], shards: Path, **options: Any) -> None:
         done.append([batch.record.name for batch in todo])
         for batch in todo[:2]:
-            answer = Row(job=batch.job, record=batch.record.name, file=str(batch.record.file), status="refused")
+            answer = FleetRow(job=batch.job, record=batch.record.name, file=str(batch.record.file), status="refused")
             (shards / f"{batch.job}.json").write_bytes(encoded(answer))
 
     monkeypatch.setattr(running, "run_jobs", stand_in)

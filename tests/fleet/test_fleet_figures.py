@@ -13,7 +13,7 @@ from scipy.stats import norm, t
 from harness.errors import InputError
 from harness.fleet import find_records
 from harness.fleet.changes import changes, odd_machines
-from harness.fleet.row import Found, Row, encoded
+from harness.fleet.row import FleetRow, FoundEffect, encoded
 from harness.fleet.running import close_fleet
 from harness.fleet.store import FleetStore
 from harness.fleet.trends import series_of, trends
@@ -22,11 +22,11 @@ NORMAL = 1.959963984540054
 OURS = {"model": "pendulum", "undriven": []}
 
 
-def row(day: int | None, size: float, deviation: float | None, machine: str = "A", *, name: str = "") -> Row:
+def row(day: int | None, size: float, deviation: float | None, machine: str = "A", *, name: str = "") -> FleetRow:
     low, high = (None, None) if deviation is None else (size - NORMAL * deviation, size + NORMAL * deviation)
-    found = Found("coulomb", "q", "Fc", size, low, high, "N m", (), ("Fc",), (size,), (low,), (high,), ("N m",))
+    found = FoundEffect("coulomb", "q", "Fc", size, low, high, "N m", (), ("Fc",), (size,), (low,), (high,), ("N m",))
     when = None if day is None else (date(2026, 1, 1) + timedelta(days=day)).isoformat()
-    return Row(job=f"{machine}{day}{name}", record=f"{machine}-{day}", file="", machine=machine, date=when,
+    return FleetRow(job=f"{machine}{day}{name}", record=f"{machine}-{day}", file="", machine=machine, date=when,
                effects=(found,))  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from harness.errors import InputError, PlantError
 from harness.fleet import find_records, is_fleet
 from harness.fleet.changes import Change, _likeliest, changes, odd_machines
 from harness.fleet.records import FleetRecord
-from harness.fleet.row import Found, Row, blank, encoded, fill, read
+from harness.fleet.row import FleetRow, FoundEffect, blank, encoded, fill, read
 from harness.fleet.running import FleetResult, _logged, _shown, fleet_table
 from harness.fleet.store import FleetStore, is_fleet_folder, query, tables
 from harness.fleet.trends import Series, Trend, new_effects, series_of, trends
@@ -31,25 +31,25 @@ NORMAL = 1.959963984540054
 
 def effect(
     name: str = "coulomb", at: str = "q", size: float = 0.1, *, ties: tuple[str, ...] = (), **more: Any
-) -> Found:
+) -> FoundEffect:
     own: dict[str, Any] = {"parameter": "Fc", "low": size - 0.02, "high": size + 0.02, "unit": "N m"} | more
-    return Found(
+    return FoundEffect(
         name, at, own["parameter"], size, own["low"], own["high"], own["unit"], ties, (own["parameter"], "w"),
         (size, 7.0), (own["low"], None), (own["high"], None), (own["unit"], "rad/s"),
     )  # fmt: skip
 
 
-def row(day: int | None, *effects: Found, machine: str = "A", **more: Any) -> Row:
+def row(day: int | None, *effects: FoundEffect, machine: str = "A", **more: Any) -> FleetRow:
     when = None if day is None else (date(2026, 1, 1) + timedelta(days=day)).isoformat()
     own: dict[str, Any] = {"job": f"{machine}{day}", "record": f"{machine}-{day}", "file": "f.csv", "date": when} | more
-    return Row(machine=machine, effects=effects, **own)
+    return FleetRow(machine=machine, effects=effects, **own)
 
 
 class Kept:
     """A desk that keeps what is put on it."""
 
     def __init__(self) -> None:
-        self.rows: list[Row] = []
+        self.rows: list[FleetRow] = []
         self.job_of: list[str] = []
 
     @contextmanager
@@ -136,7 +136,7 @@ def test_a_row_holds_what_the_report_says() -> None:
     )
     assert (found.error_before, found.error_after, found.warnings) == (0.5, 0.125, ("one", "two"))
     assert found.effects == (
-        Found("dahl", "q", "k", 9.0, 8.0, 10.0, "N m/rad", ("coulomb@q", "play@u"), ("Fc", "k"), (0.5, 9.0),
+        FoundEffect("dahl", "q", "k", 9.0, 8.0, 10.0, "N m/rad", ("coulomb@q", "play@u"), ("Fc", "k"), (0.5, 9.0),
               (None, 8.0), (0.75, 10.0), ("N m", "N m/rad")),
     )  # fmt: skip
     assert found.effects[0].name == "dahl@q"
@@ -340,7 +340,7 @@ def test_a_change_reads_as_a_sentence(shape: str, words: str) -> None:
 
 
 def test_changes_are_told_the_surest_first_and_paid_for_by_the_number_of_machines() -> None:
-    def line(machine: str, jump: float) -> list[Row]:
+    def line(machine: str, jump: float) -> list[FleetRow]:
         return [row(k, effect(size=size, low=size - 0.01 * NORMAL, high=size + 0.01 * NORMAL), machine=machine)
                 for k, size in enumerate((0.1, 0.1 + jump))]  # fmt: skip
 

@@ -12,7 +12,7 @@ from harness.errors import InputError
 from harness.fleet import find_records, is_fleet
 from harness.fleet.changes import _mean
 from harness.fleet.records import FleetRecord
-from harness.fleet.row import Found, Row, encoded
+from harness.fleet.row import FleetRow, FoundEffect, encoded
 from harness.fleet.running import FleetResult
 from harness.fleet.store import FleetStore
 from harness.fleet.trends import series_of, trends
@@ -20,10 +20,10 @@ from harness.fleet.work import RecordJob
 from harness.scoring.acceptance import Demands
 
 
-def row(day: int, size: float | None, low: float | None, high: float | None, machine: str = "A") -> Row:
-    effect = Found("coulomb", "q", "Fc", size, low, high, "N m", (), ("Fc",), (size,), (low,), (high,), ("N m",))
+def row(day: int, size: float | None, low: float | None, high: float | None, machine: str = "A") -> FleetRow:
+    effect = FoundEffect("coulomb", "q", "Fc", size, low, high, "N m", (), ("Fc",), (size,), (low,), (high,), ("N m",))
     when = (date(2026, 1, 1) + timedelta(days=day)).isoformat()
-    return Row(job=f"{day}", record=f"r{day}", file="", machine=machine, date=when, verdict="effects_found",
+    return FleetRow(job=f"{day}", record=f"r{day}", file="", machine=machine, date=when, verdict="effects_found",
                effects=(effect,))  # fmt: skip
 
 
@@ -68,7 +68,7 @@ def test_a_report_is_held_against_what_is_demanded(tmp_path: Path) -> None:
     ]
 
 
-def replace_status(one: Row) -> Row:
+def replace_status(one: FleetRow) -> FleetRow:
     one.status, one.reason = "crashed", "signal 11"
     return one
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from harness.fleet.records import find_records
-from harness.fleet.row import Found, Row, fill
+from harness.fleet.row import FleetRow, FoundEffect, fill
 from harness.fleet.running import _absolute
 from harness.fleet.trends import series_of, trends
 
@@ -37,7 +37,7 @@ def test_the_size_of_an_effect_is_its_first_parameter_with_both_ends(
         "effects": [{"name": "coulomb", "at": "q", "parameters": parameters}],
         "tie_sets": [tie],
     }
-    row = Row(job="a", record="a", file="", machine="", date=None)
+    row = FleetRow(job="a", record="a", file="", machine="", date=None)
     fill(row, report)
     assert (row.error_before, row.error_after, row.stand_in) == (0.7, None, None)
     (found,) = row.effects
@@ -49,10 +49,10 @@ def test_a_slope_is_as_sure_as_the_intervals_that_it_rests_on() -> None:
     sizes, half = [0.10, 0.10, 0.13, 0.13], 0.01
     rows = []
     for day, size in enumerate(sizes):
-        effect = Found("coulomb", "q", "Fc", size, size - half, size + half, "N m", (), ("Fc",), (size,),
+        effect = FoundEffect("coulomb", "q", "Fc", size, size - half, size + half, "N m", (), ("Fc",), (size,),
                        (size - half,), (size + half,), ("N m",))  # fmt: skip
         when = (date(2026, 1, 1) + timedelta(days=day)).isoformat()
-        rows.append(Row(job=f"{day}", record=f"{day}", file="", machine="", date=when, effects=(effect,)))
+        rows.append(FleetRow(job=f"{day}", record=f"{day}", file="", machine="", date=when, effects=(effect,)))
     (trend,) = trends(series_of(rows))
     day = np.arange(4.0)
     slope = float((day - 1.5) @ sizes) / 5.0

@@ -11,22 +11,22 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from harness.fleet.page import LONG, fleet_page, size_limits, written
-from harness.fleet.row import Found, Row
+from harness.fleet.row import FleetRow, FoundEffect
 from harness.fleet.store import tables
 from harness.fleet.trends import new_effects, series_of, trends
 from harness.jobs.query import ask
 
 
-def found(name: str, size: float, half: float = 0.01, ties: tuple[str, ...] = ()) -> Found:
+def found(name: str, size: float, half: float = 0.01, ties: tuple[str, ...] = ()) -> FoundEffect:
     effect, _, at = name.partition("@")
-    return Found(effect, at, "Fc", size, size - half, size + half, "N m", ties, ("Fc",), (size,), (size - half,),
+    return FoundEffect(effect, at, "Fc", size, size - half, size + half, "N m", ties, ("Fc",), (size,), (size - half,),
                  (size + half,), ("N m",))  # fmt: skip
 
 
-def row(day: int, *effects: Found, machine: str = "A", status: str = "ok") -> Row:
+def row(day: int, *effects: FoundEffect, machine: str = "A", status: str = "ok") -> FleetRow:
     when = (date(2026, 1, 1) + timedelta(days=day)).isoformat()
-    return Row(job=f"{machine}{day}", record=f"{machine}-{day}", file="", machine=machine, date=when, status=status,
-               effects=effects)  # fmt: skip
+    return FleetRow(job=f"{machine}{day}", record=f"{machine}-{day}", file="", machine=machine, date=when,
+                    status=status, effects=effects)  # fmt: skip
 
 
 def test_an_effect_is_new_once_and_not_in_the_first_record() -> None:

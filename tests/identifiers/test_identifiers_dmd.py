@@ -10,7 +10,7 @@ from harness.models.estimate import estimate_of
 from harness.registry import create
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.koopman.koopman import Dictionary, Edmdc, KoopmanModel, register_functions
+from identifiers.koopman.koopman import Edmdc, KoopmanModel, Lifting, register_functions
 from identifiers.linear.dmd import Dmdc
 
 RNG = np.random.default_rng(0)
@@ -193,7 +193,7 @@ def test_lifting_beats_a_plain_linear_map_and_more_degrees_are_no_free_gift():
 
 
 def test_the_dictionary_counts_and_starts_with_the_arguments():
-    dictionary = Dictionary(2, True, ((0.0, 0.0),), (2.0, 1.0))
+    dictionary = Lifting(2, True, ((0.0, 0.0),), (2.0, 1.0))
     lifted = dictionary.lift(np.array([[2.0, 3.0]]))
     assert lifted.shape == (1, 2 + 1 + 3 + 4 + 1)
     assert lifted[0, :6].tolist() == [1.0, 3.0, 1.0, 1.0, 3.0, 9.0]
@@ -214,7 +214,7 @@ def test_a_koopman_model_with_delays_steps_as_it_lifts():
 
 def test_fourier_gaussian_and_user_functions_lift_as_they_say():
     register_functions("product", lambda y: y[..., :1] * y[..., 1:2])
-    dictionary = Dictionary(1, centres=((0.0, 0.5),), scale=(2.0, 4.0), width=0.5, fourier=1, functions=("product",))
+    dictionary = Lifting(1, centres=((0.0, 0.5),), scale=(2.0, 4.0), width=0.5, fourier=1, functions=("product",))
     z = dictionary.lift(np.array([[1.0, 2.0]]))
     gauss = np.exp(-0.5 * (0.5**2 + 0.0**2) / 0.5**2)
     waves = [1.0, 1.0, np.cos(np.pi / 2), np.cos(np.pi / 2)]

@@ -14,7 +14,7 @@ from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.learned.lagrangian import Form, LagrangianModel, LagrangianNetwork
+from identifiers.learned.lagrangian import LagrangianForm, LagrangianModel, LagrangianNetwork
 from identifiers.linear.least_squares import Arx
 
 torch_needed = pytest.mark.skipif(
@@ -26,7 +26,7 @@ def drawn(n: int, seed: int, damping: float) -> LagrangianModel:
     """Return a model of random energies, inputs on every coordinate."""
     rng, h, m = np.random.default_rng(seed), 6, n * (n + 1) // 2
     names = tuple(f"q{i}" for i in range(n))
-    form = Form(names, (True,) * n, (1.0,) * n, tuple(range(n)), (0.5,) * n)
+    form = LagrangianForm(names, (True,) * n, (1.0,) * n, tuple(range(n)), (0.5,) * n)
     tables = {
         "mass_in": rng.normal(size=(2 * n, h)),
         "mass_bias": rng.normal(size=h),

@@ -7,7 +7,7 @@ import pytest
 
 from harness import api
 from harness.errors import InputError
-from identifiers.control.planning import Limits, Moves, Quadratic, limited_change, riccati, within
+from identifiers.control.planning import Limits, Moves, QuadraticCost, limited_change, riccati, within
 from identifiers.linear.iterative import TimeVarying
 
 PLANT = {"sample_time": 0.1, "outputs": ["x", "theta", "xdot", "thetadot"]}
@@ -95,7 +95,11 @@ def model(n=40, seed=0):
     b = np.repeat(np.array([[[0.0], [0.1]]]), n, axis=0)
     c = np.repeat(np.eye(2)[None, :1], n, axis=0)
     gains = np.repeat(np.array([[[12.0, 7.0]]]), n, axis=0)
-    return TimeVarying(a, b, c, np.zeros((n, 1, 1))), gains, Quadratic(np.ones((n, 1)), np.ones(1), np.full(1, 0.01))
+    return (
+        TimeVarying(a, b, c, np.zeros((n, 1, 1))),
+        gains,
+        QuadraticCost(np.ones((n, 1)), np.ones(1), np.full(1, 0.01)),
+    )
 
 
 def played(varying, u):

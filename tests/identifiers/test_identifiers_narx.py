@@ -11,13 +11,13 @@ from harness.errors import FitError, InputError
 from harness.models.estimate import estimate_of
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.common.lag_state import Scaling
+from identifiers.common.lag_state import Standardisation
 from identifiers.common.library import Library
 from identifiers.common.normal import NormalEquations
 from identifiers.sparse.narx import Narx
 from identifiers.sparse.narx_model import NarxModel, argument_names
 from identifiers.sparse.orthogonal import frols, helpful, lost_share
-from identifiers.sparse.pruning import Windows
+from identifiers.sparse.pruning import ScaledWindows
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
 TERMS = {"1", "y[k]", "u[k-1]", "y[k-1]^2", "u[k]^2"}
@@ -157,13 +157,13 @@ def test_a_chaotic_map_is_found_though_no_free_run_follows_it(noise):
 def test_a_free_run_that_leaves_the_data_is_infinitely_wrong_and_ends_in_nan():
     data = record(0)[5:]
     library = Library(argument_names(SPEC, 1), 2)
-    windows = Windows.of([data], 1)
+    windows = ScaledWindows.of([data], 1)
     growing = np.zeros((2, 1, len(library)))
     growing[0, 0, 1], growing[1, 0, 1] = 3.0, 0.5
     errors = windows.errors(library, range(len(library)), growing)
     assert np.isinf(errors[0, 0])
     assert np.isfinite(errors[1, 0])
-    one = Scaling(np.zeros(2), np.ones(2), np.zeros(1), np.ones(1))
+    one = Standardisation(np.zeros(2), np.ones(2), np.zeros(1), np.ones(1))
     model = NarxModel(SPEC, 1, one, library, growing[0], np.ones(1))
     x = model.initial_state(data)
     run, steps = model.free_run(x[None], data.u[None]), super(NarxModel, model).free_run(x[None], data.u[None])

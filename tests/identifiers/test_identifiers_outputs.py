@@ -11,7 +11,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.arx import Arx
 from identifiers.linear.n4sid import Subspace
 from identifiers.linear.polynomials.holes import misses_of
-from identifiers.linear.polynomials.model import Orders, Part, Polynomials, block_form, errors_and_gradients
+from identifiers.linear.polynomials.model import Orders, OutputRecord, Polynomials, block_form, errors_and_gradients
 from identifiers.linear.prediction_error import PredictionError
 from identifiers.linear.spectral import etfe, welch
 
@@ -56,7 +56,10 @@ def roots(model, count=2):
 @pytest.mark.parametrize("nf", [(), (2,), (2, 1), (0, 1)])
 def test_slopes_of_prediction_errors_are_their_differences(nf, gaps):
     rng = np.random.default_rng(0)
-    parts = [Part(rng.normal(size=(n, 2)), rng.normal(size=n), holes) for n, holes in zip((50, 30), gaps, strict=True)]
+    parts = [
+        OutputRecord(rng.normal(size=(n, 2)), rng.normal(size=n), holes)
+        for n, holes in zip((50, 30), gaps, strict=True)
+    ]
     orders = Orders(na=1, nb=(2, 1), nc=2, nd=1, nf=nf, nk=(1, 3))
     theta = np.concatenate(
         [[0.2], rng.normal(size=3), [0.3, 0.1, 0.2], [-0.6] if sum(nf) == 1 else [-1.2, 0.5, -0.6][: sum(nf)], [0.4]]
@@ -92,7 +95,7 @@ def test_the_state_space_form_predicts_as_the_polynomials_do(nf):
     model = Polynomials.of(theta, orders)
     u, y = rng.normal(size=(80, 2)), rng.normal(size=80)
     blank = [(np.zeros(orders.start_x), np.zeros(orders.start_z))]
-    errors = errors_and_gradients(model, blank, [Part(u, y)])[0]
+    errors = errors_and_gradients(model, blank, [OutputRecord(u, y)])[0]
     a, b, c, d, k, level = block_form([model])
     x = np.zeros(len(a))
     for n in range(80):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from harness.errors import FitError, InputError
 from harness.scoring import simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.learned.polynomial_pass import Polynomials, exponents
+from identifiers.learned.polynomial_pass import PolynomialTables, exponents
 from identifiers.learned.polynomial_state_space import PolynomialStateSpace
 from identifiers.learned.recurrent_model import RecurrentEnsemble
 
@@ -42,7 +42,7 @@ def test_derivatives_are_those_of_differences_compiled_or_not(
     seed: int, nx: int, nu: int, ny: int, degree: int, outside: int, direct: bool, crossed: bool
 ) -> None:
     rng = np.random.default_rng(seed)
-    layout = Polynomials(nx, nu, ny, degree, outside, direct, crossed)
+    layout = PolynomialTables(nx, nu, ny, degree, outside, direct, crossed)
     theta, start, u = 0.05 * rng.normal(size=layout.count), 0.5 * rng.normal(size=nx), rng.normal(size=(12, nu))
     y, table = layout.run(theta, start, u, sensitivities=True)
     plain, plain_table = layout.run(theta, start, u, sensitivities=True, native=False)

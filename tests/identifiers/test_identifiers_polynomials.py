@@ -15,7 +15,7 @@ from harness.models.arx_orders import arx_order_grid, input_delays
 from harness.registry import create
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.linear.polynomials.holes import misses_of
-from identifiers.linear.polynomials.model import Orders, Part, Polynomials, block_form
+from identifiers.linear.polynomials.model import Orders, OutputRecord, Polynomials, block_form
 from identifiers.linear.prediction_error import PredictionError
 
 RNG = np.random.default_rng(0)
@@ -101,7 +101,7 @@ def test_the_sum_of_squares_with_holes_is_the_likelihood_of_a_kalman_filter():
         model = Polynomials.of(np.array(theta), orders)
         u, y = rng.normal(size=(n, 1)), rng.normal(size=n)
         start = (np.zeros(orders.start_x), np.zeros(orders.start_z))
-        found = misses_of(model, [start], [Part(u, np.where(np.isin(np.arange(n), gone), 99.0, y), gone)])
+        found = misses_of(model, [start], [OutputRecord(u, np.where(np.isin(np.arange(n), gone), 99.0, y), gone)])
         a, b, c, d, k, level = block_form([model])
         x, p, squares, volume = np.zeros(len(a)), np.zeros((len(a),) * 2), 0.0, 0.0
         for i in range(n):

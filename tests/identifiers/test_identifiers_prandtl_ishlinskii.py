@@ -14,7 +14,7 @@ from harness.scoring import simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.blocks import hysteresis_pass
 from identifiers.blocks.hysteresis_fit import stopped
-from identifiers.blocks.hysteresis_pass import Layout
+from identifiers.blocks.hysteresis_pass import HysteresisLayout
 from identifiers.blocks.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiModel
 from identifiers.linear.arx import Arx
 
@@ -70,7 +70,7 @@ def test_a_hysteresis_in_the_loop_is_found_again_and_a_linear_model_does_not_rea
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.booleans())
 @settings(max_examples=10)
 def test_derivatives_are_those_of_differences_compiled_or_not(seed: int, nx: int, compiled: bool) -> None:
-    rng, layout = np.random.default_rng(seed), Layout(nx, 2, 3, 2, 3)
+    rng, layout = np.random.default_rng(seed), HysteresisLayout(nx, 2, 3, 2, 3)
     theta = 0.2 * rng.normal(size=layout.count)
     radii, u = np.tile([0.05, 0.2, 0.6], (2, 1)), rng.normal(size=(40, 2))
     x, memory = rng.normal(size=nx), np.zeros((2, 3))

@@ -131,14 +131,14 @@ def test_a_fit_to_a_pendulum_scatters_by_what_its_pilot_says():
 def test_uncertainty_of_the_pilot_and_of_the_value_widen_the_range():
     item = Item("gain", "1", None, np.array([2.0]))
     rng = np.random.default_rng(0)
-    from identifiers.linear.length.pilot import Entry
+    from identifiers.linear.length.pilot import PilotEntry
 
-    sure = needed_length(Entry(item, np.array([[0.01]]), 1e6, {}), 100, 0.05, 0.9, rng)
-    few = needed_length(Entry(item, np.array([[0.01]]), 19.0, {}), 100, 0.05, 0.9, rng)
+    sure = needed_length(PilotEntry(item, np.array([[0.01]]), 1e6, {}), 100, 0.05, 0.9, rng)
+    few = needed_length(PilotEntry(item, np.array([[0.01]]), 19.0, {}), 100, 0.05, 0.9, rng)
     assert few.samples == pytest.approx(sure.samples)
     assert few.high / few.low > 2 * sure.high / sure.low
     assert few.now > sure.now  # Student's quantile
-    nothing = needed_length(Entry(item, np.array([[np.inf]]), 19.0, {}), 100, 0.05, 0.9, rng)
+    nothing = needed_length(PilotEntry(item, np.array([[np.inf]]), 19.0, {}), 100, 0.05, 0.9, rng)
     assert np.isinf(nothing.samples)
 
 

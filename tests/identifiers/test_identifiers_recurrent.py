@@ -15,7 +15,7 @@ from harness.scoring.predictive import probability_score
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.learned import recurrent
 from identifiers.learned.recurrent import NeuralOutputError, RecurrentEnsemble
-from identifiers.learned.recurrent_pass import Integrating, Layout, library
+from identifiers.learned.recurrent_pass import Integrating, RecurrentLayout, library
 from identifiers.linear.least_squares import Arx
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 1.0)
@@ -64,7 +64,7 @@ def test_a_free_run_beyond_the_data_is_held_and_stays_finite():
     st.integers(0, 999),
 )  # fmt: skip
 def test_derivatives_are_those_of_differences(nx, nu, ny, hidden, outside, summed, seed):
-    network, rng = Layout(nx, nu, ny, hidden, outside), np.random.default_rng(seed)
+    network, rng = RecurrentLayout(nx, nu, ny, hidden, outside), np.random.default_rng(seed)
     layout = Integrating(network, (0.3, 2.0)[:ny]) if summed else network
     theta, start, u = 0.2 * rng.normal(size=layout.count), rng.normal(size=layout.nx), rng.normal(size=(12, nu))
     y, slopes = layout.run(theta, start, u, sensitivities=True)
@@ -120,7 +120,7 @@ def test_sums_of_what_a_network_says_hold_where_the_plant_has_never_been():
 def test_compiled_and_numpy_runs_agree_also_where_they_diverge():
     if library() is None:
         pytest.skip("no C compiler: install gcc")
-    layout, rng = Layout(2, 1, 2, 3, 2), np.random.default_rng(0)
+    layout, rng = RecurrentLayout(2, 1, 2, 3, 2), np.random.default_rng(0)
     u = rng.normal(size=(60, 1))
     for size in (0.2, 3.0):  # the second grows beyond all bounds
         theta, start = size * rng.normal(size=layout.count), rng.normal(size=2)

@@ -15,9 +15,9 @@ from harness.models.lqr import kalman_gain, lqr_gain
 from harness.registry import create
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from identifiers.linear.response_control import (
-    Response,
     ResponseController,
     StateController,
+    UncertainResponse,
     _cost,
     _largest_gain,
     _unexplained,
@@ -55,7 +55,7 @@ def natural() -> np.ndarray:
     return _unexplained(TRUE, long.y, long.u)[200:]
 
 
-def wrong_by(found: Response) -> float:
+def wrong_by(found: UncertainResponse) -> float:
     """Return the largest gain over all frequencies of what an estimate is wrong by."""
     return _largest_gain(TRUE - np.pad(found.markov, ((0, len(TRUE) - len(found.markov)), (0, 0), (0, 0))))
 

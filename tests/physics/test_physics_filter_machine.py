@@ -10,7 +10,7 @@ from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.fmi.build import compiler
 from harness.physics import load_model
-from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.kalman_pass import KalmanPass, PassNoise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.signals import PlantSpec, Trajectory
 
@@ -55,7 +55,7 @@ def test_both_ways_are_the_same_to_rounding(model: str, intersample: str, holes:
     found = []
     for compiled in (True, False):
         run = KalmanPass(disturbed, DT, intersample=intersample, compiled=compiled)  # type: ignore[arg-type]
-        noise = Noise(
+        noise = PassNoise(
             np.full(run.ny, 0.01), np.full(run.nl, 0.2 * force), np.full(run.nl, 0.3), np.full(run.nl, 0.05 * force)
         )
         columns = np.arange(run.parameter_count + run.start_size)
@@ -77,5 +77,5 @@ def test_both_ways_are_the_same_to_rounding(model: str, intersample: str, holes:
 def test_a_state_that_diverges_is_no_pass() -> None:
     system, data, p, _ = record("pendulum", "zoh", False)
     run = KalmanPass(with_latent_forces(system), DT, compiled=False)  # type: ignore[arg-type]
-    noise = Noise(np.full(run.ny, 0.01), np.full(run.nl, 0.2), np.full(run.nl, 0.3), np.zeros(run.nl))
+    noise = PassNoise(np.full(run.ny, 0.01), np.full(run.nl, 0.2), np.full(run.nl, 0.3), np.zeros(run.nl))
     assert run(data, p * [1e-30, 1.0, 1.0], np.array([0.2, 0.0]), noise) is None

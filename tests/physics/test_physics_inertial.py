@@ -15,7 +15,13 @@ from harness.errors import FitError, InputError
 from harness.models.estimate import estimate_of
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.physics.arms.inertia import divergence, from_log_cholesky, is_consistent, pseudo_inertia, to_log_cholesky
-from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program, extent_of
+from harness.physics.arms.inertial_fit import (
+    Bodies,
+    InertialProblem,
+    by_log_cholesky,
+    by_semidefinite_program,
+    extent_of,
+)
 from harness.physics.arms.urdf_shapes import bounding_boxes
 from harness.physics.arms.urdf_write import urdf_with
 from harness.signals import PlantSpec, Trajectory
@@ -176,8 +182,10 @@ def test_constraints_alone_are_vacuous_and_shapes_bound(iiwa):
     _, q, v, a = swing(iiwa, 300, seed=1)
     rows = iiwa.arm.regressor(q, v, a)
     gram, truth = rows.T @ rows, iiwa.arm.parameters
-    free = Problem(gram, gram @ truth, Bodies(truth), None, np.zeros(0, dtype=bool))
-    boxed = Problem(gram, gram @ truth, Bodies(truth, boxes=bounding_boxes(iiwa)), None, np.zeros(0, dtype=bool))
+    free = InertialProblem(gram, gram @ truth, Bodies(truth), None, np.zeros(0, dtype=bool))
+    boxed = InertialProblem(
+        gram, gram @ truth, Bodies(truth, boxes=bounding_boxes(iiwa)), None, np.zeros(0, dtype=bool)
+    )
     third = np.eye(70)[20]
     low, high = extent_of(free, third)
     low_in, high_in = extent_of(boxed, third)
@@ -195,7 +203,7 @@ def test_every_answer_of_the_semidefinite_program_is_a_body(seed):
     prior = from_log_cholesky(0.3 * rng.normal(size=(2, 10)))
     rows = rng.normal(size=(15, 23))
     side = rows.T @ (3 * rng.normal(size=15))
-    problem = Problem(rows.T @ rows, side, Bodies(prior), 1.0, np.array([True, True, False]))
+    problem = InertialProblem(rows.T @ rows, side, Bodies(prior), 1.0, np.array([True, True, False]))
     found, same = by_semidefinite_program(problem), by_log_cholesky(problem)
     assert is_consistent(found[:20].reshape(-1, 10), tolerance=1e-9)
     assert (same[20:22] >= 0).all()
@@ -209,7 +217,7 @@ def test_log_cholesky_ends_where_friction_would_be_below_nothing(seed):
     prior, true = from_log_cholesky(0.3 * rng.normal(size=(2, 3, 10)))
     rows = 3e5 * rng.normal(size=(200, 33))
     known = rows @ np.concatenate([true.ravel(), [-1e-3, -1e-3, -0.5]])
-    problem = Problem(rows.T @ rows, rows.T @ known, Bodies(prior), 1.0, np.array([True, True, False]))
+    problem = InertialProblem(rows.T @ rows, rows.T @ known, Bodies(prior), 1.0, np.array([True, True, False]))
     found = by_log_cholesky(problem)
     assert (found[30:32] == 0.0).all()
     assert found[:30] == pytest.approx(true.ravel(), abs=1e-3)

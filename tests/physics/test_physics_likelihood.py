@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from harness.effects import builtin, compose
 from harness.effects.effect import Placed
 from harness.physics import fit_output_error
-from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.kalman_pass import KalmanPass, PassNoise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.physics.compiled.smoother import innovation_response, smoothed
 from harness.physics.fitting.fisher_scoring import scored
@@ -55,9 +55,9 @@ def noise_model(system, **options) -> NoiseModel:
     return NoiseModel(np.full(n, 1.0), np.full(system.ny, 0.3), shortest=DT, longest=3.0, **options)
 
 
-def some_noise(system, r=1e-3, s=0.05, tau=0.1, w=0.01) -> Noise:
+def some_noise(system, r=1e-3, s=0.05, tau=0.1, w=0.01) -> PassNoise:
     n = len(system.coordinates)
-    return Noise(np.full(system.ny, r), np.full(n, s), np.full(n, tau), np.full(n, w))
+    return PassNoise(np.full(system.ny, r), np.full(n, s), np.full(n, tau), np.full(n, w))
 
 
 @pytest.mark.parametrize(("make", "intersample"), [(pendulum, "zoh"), (cart_pole, "foh"), (oscillator, "smooth")])
@@ -112,7 +112,7 @@ def linear_case(outputs) -> tuple:
     """An oscillator with a latent force: system, parameters, noise, record and initial state."""
     system = oscillator().system().with_outputs(outputs)
     p = np.array([1.0, 0.4, 9.0])
-    noise = Noise(np.array([0.02, 0.05])[: system.ny], np.array([0.5]), np.array([0.2]), np.array([0.1]))
+    noise = PassNoise(np.array([0.02, 0.05])[: system.ny], np.array([0.5]), np.array([0.2]), np.array([0.1]))
     data = record(system, p, [0.1, 0.0], noise=0.02, force=0.5, n=400)
     return system, p, noise, data, np.array([0.1, 0.0])
 
@@ -169,7 +169,7 @@ def test_with_a_large_latent_force_it_is_the_equation_error_fit() -> None:
     system = oscillator().system().with_outputs(["q", ("q", 1)])
     truth, simulator = np.array([1.0, 0.4, 9.0]), system.simulator(DT)
     start, model = [np.array([0.1, 0.0])], NoiseModel(np.ones(1), np.full(2, 0.3), shortest=1e-3, longest=3.0)
-    noise = Noise(np.full(2, 3e-4), np.ones(1), np.array([1e-3]), np.zeros(1))
+    noise = PassNoise(np.full(2, 3e-4), np.ones(1), np.array([1e-3]), np.zeros(1))
     errors = []  # of free runs
     for seed in range(4):
         data = record(system, truth, start[0], noise=3e-4, force=1.0, tau=1e-3, n=3000, seed=seed)
@@ -296,7 +296,7 @@ def test_a_free_run_in_a_narrow_valley_is_followed_to_its_end() -> None:
     data = Trajectory(np.arange(n) * dt, u, y[:, None], PlantSpec(system.inputs, system.outputs, dt))
     model = NoiseModel(np.ones(4), np.array([y.std()]), latent=False, white=False, shortest=dt, longest=1.0)
     likelihood = Likelihood(system, [data], model)
-    noise = Noise(np.array([0.1]), np.zeros(4), np.full(4, 0.1), np.zeros(4))
+    noise = PassNoise(np.array([0.1]), np.zeros(4), np.full(4, 0.1), np.zeros(4))
     fit = likelihood.maximise(likelihood.concentrated(Point(system.vector(), [np.zeros(4)], noise)))
     assert fit.converged
     again = fit
@@ -333,7 +333,7 @@ def resonance(k: float, inertia: float, damping: float) -> dict[str, float]:
 
 
 def beginning(likelihood: Likelihood, p: np.ndarray, s: float, tau: float, w: float) -> Point:
-    noise = Noise(np.array([1e-4]), np.array([s]), np.array([tau]), np.array([w]))
+    noise = PassNoise(np.array([1e-4]), np.array([s]), np.array([tau]), np.array([w]))
     return Point(p, [np.zeros(likelihood.system.nx)], noise)
 
 
@@ -530,7 +530,7 @@ def test_a_free_swing_has_no_interval_of_what_only_ratios_tell() -> None:
     passes = KalmanPass(without_latent_forces(system), DT)
     likelihood = Likelihood(system, [free], model, passes=passes)
     none = np.zeros(0)
-    start = Point(system.vector(), [np.array([0.6, 0.0])], Noise(np.array([1e-3]), none, none, none))
+    start = Point(system.vector(), [np.array([0.6, 0.0])], PassNoise(np.array([1e-3]), none, none, none))
     fit = likelihood.maximise(start, free=[*system.parameter_names, "x0[0].theta"])
     assert set(fit.undetermined) == set(system.parameter_names)
     assert all(fit.interval(name) == (0.0, np.inf) for name in system.parameter_names)

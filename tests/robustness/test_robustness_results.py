@@ -18,11 +18,11 @@ from harness.benchmark.row import Row
 from harness.benchmark.row import encoded as encoded_cell
 from harness.benchmark.store import Store
 from harness.command import main
-from harness.diagnosis.store import Store as Refits
+from harness.diagnosis.store import CandidateStore as Refits
 from harness.errors import InputError
 from harness.fleet.records import find_records
-from harness.fleet.row import Found, encoded
-from harness.fleet.row import Row as Record
+from harness.fleet.row import FleetRow as Record
+from harness.fleet.row import FoundEffect, encoded
 from harness.fleet.store import FleetStore
 
 SEED, COUNT = 3, 50
@@ -64,7 +64,7 @@ def write_results(folder: Path) -> dict[str, list[list[str]]]:
             for row in cells():
                 (store.shards / f"{row.job}.json").write_bytes(encoded_cell(row))
             files[str(store.shards / "job0.json")] = commands
-    effect = Found(
+    effect = FoundEffect(
         "coulomb_friction", "theta", "Fc", 0.1, 0.09, 0.2, "N m", (), ("Fc",), (0.1,), (0.09,), (0.2,), ("N m",)
     )
     rows = [

@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from harness.cli.app import app
-from harness.cosim.free_run import FreeRun
+from harness.cosim.free_run import CoupledRun
 from harness.errors import InputError
 from harness.fmi import build
 from harness.parts.files import describe_fmu
@@ -24,7 +24,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 from harness.vetting import vet
 from harness.vetting.described import described
 from harness.vetting.findings import Finding
-from harness.vetting.runs import CHECKS, FEWEST, Subject, excited
+from harness.vetting.runs import CHECKS, FEWEST, FmuSubject, excited
 from harness.vetting.vet import samples_of
 from plants.mockups import mockup
 
@@ -46,12 +46,12 @@ def hostile(odd_fmu: Callable[..., Path]) -> Path:
 @pytest.fixture(scope="session")
 def tried(faulty: Path) -> Callable[[int, str], list[Finding]]:
     content = describe_fmu(faulty)
-    records: dict[int, tuple[Subject, Trajectory]] = {}
+    records: dict[int, tuple[FmuSubject, Trajectory]] = {}
 
     def run(mode: int, check: str) -> list[Finding]:
         if mode not in records:
             options = {"path": str(faulty), "sample_time": 0.02, "parameters": {"mode": mode}}
-            subject = Subject(faulty, content, options, 10.0)
+            subject = FmuSubject(faulty, content, options, 10.0)
             findings, record = excited(subject)
             assert record is not None
             assert findings[0].passed
@@ -132,7 +132,7 @@ def test_what_a_library_lacks_and_needs_is_told(
         for entry in old.infolist():
             library = entry.filename.endswith(".so")
             new.writestr(entry.filename, (tmp_path / "bare.so").read_bytes() if library else old.read(entry))
-    subject = Subject(bare, describe_fmu(bare), {"path": str(bare), "sample_time": 0.02}, 10.0)
+    subject = FmuSubject(bare, describe_fmu(bare), {"path": str(bare), "sample_time": 0.02}, 10.0)
     spec = PlantSpec((), (Channel("y"),), 0.02)
     (found,) = CHECKS["binary"](subject, Trajectory(np.zeros(1), np.zeros((1, 0)), np.zeros((1, 1)), spec))
     assert found.passed is False
@@ -144,7 +144,7 @@ def test_what_a_library_lacks_and_needs_is_told(
 def test_what_ends_a_simulation_is_tried_up_to_there(hostile: Path) -> None:
     content = describe_fmu(hostile)
     options = {"path": str(hostile), "sample_time": 0.01, "parameters": {"mode": TERMINATES, "when": 0.6}}
-    ends, runs, *_ = (found := excited(Subject(hostile, content, options, 10.0)))[0]
+    ends, runs, *_ = (found := excited(FmuSubject(hostile, content, options, 10.0)))[0]
     assert (ends.name, ends.passed) == ("ends", None)
     assert "t = 0.6 s" in ends.came
     assert (runs.name, runs.passed, runs.tried) == ("runs", True, "50 samples under changing inputs")
@@ -163,7 +163,7 @@ def test_no_run_goes_beyond_the_own_experiment(tmp_path: Path) -> None:
 def test_derivatives_by_states_are_held_against_differences(odd_fmu: Callable[..., Path]) -> None:
     ball = odd_fmu("ball")
     content = describe_fmu(ball)
-    subject = Subject(ball, content, {"path": str(ball), "sample_time": 0.02}, 10.0)
+    subject = FmuSubject(ball, content, {"path": str(ball), "sample_time": 0.02}, 10.0)
     _, record = excited(replace(subject, samples=10))
     assert record is not None
     found = {one.name: one for one in CHECKS["derivatives"](subject, record)}["state derivatives"]
@@ -195,7 +195,7 @@ def test_two_interfaces_agree_but_for_an_instant(late: int, factor: float, event
         def rollout(self, u: np.ndarray) -> np.ndarray:
             return factor * np.roll(y, late, axis=0)[1 : len(u) + 1]
 
-    class Both(Subject):
+    class Both(FmuSubject):
         def plant(self, **more: Any) -> Any:
             assert more == {"kind": "me"}
             return Other()
@@ -224,9 +224,11 @@ def test_a_tolerance_fails_where_it_decides_the_result(
     spec = PlantSpec((), (Channel("y"),), 0.1)
     record = Trajectory(0.1 * np.arange(3), np.zeros((3, 0)), np.zeros((3, 1)), spec)
     notes = (f"the FMU's own tolerance moves y by {100 * moved:g} %",) if moved else ()
-    monkeypatch.setattr("harness.registry.load", lambda *_: lambda *_, **__: FreeRun(record, notes, None, moved=moved))
+    monkeypatch.setattr(
+        "harness.registry.load", lambda *_: lambda *_, **__: CoupledRun(record, notes, None, moved=moved)
+    )
     experiment = {"stopTime": 0.2 if moved else None}
-    subject = Subject(Path("x.fmu"), {"experiment": experiment}, {}, 1.0)
+    subject = FmuSubject(Path("x.fmu"), {"experiment": experiment}, {}, 1.0)
     (found,) = CHECKS["own experiment"](subject, record)
     assert found.passed is passed
     assert ("it has no default experiment" in found.tried) == (not moved)

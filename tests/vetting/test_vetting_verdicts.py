@@ -19,7 +19,7 @@ from harness.vetting import inside
 from harness.vetting.described import _experiment
 from harness.vetting.findings import Finding, Vetting
 from harness.vetting.reference import _channel, _Drive, _held, _step, _stepped
-from harness.vetting.runs import CHANGES, CHECKS, FEWEST, LEAK, RETURNS, Subject, excited
+from harness.vetting.runs import CHANGES, CHECKS, FEWEST, LEAK, RETURNS, FmuSubject, excited
 from harness.vetting.tubes import Tube
 
 N, DT = 50, 0.1
@@ -29,7 +29,7 @@ RECORD = Trajectory(DT * np.arange(N), np.zeros((N, 1)), Y, SPEC)
 CONTENT = {"kinds": {"co-simulation": {"variable step": True}}, "fmi": "2.0", "event_indicators": 0, "problems": ()}
 
 
-class Told(Subject):
+class Told(FmuSubject):
     """An FMU of which every run and every look inside is made up."""
 
     answers: Mapping[str, Any] = {}

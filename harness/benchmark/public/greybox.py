@@ -16,7 +16,7 @@ from harness.benchmark.public.blackbox import parted
 from harness.benchmark.public.choices import GreyChoice
 from harness.benchmark.public.rules import Rule
 from harness.benchmark.public.scores import figure, simulated
-from harness.benchmark.public.structures import Structure, grown, refitted
+from harness.benchmark.public.structures import PublicModel, grown, refitted
 from harness.data import LoadedDataset, Nominal, load_dataset, read_description
 from harness.errors import InputError
 from harness.protocols import Model
@@ -26,7 +26,7 @@ REPORT, MODEL = "report.json", "model.json"
 
 
 @dataclass(frozen=True)
-class Signals:
+class PublicSignals:
     """How the channels of a public set become those of a recipe: a factor and a zero on each input.
 
     Parameters
@@ -51,18 +51,18 @@ class Repaired:
     """What the loop made of the nominal model."""
 
     model: Model
-    signals: Signals
+    signals: PublicSignals
     words: str  # The nominal model and the effects that it lacked
     refitted: bool  # True if the parameters are those of a fit to all of the data, False if those of the loop
 
 
-def signals_of(rule: Rule, choice: GreyChoice) -> Signals:
+def signals_of(rule: Rule, choice: GreyChoice) -> PublicSignals:
     """Return how the set's channels become those of its recipe; of a set without a recipe they stay as they are.
 
     Raises InputError if the recipe converts outputs: the figure would be in another unit.
     """
     if not choice.recording:
-        return Signals(rule.spec, (1.0,) * rule.spec.nu, (0.0,) * rule.spec.nu)
+        return PublicSignals(rule.spec, (1.0,) * rule.spec.nu, (0.0,) * rule.spec.nu)
     path = registry.dataset_path(choice.recording)
     described = read_description(path).signals.values()
     inputs = [one for one in described if one.role == "input"]
@@ -73,10 +73,10 @@ def signals_of(rule: Rule, choice: GreyChoice) -> Signals:
             remedy="score the set without this recipe", file=path,
         )  # fmt: skip
     spec = load_dataset(path).dataset.spec
-    return Signals(spec, tuple(one.scale for one in inputs), tuple(one.offset for one in inputs))
+    return PublicSignals(spec, tuple(one.scale for one in inputs), tuple(one.offset for one in inputs))
 
 
-def nominal_data(rule: Rule, train: Sequence[Trajectory], choice: GreyChoice) -> tuple[LoadedDataset, Signals]:
+def nominal_data(rule: Rule, train: Sequence[Trajectory], choice: GreyChoice) -> tuple[LoadedDataset, PublicSignals]:
     """Return the records to learn from, their end validating, with the nominal model; no test record among them.
 
     Of a recipe the nominal model, the conversion of the signals and how the input moves between samples are taken, not
@@ -136,20 +136,20 @@ def repaired(
     return Repaired(chosen, signals, _words(report, content), better)
 
 
-def _ended(content: dict[str, Any], nominal: Any) -> Structure | None:
+def _ended(content: dict[str, Any], nominal: Any) -> PublicModel | None:
     """Return the structure that the loop ended with, or None where its model is no grey box."""
     if content.get("kind") != "grey-box":
         return None
     effects = tuple("@".join(one) for one in content.get("effects", []))
     intersample = content.get("intersample", "zoh")
-    return Structure(nominal.model, content.get("options", {}), effects, content["parameters"], intersample)
+    return PublicModel(nominal.model, content.get("options", {}), effects, content["parameters"], intersample)
 
 
 def _further(
     rule: Rule,
-    ended: Structure | None,
+    ended: PublicModel | None,
     data: LoadedDataset,
-    signals: Signals,
+    signals: PublicSignals,
     whole: Sequence[Trajectory],
     most: int,
     progress: Callable[[float, str], None] | None,
@@ -158,7 +158,7 @@ def _further(
     nominal = data.nominal
     if nominal is None:
         return None
-    starts = [Structure(nominal.model, dict(nominal.options), intersample=data.dataset.intersample)]
+    starts = [PublicModel(nominal.model, dict(nominal.options), intersample=data.dataset.intersample)]
     if ended is not None:
         starts.append(ended)
 

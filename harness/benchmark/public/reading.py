@@ -22,7 +22,7 @@ Pairs = tuple[list[Pair], list[list[Pair]]]  # Records (u, y) to learn from; and
 
 
 @dataclass(frozen=True, eq=False)
-class Split:
+class PublicSplit:
     """A public set as its rule divides it."""
 
     train: tuple[Trajectory, ...]  # What may be learned from, the choice of a model included
@@ -218,7 +218,7 @@ def found_in(rule: Rule, folder: Path | None = None) -> Path | None:
     return place if sign is not None and next(place.glob(sign[0]), None) is not None else None
 
 
-def read(rule: Rule, folder: Path) -> Split:
+def read(rule: Rule, folder: Path) -> PublicSplit:
     """Return a set from its folder; what a file ``origin.txt`` there says of its data stands beside the figures.
 
     Raises InputError if a file of it is missing or is not what the rule speaks of.
@@ -237,7 +237,7 @@ def read(rule: Rule, folder: Path) -> Split:
         ) from error
 
 
-def downloaded(rule: Rule) -> Split:
+def downloaded(rule: Rule) -> PublicSplit:
     """Return a set through the official loader, which downloads it once and keeps it below the home folder.
 
     Raises InputError if the package (extra ``download``) is missing or too old for the set, its window is not the
@@ -285,7 +285,7 @@ def _of_loader(rule: Rule, train: Any, tests: Sequence[Any]) -> Pairs:
     return learn, found if rule.metric == "window" else [[flight for one in found for flight in one]] * len(rule.tests)
 
 
-def _split(rule: Rule, pairs: Pairs, origin: str) -> Split:
+def _split(rule: Rule, pairs: Pairs, origin: str) -> PublicSplit:
     """Return pairs as records of the rule's channels."""
 
     def record(pair: Pair) -> Trajectory:
@@ -300,4 +300,4 @@ def _split(rule: Rule, pairs: Pairs, origin: str) -> Split:
             got=f"{len(learn)} and {len(tests)}",
             remedy=rule.where,
         )
-    return Split(tuple(map(record, learn)), tuple(tuple(map(record, group)) for group in tests), origin)
+    return PublicSplit(tuple(map(record, learn)), tuple(tuple(map(record, group)) for group in tests), origin)

@@ -19,7 +19,7 @@ RESULTS = "public.json"
 Status = Literal["ok", "missing", "not entered", "unfit", "failed"]
 
 
-class Cell(msgspec.Struct, frozen=True, kw_only=True):
+class PublicCell(msgspec.Struct, frozen=True, kw_only=True):
     """One set in one column, and what came of it.
 
     ``figures`` and ``whole_record`` are in the order of the rule's tests and in its unit: the initial state from the
@@ -55,14 +55,14 @@ class PublicResult:
     """
 
     rules: tuple[Rule, ...]
-    cells: tuple[Cell, ...]
+    cells: tuple[PublicCell, ...]
     versions: dict[str, str]
     folder: Path
 
     @cached_property
-    def by_set(self) -> dict[str, dict[str, Cell]]:
+    def by_set(self) -> dict[str, dict[str, PublicCell]]:
         """The cells by set and column."""
-        found: dict[str, dict[str, Cell]] = {rule.id: {} for rule in self.rules}
+        found: dict[str, dict[str, PublicCell]] = {rule.id: {} for rule in self.rules}
         for cell in self.cells:
             found[cell.set][cell.column] = cell
         return found
@@ -91,7 +91,7 @@ def read_public(folder: str | Path) -> PublicResult:
     path = Path(folder) / RESULTS
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        cells = msgspec.convert(content["cells"], list[Cell])
+        cells = msgspec.convert(content["cells"], list[PublicCell])
     except (*UNREADABLE, KeyError, msgspec.ValidationError) as error:
         raise InputError(
             "a public table", expected=f"{RESULTS} that sysid wrote", got=" ".join(str(error).split())[:120],
@@ -100,7 +100,7 @@ def read_public(folder: str | Path) -> PublicResult:
     return arranged(cells, content["versions"], Path(folder))
 
 
-def arranged(cells: Sequence[Cell], versions: dict[str, str], folder: Path) -> PublicResult:
+def arranged(cells: Sequence[PublicCell], versions: dict[str, str], folder: Path) -> PublicResult:
     """Return cells as a table, in the order of the rules."""
     rules = chosen_rules(sorted({cell.set for cell in cells}) or None)
     order = {rule.id: number for number, rule in enumerate(rules)}

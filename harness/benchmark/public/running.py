@@ -12,8 +12,8 @@ import msgspec
 from harness.benchmark.public.blackbox import chosen
 from harness.benchmark.public.choices import BlackChoices, GreyChoice, SetChoices, read_choices
 from harness.benchmark.public.greybox import repaired
-from harness.benchmark.public.reading import Split, downloaded, found_in, read
-from harness.benchmark.public.result import RESULTS, Cell, PublicResult, arranged, read_public, write_public
+from harness.benchmark.public.reading import PublicSplit, downloaded, found_in, read
+from harness.benchmark.public.result import RESULTS, PublicCell, PublicResult, arranged, read_public, write_public
 from harness.benchmark.public.rules import Rule, chosen_rules
 from harness.benchmark.public.scores import figure, simulated
 from harness.benchmark.public.tables import write_tables
@@ -74,7 +74,7 @@ def bench_public(
     folder.mkdir(parents=True, exist_ok=True)
     asked = COLUMNS if only is None else (only,)
     jobs = [(rule, entry) for rule in rules for entry in _entries(entered.get(rule.id, SetChoices()), asked)]
-    splits: dict[str, Split | str] = {}
+    splits: dict[str, PublicSplit | str] = {}
     cells = []
     for done, (rule, (column, entry)) in enumerate(jobs):
         what = f"{rule.id}, {column}"
@@ -109,7 +109,7 @@ def _entries(choice: SetChoices, asked: Sequence[str]) -> list[tuple[str, Entry]
     return found
 
 
-def _data(rule: Rule, download: bool) -> Split | str:
+def _data(rule: Rule, download: bool) -> PublicSplit | str:
     """Return a set, or why there is none."""
     try:
         place = found_in(rule)
@@ -124,25 +124,25 @@ def _cell(
     rule: Rule,
     column: str,
     entry: Entry,
-    split: Split | str,
+    split: PublicSplit | str,
     folder: Path,
     resume: bool,
     say: Callable[[str], None],
-) -> Cell:
+) -> PublicCell:
     """Return a cell, read back where nothing that it rests on has changed."""
     if isinstance(split, str):
-        return Cell(set=rule.id, column=column, key="", status="missing", reason=split)
+        return PublicCell(set=rule.id, column=column, key="", status="missing", reason=split)
     if entry is None:
-        return Cell(set=rule.id, column=column, key="", status="not entered", reason="nothing is declared for it")
+        return PublicCell(set=rule.id, column=column, key="", status="not entered", reason="nothing is declared for it")
     if rule.metric != "window":
-        return Cell(
+        return PublicCell(
             set=rule.id, column=column, key="", status="not entered",
             reason="scored over horizons from every sample, for which no identifier is entered",
         )  # fmt: skip
     key = fingerprint(rule.id, rule.window, rule.scale, split, msgspec.to_builtins(entry), own_code())
     kept = folder / "cells" / f"{rule.id}-{column}.json"
     if resume and kept.is_file():
-        found = msgspec.json.decode(kept.read_bytes(), type=Cell)
+        found = msgspec.json.decode(kept.read_bytes(), type=PublicCell)
         if found.key == key and found.status == "ok":
             return found
     began = time.perf_counter()
@@ -152,7 +152,9 @@ def _cell(
         else:
             cell = _black(rule, column, key, entry, split, say)
     except HarnessError as error:
-        cell = Cell(set=rule.id, column=column, key=key, status="failed", reason=_line(error), origin=split.origin)
+        cell = PublicCell(
+            set=rule.id, column=column, key=key, status="failed", reason=_line(error), origin=split.origin
+        )
     cell = msgspec.structs.replace(cell, seconds=time.perf_counter() - began, code=own_code()[:8])
     kept.parent.mkdir(exist_ok=True)
     with whole_file(kept) as scratch:
@@ -160,17 +162,19 @@ def _cell(
     return cell
 
 
-def _black(rule: Rule, column: str, key: str, entry: BlackChoices, split: Split, say: Callable[[str], None]) -> Cell:
+def _black(
+    rule: Rule, column: str, key: str, entry: BlackChoices, split: PublicSplit, say: Callable[[str], None]
+) -> PublicCell:
     """Return the cell of identifiers among which the validation part chooses."""
     model, best, tried = chosen(rule, split.train, entry.validation, entry.candidates, say)
     shown = [msgspec.to_builtins(one) for one in tried]
     if model is None or best is None:
         reason = "; ".join(f"{one.identifier} {one.options}: {one.reason}" for one in tried)
-        return Cell(
+        return PublicCell(
             set=rule.id, column=column, key=key, status="unfit", reason=_line(reason), origin=split.origin, tried=shown
         )
     options = ", ".join(f"{name} {_shown(value)}" for name, value in best.options.items())
-    return Cell(
+    return PublicCell(
         set=rule.id,
         column=column,
         key=key,
@@ -184,18 +188,20 @@ def _black(rule: Rule, column: str, key: str, entry: BlackChoices, split: Split,
 
 
 def _grey(
-    rule: Rule, column: str, key: str, entry: GreyChoice, split: Split, folder: Path, say: Callable[[str], None]
-) -> Cell:
+    rule: Rule, column: str, key: str, entry: GreyChoice, split: PublicSplit, folder: Path, say: Callable[[str], None]
+) -> PublicCell:
     """Return the cell of the loop's repaired physics; its report stays in ``loops/``, named by what it rests on."""
     place = folder / "loops" / f"{rule.id}-{key[:8]}"
     place.parent.mkdir(exist_ok=True)
     found = repaired(rule, split.train, entry, place, lambda share, what: say(f"{what} ({100 * share:.0f} %)"))
     words = found.words + ("" if found.refitted else "; parameters of the loop")
     figures = _figures(rule, split, found.model, found.signals.of)
-    return Cell(set=rule.id, column=column, key=key, status="ok", model=words, origin=split.origin, **figures)
+    return PublicCell(set=rule.id, column=column, key=key, status="ok", model=words, origin=split.origin, **figures)
 
 
-def _figures(rule: Rule, split: Split, model: Model, signals: Callable[[Trajectory], Trajectory]) -> dict[str, Any]:
+def _figures(
+    rule: Rule, split: PublicSplit, model: Model, signals: Callable[[Trajectory], Trajectory]
+) -> dict[str, Any]:
     """Return the figures of a model on the test records: from the window, and with the whole record for its start."""
 
     def over(window: int | None) -> list[float | None]:
@@ -209,7 +215,7 @@ def _figures(rule: Rule, split: Split, model: Model, signals: Callable[[Trajecto
     return {"figures": over(rule.window), "whole_record": over(None)}
 
 
-def _written(cells: Sequence[Cell], folder: Path) -> PublicResult:
+def _written(cells: Sequence[PublicCell], folder: Path) -> PublicResult:
     """Write the table with what earlier runs left of other sets and columns, and return it."""
     known = {(cell.set, cell.column): cell for cell in _earlier(folder)}
     known |= {(cell.set, cell.column): cell for cell in cells}
@@ -219,7 +225,7 @@ def _written(cells: Sequence[Cell], folder: Path) -> PublicResult:
     return result
 
 
-def _earlier(folder: Path) -> tuple[Cell, ...]:
+def _earlier(folder: Path) -> tuple[PublicCell, ...]:
     """Return the cells that a folder holds."""
     return read_public(folder).cells if (folder / RESULTS).is_file() else ()
 

@@ -27,7 +27,7 @@ motion says is no surer than some percent, and the best of some thirty tries is 
 
 
 @dataclass(frozen=True)
-class Structure:
+class PublicModel:
     """A physical model: what is built into it, and where its parameters start."""
 
     model: str
@@ -37,7 +37,7 @@ class Structure:
     intersample: str = "zoh"
 
 
-def refitted(rule: Rule, structure: Structure, records: Sequence[Trajectory]) -> Model | None:
+def refitted(rule: Rule, structure: PublicModel, records: Sequence[Trajectory]) -> Model | None:
     """Return a structure fitted to free runs over whole records, or None where that fails."""
     options = {
         "model": structure.model,
@@ -55,7 +55,7 @@ def refitted(rule: Rule, structure: Structure, records: Sequence[Trajectory]) ->
     return model
 
 
-def halves_figure(rule: Rule, structure: Structure, records: Sequence[Trajectory]) -> float:
+def halves_figure(rule: Rule, structure: PublicModel, records: Sequence[Trajectory]) -> float:
     """Return the rule's figure where each half of every record is foretold by a fit to the other halves.
 
     - returns the root mean square of both, in the rule's unit; infinite where a fit fails
@@ -75,11 +75,11 @@ def halves_figure(rule: Rule, structure: Structure, records: Sequence[Trajectory
 
 def grown(
     rule: Rule,
-    starts: Sequence[Structure],
+    starts: Sequence[PublicModel],
     records: Sequence[Trajectory],
     most: int,
     progress: Callable[[str], None] | None = None,
-) -> tuple[Structure, float]:
+) -> tuple[PublicModel, float]:
     """Return the best structure that effects of the dictionary lead to, and its figure over both halves.
 
     - ``starts``: from each of them effects are added, the best one each time; not from one that does worse as it stands
@@ -98,12 +98,12 @@ def grown(
 
 def _path(
     rule: Rule,
-    best: Structure,
+    best: PublicModel,
     error: float,
     records: Sequence[Trajectory],
     most: int,
     progress: Callable[[str], None] | None,
-) -> tuple[Structure, float]:
+) -> tuple[PublicModel, float]:
     """Return where adding the best effect each time leads from one structure, and its figure over both halves.
 
     An effect counts only if the structure, fitted to all records, errs over them no more than over the halves, within
@@ -111,20 +111,20 @@ def _path(
     """
     places = _places(best)
     for _ in range(most):
-        tried: list[tuple[float, int, Structure]] = []
+        tried: list[tuple[float, int, PublicModel]] = []
         for rank, place in enumerate(places):
             if place in best.effects:
                 continue
             if progress is not None:
                 progress(f"{', '.join((*best.effects, place))}: best so far {error:.3g} {rule.unit}")
-            more = Structure(best.model, best.options, (*best.effects, place), best.start, best.intersample)
+            more = PublicModel(best.model, best.options, (*best.effects, place), best.start, best.intersample)
             tried.append((halves_figure(rule, more, records), rank, more))
         for least, _, more in sorted(tried, key=lambda one: one[:2]):
             if not least < _WORTH * error:
                 return best, error
             model = refitted(rule, more, records)
             if model is not None and _WORTH * _own_figure(rule, model, records) <= least:
-                best = Structure(more.model, more.options, more.effects, _parameters(model), more.intersample)
+                best = PublicModel(more.model, more.options, more.effects, _parameters(model), more.intersample)
                 error = least
                 break
         else:
@@ -144,7 +144,7 @@ def _own_figure(rule: Rule, model: Model, records: Sequence[Trajectory]) -> floa
         return float("inf")
 
 
-def _places(structure: Structure) -> list[str]:
+def _places(structure: PublicModel) -> list[str]:
     """Return every effect of the dictionary at every port of the model that it fits, but for laws of the clock.
 
     What acted at some time of the training records tells nothing of a test record, whose clock begins anew.

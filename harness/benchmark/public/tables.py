@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from harness.benchmark.page.exports import caption, latex_lines, latex_text, markdown_rows, markdown_text
 from harness.benchmark.page.report import filled
 from harness.benchmark.public.published import Published, best_published, known_figures, published
-from harness.benchmark.public.result import Cell, PublicResult
+from harness.benchmark.public.result import PublicCell, PublicResult
 from harness.benchmark.public.rules import Rule
 from harness.benchmark.summary import figure
 from harness.data.whole_files import whole_file
@@ -182,7 +182,7 @@ def _lines(result: PublicResult, *, run: bool = False) -> Iterator[tuple[Rule, s
             yield rule, test, number
 
 
-def _cells(result: PublicResult) -> list[tuple[Rule, Cell]]:
+def _cells(result: PublicResult) -> list[tuple[Rule, PublicCell]]:
     """Return the cells of sets whose data are there."""
     rules = {rule.id: rule for rule in result.rules}
     return [(rules[cell.set], cell) for cell in result.cells if cell.status not in ("missing", "not entered")]
@@ -205,7 +205,7 @@ def _peers(result: PublicResult) -> list[str]:
     return sorted({cell.column for cell in result.cells} - {"black", "grey"})
 
 
-def _shown(rule: Rule, test: str, number: int, own: dict[str, Cell], bold: str) -> list[str]:
+def _shown(rule: Rule, test: str, number: int, own: dict[str, PublicCell], bold: str) -> list[str]:
     """Return the cells under :data:`TITLES`."""
     best = best_published(rule.id, test)
     beside = "-" if best is None else f"{figure(best[0])}{best[1].mark} ({best[1].method})"
@@ -232,7 +232,7 @@ def cited(one: Published) -> str:
     return f"{one.method} ({one.year}), {one.read}: {one.source}{note}"
 
 
-def _value(cell: Cell | None, number: int, *, whole: bool = False) -> str:
+def _value(cell: PublicCell | None, number: int, *, whole: bool = False) -> str:
     """Return a figure, or the status of a cell without one."""
     if cell is None:
         return ""
@@ -245,7 +245,7 @@ def _value(cell: Cell | None, number: int, *, whole: bool = False) -> str:
     return "" if whole or cell.status == "missing" else cell.status
 
 
-def _leads(rule: Rule, test: str, number: int, own: dict[str, Cell], column: str) -> bool:
+def _leads(rule: Rule, test: str, number: int, own: dict[str, PublicCell], column: str) -> bool:
     """Return True if a figure of ours is at or below the best published."""
     best: tuple[float, Published] | None = best_published(rule.id, test)
     value = _at(own[column].figures, number) if column in own else None
@@ -257,7 +257,7 @@ def _at(values: list[float | None], number: int) -> float | None:
     return values[number] if number < len(values) else None
 
 
-def _said(cell: Cell) -> str:
+def _said(cell: PublicCell) -> str:
     """Return what a cell rests on, or why it has no figure."""
     if cell.status != "ok":
         return f"{cell.status}: {cell.reason}"

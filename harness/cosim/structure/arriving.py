@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from harness.cosim.structure.conversion import Chain, Linear, Table, Unit, change_of_unit
+from harness.cosim.structure.conversion import Chain, IntegerConversion, LinearConversion, Unit, change_of_unit
 from harness.cosim.structure.flat import (
     REALS,
     dotted,
@@ -61,7 +61,7 @@ class Arriving:
         """Return a term after one connection: first units, then the transformation (sec. 4.4.2)."""
         for unit in (*hop.before, hop.unit):
             term = self._in_unit(term, unit, hop)
-        if isinstance(hop.change, Linear):
+        if isinstance(hop.change, LinearConversion):
             for end in hop.ends:
                 if end.type not in (*REALS, None):
                     raise self.walk.refused(
@@ -95,15 +95,15 @@ class Arriving:
         after = self.step(term, change)
         return Term(term.origin, after.chain, unit, term.extra)
 
-    def step(self, term: Term, step: Linear | Table) -> Term:
+    def step(self, term: Term, step: LinearConversion | IntegerConversion) -> Term:
         """Return a term after one more step; to what is added later no offset is added twice."""
-        if term.extra and isinstance(step, Linear):
-            step = Linear(step.factor)
+        if term.extra and isinstance(step, LinearConversion):
+            step = LinearConversion(step.factor)
         elif term.extra:
             raise self.walk.refused("sum", "linear transformations after it", "a table")
         return Term(term.origin, term.chain.then(step), term.unit, term.extra)
 
-    def table(self, change: Mapped, source: Connector, target: Connector) -> Table:
+    def table(self, change: Mapped, source: Connector, target: Connector) -> IntegerConversion:
         """Return the numbers of a mapping transformation."""
         for end in (source, target):
             if end.type in REALS:
@@ -113,7 +113,7 @@ class Arriving:
         numbers: list[tuple[float, float]] = []
         for one, other in change.entries:
             numbers.append((self._item(change.kind, one, source), self._item(change.kind, other, target)))
-        return Table(tuple(numbers))
+        return IntegerConversion(tuple(numbers))
 
     def _item(self, kind: str, text: str, end: Connector) -> float:
         """Return the number that an entry of a mapping stands for."""

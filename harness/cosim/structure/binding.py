@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.cosim.structure.arriving import Arriving
-from harness.cosim.structure.conversion import Chain, Linear, Unit, change_of_unit
+from harness.cosim.structure.conversion import Chain, LinearConversion, Unit, change_of_unit
 from harness.cosim.structure.flat import (
     REALS,
     FlatComponent,
@@ -86,7 +86,7 @@ class Bound:
                     f"unit of parameter {value.name!r}", f"one that converts to {unit}", str(value.unit)
                 )
             content = each(content, Chain().then(change))
-        if isinstance(value.change, Linear):
+        if isinstance(value.change, LinearConversion):
             if target.type not in (*REALS, None):
                 raise self.walk.refused("LinearTransformation", "a real number", f"{value.name!r}: {target.type}")
             return each(content, Chain().then(value.change))

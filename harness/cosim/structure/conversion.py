@@ -27,14 +27,14 @@ class Unit:
         return self.text if self.text == self.si else f"{self.text} ({self.factor:g} {self.si})"
 
     @property
-    def to_si(self) -> Linear:
+    def to_si(self) -> LinearConversion:
         """The way from a number in this unit to SI."""
-        return Linear(self.factor, self.offset)
+        return LinearConversion(self.factor, self.offset)
 
     @property
-    def from_si(self) -> Linear:
+    def from_si(self) -> LinearConversion:
         """The way from SI to a number in this unit."""
-        return Linear(1.0 / self.factor, -self.offset / self.factor)
+        return LinearConversion(1.0 / self.factor, -self.offset / self.factor)
 
     def same_as(self, other: Unit) -> bool:
         """Return True if a number means the same in both."""
@@ -99,7 +99,7 @@ def _known(text: str, powers: Mapping[str, float]) -> bool:
     return _without_angle(found) == _without_angle(powers) and factor == 1.0 and offset == 0.0
 
 
-def change_of_unit(source: Unit, target: Unit) -> Linear | None:
+def change_of_unit(source: Unit, target: Unit) -> LinearConversion | None:
     """Return the way from a number in one unit to a number in another; None where they measure different things.
 
     Examples
@@ -115,14 +115,14 @@ def change_of_unit(source: Unit, target: Unit) -> Linear | None:
         target.factor,
         target.offset,
     ):  # one name and one factor is one unit, even where a file gets its powers wrong
-        return Linear()
+        return LinearConversion()
     if source.powers != target.powers:
         return None
-    return Linear(source.factor / target.factor, (source.offset - target.offset) / target.factor)
+    return LinearConversion(source.factor / target.factor, (source.offset - target.offset) / target.factor)
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearConversion:
     """``factor * x + offset``."""
 
     factor: float = 1.0
@@ -134,7 +134,7 @@ class Linear:
 
 
 @dataclass(frozen=True)
-class Table:
+class IntegerConversion:
     """Some whole numbers become others; all others stay (SSP 2.0, IntegerMappingTransformation)."""
 
     entries: tuple[tuple[float, float], ...]
@@ -161,14 +161,14 @@ class Chain:
     True
     """
 
-    steps: tuple[Linear | Table, ...] = ()
+    steps: tuple[LinearConversion | IntegerConversion, ...] = ()
 
-    def then(self, step: Linear | Table) -> Chain:
+    def then(self, step: LinearConversion | IntegerConversion) -> Chain:
         """Return the chain with one more step."""
-        if step == Linear():
+        if step == LinearConversion():
             return self
         last = self.steps[-1] if self.steps else None
-        if not isinstance(step, Linear) or not isinstance(last, Linear):
+        if not isinstance(step, LinearConversion) or not isinstance(last, LinearConversion):
             return Chain((*self.steps, step))
         factor, offset = step.factor * last.factor, step.factor * last.offset + step.offset
         size = abs(step.factor * last.offset) + abs(step.offset)
@@ -177,15 +177,15 @@ class Chain:
         if abs(offset) < ROUNDING * size:
             offset = 0.0
         before = self.steps[:-1]
-        return Chain(before if (factor, offset) == (1.0, 0.0) else (*before, Linear(factor, offset)))
+        return Chain(before if (factor, offset) == (1.0, 0.0) else (*before, LinearConversion(factor, offset)))
 
     @property
-    def linear(self) -> Linear | None:
+    def linear(self) -> LinearConversion | None:
         """The whole as one linear step, where it is one."""
         if not self.steps:
-            return Linear()
+            return LinearConversion()
         only = self.steps[0]
-        return only if len(self.steps) == 1 and isinstance(only, Linear) else None
+        return only if len(self.steps) == 1 and isinstance(only, LinearConversion) else None
 
     def __call__(self, x: float) -> float:
         """Return the number after all of it."""

@@ -27,13 +27,15 @@ from harness.cosim.structure.flat import (
     members,
     start_of,
 )
-from harness.cosim.structure.model import Description
+from harness.cosim.structure.model import SystemDescription
 from harness.cosim.structure.walk import FIXED, NO_SIGNAL, SOURCES, TEXTS, Place, Walk
 
 Led = TypeVar("Led", FlatWire, FlatOutput)
 
 
-def flatten(description: Description, describe: Describe, *, parameters: dict[str, Any] | None = None) -> FlatSystem:
+def flatten(
+    description: SystemDescription, describe: Describe, *, parameters: dict[str, Any] | None = None
+) -> FlatSystem:
     """Return a system laid flat.
 
     Raises InputError if the system breaks the standard, or needs what is not understood here.
@@ -48,7 +50,7 @@ def flatten(description: Description, describe: Describe, *, parameters: dict[st
 class _Flattening:
     """The wires, inputs and outputs of the whole."""
 
-    def __init__(self, description: Description, describe: Describe) -> None:
+    def __init__(self, description: SystemDescription, describe: Describe) -> None:
         self.walk = Walk(description, describe)
         self.arriving = Arriving(self.walk)
         self.bound = Bound(self.walk, self.arriving)

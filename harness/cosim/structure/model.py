@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from harness.cosim.structure.conversion import Linear, Unit
+from harness.cosim.structure.conversion import LinearConversion, Unit
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Value:
     name: str
     value: Any
     unit: Unit | None = None
-    change: Linear | Mapped | None = None
+    change: LinearConversion | Mapped | None = None
     suppress: bool = False
 
 
@@ -44,12 +44,12 @@ Binding = tuple[Value, ...]  # The values that a parameter binding brings, after
 
 
 @dataclass(frozen=True)
-class Wire:
+class ElementWire:
     """A connection; an element of None is the system itself."""
 
     start: tuple[str | None, str]
     end: tuple[str | None, str]
-    change: Linear | Mapped | None = None
+    change: LinearConversion | Mapped | None = None
     suppress: bool = False
 
 
@@ -80,22 +80,22 @@ class Reference(Element):
 
 
 @dataclass
-class System(Element):
+class SystemElement(Element):
     """Elements and the wires between them; ``sums`` are own connectors that add up what is wired to them."""
 
     elements: list[Element] = field(default_factory=list)
-    wires: list[Wire] = field(default_factory=list)
+    wires: list[ElementWire] = field(default_factory=list)
     dictionaries: dict[str, dict[str, Connector]] = field(default_factory=dict)
     sums: frozenset[str] = frozenset()
 
 
 @dataclass
-class Description:
+class SystemDescription:
     """A whole file: its system, its experiment [s], the exchange that its tool uses, and what was left aside."""
 
     path: Path
     name: str
-    system: System
+    system: SystemElement
     start: float | None = None
     stop: float | None = None
     step: float | None = None

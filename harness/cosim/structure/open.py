@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from harness.cosim.structure.model import Component, Description, System
+from harness.cosim.structure.model import Component, SystemDescription, SystemElement
 from harness.cosim.structure.osp import OSP, read_osp
 from harness.cosim.structure.package import FolderPackage, Package, ZipPackage
 from harness.cosim.structure.ssd import SSD, SsdReader
@@ -16,7 +16,7 @@ from harness.errors import InputError
 class Opened:
     """A system that was read; :meth:`close` removes what was unpacked for it."""
 
-    def __init__(self, description: Description, packages: list[Package]) -> None:
+    def __init__(self, description: SystemDescription, packages: list[Package]) -> None:
         self.description = description
         self._packages = packages
 
@@ -41,7 +41,7 @@ class Opened:
         while waiting:
             before, system = waiting.pop()
             for element in system.elements:
-                if isinstance(element, System):
+                if isinstance(element, SystemElement):
                     waiting.append((f"{before}{element.name}.", element))
                 elif isinstance(element, Component):
                     yield f"{before}{element.name}", element

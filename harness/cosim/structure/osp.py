@@ -7,9 +7,17 @@ import posixpath
 from dataclasses import dataclass
 from typing import Any
 
-from harness.cosim.structure.conversion import Linear
+from harness.cosim.structure.conversion import LinearConversion
 from harness.cosim.structure.elements import children, first, local
-from harness.cosim.structure.model import Component, Connector, Description, Element, System, Value, Wire
+from harness.cosim.structure.model import (
+    Component,
+    Connector,
+    Element,
+    ElementWire,
+    SystemDescription,
+    SystemElement,
+    Value,
+)
 from harness.cosim.structure.package import PROXIED, FolderPackage, InFmu, on_this_machine, parsed
 from harness.errors import InputError
 from harness.trust import names_fmu
@@ -18,7 +26,7 @@ OSP = "OspSystemStructure"
 MOST = 10_000  # Inputs of a sum, before it counts as a slip.
 
 
-def read_osp(package: FolderPackage, name: str) -> Description:
+def read_osp(package: FolderPackage, name: str) -> SystemDescription:
     """Return the structure that an OSP system file declares.
 
     The file's algorithm, if it is another than ``fixedStep``, and its power bonds are passed over with a note. Groups
@@ -41,7 +49,7 @@ def read_osp(package: FolderPackage, name: str) -> Description:
     for child in children(root, "Functions", "VectorSum"):
         made, groups[made.name] = _vector_sum(package, child)
         elements.append(made)
-    wires: list[Wire] = []
+    wires: list[ElementWire] = []
     for child in children(root, "Connections"):
         for wire in child:
             ends = [(end.get("simulator") or end.get("function"), end.get("name")) for end in wire]
@@ -51,13 +59,15 @@ def read_osp(package: FolderPackage, name: str) -> Description:
                 first_group, second = (_group(package, name, elements, groups, *end) for end in ends)
                 wires += _joined(package, (ends[0][0], first_group), (ends[1][0], second))
             else:
-                wires.append(Wire(ends[0], ends[1]))
+                wires.append(ElementWire(ends[0], ends[1]))
             if wire.get("powerBond") is not None and "power bonds are connected as plain signals" not in notes:
                 notes.append("power bonds are connected as plain signals")
     algorithm = (first(root, "Algorithm").text or "").strip() if first(root, "Algorithm") is not None else "fixedStep"
     if algorithm != "fixedStep":
         notes.append(f"the file's algorithm {algorithm!r} is not run: the step is fixed at its base step")
-    found = Description(package.path, name, System("", {}, [], elements, wires), exchange="jacobi", notes=notes)
+    found = SystemDescription(
+        package.path, name, SystemElement("", {}, [], elements, wires), exchange="jacobi", notes=notes
+    )
     found.start, found.stop, found.step = (
         _number(package, root, key) for key in ("StartTime", "EndTime", "BaseStepSize")
     )
@@ -118,7 +128,7 @@ def _described(package: FolderPackage, beside: str, component: Component) -> tup
     return tuple(read(child) for groups in children(parsed(package, place), "VariableGroups") for child in groups)
 
 
-def _joined(package: FolderPackage, start: tuple[str, _Group], end: tuple[str, _Group]) -> list[Wire]:
+def _joined(package: FolderPackage, start: tuple[str, _Group], end: tuple[str, _Group]) -> list[ElementWire]:
     """Return the wires between two groups: first those of the groups in them, then their own, by their order."""
     (one, a), (other, b) = start, end
     sizes = (len(a.groups), len(a.variables)), (len(b.groups), len(b.variables))
@@ -126,11 +136,11 @@ def _joined(package: FolderPackage, start: tuple[str, _Group], end: tuple[str, _
         said = [f"{groups} groups and {variables} variables" for groups, variables in sizes]
         raise _refused(package, f"connection of {one}.{a.name} and {other}.{b.name}", f"two of {said[0]}", said[1])
     inner = [_joined(package, (one, x), (other, y)) for x, y in zip(a.groups, b.groups, strict=True)]
-    own = [Wire((one, x), (other, y)) for x, y in zip(a.variables, b.variables, strict=True)]
+    own = [ElementWire((one, x), (other, y)) for x, y in zip(a.variables, b.variables, strict=True)]
     return [wire for some in inner for wire in some] + own
 
 
-def _vector_sum(package: FolderPackage, element: Any) -> tuple[System, tuple[_Group, ...]]:
+def _vector_sum(package: FolderPackage, element: Any) -> tuple[SystemElement, tuple[_Group, ...]]:
     """Return a sum of vectors as a system, and its groups ``in[0]``, ``in[1]``, ... and ``out``."""
     name = element.get("name") or ""
     counts = [int(_attribute(package, element, key) or 0) for key in ("inputCount", "dimension")]
@@ -142,9 +152,11 @@ def _vector_sum(package: FolderPackage, element: Any) -> tuple[System, tuple[_Gr
     ]
     out = groups[-1].variables
     ends = {one: Connector(one, "input") for group in groups[:-1] for one in group.variables}
-    wires = [Wire((None, x), (None, y)) for group in groups[:-1] for x, y in zip(group.variables, out, strict=True)]
+    wires = [
+        ElementWire((None, x), (None, y)) for group in groups[:-1] for x, y in zip(group.variables, out, strict=True)
+    ]
     both = ends | {one: Connector(one, "output") for one in out}
-    return System(name, both, [], [], wires, sums=frozenset(out)), tuple(groups)
+    return SystemElement(name, both, [], [], wires, sums=frozenset(out)), tuple(groups)
 
 
 def _simulator(package: FolderPackage, name: str, element: Any, notes: list[str]) -> Component:
@@ -179,23 +191,23 @@ def _typed(package: FolderPackage, element: Any) -> Any:
     return text.strip() in ("true", "1") if kind == "Boolean" else text
 
 
-def _linear(package: FolderPackage, element: Any) -> System:
+def _linear(package: FolderPackage, element: Any) -> SystemElement:
     """Return a linear function as a system of one wire."""
     factor, offset = (_attribute(package, element, key) for key in ("factor", "offset"))
-    change = Linear(1.0 if factor is None else factor, 0.0 if offset is None else offset)
+    change = LinearConversion(1.0 if factor is None else factor, 0.0 if offset is None else offset)
     ends = {"in": Connector("in", "input"), "out": Connector("out", "output")}
-    return System(element.get("name") or "", ends, [], [], [Wire((None, "in"), (None, "out"), change)])
+    return SystemElement(element.get("name") or "", ends, [], [], [ElementWire((None, "in"), (None, "out"), change)])
 
 
-def _sum(package: FolderPackage, element: Any) -> System:
+def _sum(package: FolderPackage, element: Any) -> SystemElement:
     """Return a sum as a system whose output adds up its inputs."""
     count = int(_attribute(package, element, "inputCount") or 0)
     if not 0 < count <= MOST:
         raise _refused(package, f"sum {element.get('name')!r}", f"1 to {MOST} inputs", str(count))
     names = [f"in[{at}]" for at in range(count)]
     ends = {name: Connector(name, "input") for name in names} | {"out": Connector("out", "output")}
-    wires = [Wire((None, name), (None, "out")) for name in names]
-    return System(element.get("name") or "", ends, [], [], wires, sums=frozenset({"out"}))
+    wires = [ElementWire((None, name), (None, "out")) for name in names]
+    return SystemElement(element.get("name") or "", ends, [], [], wires, sums=frozenset({"out"}))
 
 
 def _attribute(package: FolderPackage, element: Any, name: str) -> float | None:

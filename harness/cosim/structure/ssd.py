@@ -12,9 +12,18 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-from harness.cosim.structure.conversion import BARE, Linear, Unit, undefined_unit, unit_of
+from harness.cosim.structure.conversion import BARE, LinearConversion, Unit, undefined_unit, unit_of
 from harness.cosim.structure.elements import children, first, local, truth
-from harness.cosim.structure.model import Component, Connector, Description, Element, Mapped, Reference, System, Wire
+from harness.cosim.structure.model import (
+    Component,
+    Connector,
+    Element,
+    ElementWire,
+    Mapped,
+    Reference,
+    SystemDescription,
+    SystemElement,
+)
 from harness.cosim.structure.package import PROXIED, Package, ZipPackage, on_this_machine, parsed
 from harness.cosim.structure.values import read_bindings
 from harness.errors import InputError
@@ -44,7 +53,7 @@ class SsdReader:
     units: dict[str, Unit] = field(default_factory=dict)
     enumerations: dict[str, dict[str, int]] = field(default_factory=dict)
 
-    def read(self) -> Description:
+    def read(self) -> SystemDescription:
         """Return the structure that the file declares.
 
         Raises InputError if it breaks the standard, or uses what is not understood.
@@ -60,14 +69,14 @@ class SsdReader:
         top = first(root, "System")
         if top is None:
             raise self.refused("system", "a System", "none")
-        found = Description(self.package.path, root.get("name") or self.name, self.system(top), notes=self.notes)
+        found = SystemDescription(self.package.path, root.get("name") or self.name, self.system(top), notes=self.notes)
         experiment = first(root, "DefaultExperiment")
         if experiment is not None:
             found.start, found.stop = (self.number(experiment, key) for key in ("startTime", "stopTime"))
         found.step, found.exchange = suggested(root)
         return found
 
-    def system(self, element: Any, name: str | None = None) -> System:
+    def system(self, element: Any, name: str | None = None) -> SystemElement:
         """Return a system and all inside."""
         elements: list[Element] = []
         for child in children(element, "Elements", "Component"):
@@ -85,7 +94,9 @@ class SsdReader:
         for child in children(element, "SignalDictionaries", "SignalDictionary"):
             dictionaries[self.need(child, "name")] = self.dictionary(child)
         wires = [self.wire(child) for child in children(element, "Connections", "Connection")]
-        return System(own, self.connectors(element), read_bindings(self, element, None), elements, wires, dictionaries)
+        return SystemElement(
+            own, self.connectors(element), read_bindings(self, element, None), elements, wires, dictionaries
+        )
 
     def component(self, element: Any) -> Element:
         """Return a component: an FMU, or the system of another file or of another place in this one."""
@@ -94,7 +105,7 @@ class SsdReader:
         connectors = self.connectors(element)
         if source is None:
             self.notes.append(f"component {name!r} has no implementation: what it drives rests at its start value")
-            return System(name, connectors, read_bindings(self, element, None))
+            return SystemElement(name, connectors, read_bindings(self, element, None))
         given, source = source, on_this_machine(source)
         if source != given and PROXIED not in self.notes:
             self.notes.append(PROXIED)
@@ -117,7 +128,7 @@ class SsdReader:
         bindings = read_bindings(self, element, place)
         return Component(name, connectors, bindings, place, source, IMPLEMENTATIONS.get(chosen))
 
-    def _joined(self, element: Any, name: str, connectors: dict[str, Connector], inner: System) -> System:
+    def _joined(self, element: Any, name: str, connectors: dict[str, Connector], inner: SystemElement) -> SystemElement:
         """Return a system in place of a component; the component's bindings count after its own (sec. 5.2.2)."""
         return replace(
             inner,
@@ -126,7 +137,7 @@ class SsdReader:
             bindings=[*inner.bindings, *read_bindings(self, element, None)],
         )
 
-    def _same_file(self, fragment: str, name: str) -> System:
+    def _same_file(self, fragment: str, name: str) -> SystemElement:
         self._deeper(name)
         found = next((e for e in self.root.iter() if local(e) == "System" and e.get("id") == fragment), None)
         if found is None:
@@ -137,7 +148,7 @@ class SsdReader:
         finally:
             self.depth -= 1
 
-    def _other_file(self, name: str, inside: str, fragment: str, package: bool) -> System:
+    def _other_file(self, name: str, inside: str, fragment: str, package: bool) -> SystemElement:
         self._deeper(name)
         source: Package = self.package
         if package:
@@ -205,7 +216,7 @@ class SsdReader:
         scope.enumerations = {**self.enumerations, **(self.defined_items(content) if content is not None else {})}
         return {entry.get("name"): scope.connector(entry, "inout") for entry in children(content, "DictionaryEntry")}
 
-    def wire(self, element: Any) -> Wire:
+    def wire(self, element: Any) -> ElementWire:
         """Return a connection."""
         # OMSimulator writes an empty name for the system itself
         start = element.get("startElement") or None, self.need(element, "startConnector")
@@ -216,15 +227,15 @@ class SsdReader:
                 "whole arrays (the standard does not say whether indices count from 0 or from 1)",
                 "startIndices or endIndices",
             )
-        return Wire(start, end, self.change(element), truth(element.get("suppressUnitConversion")))
+        return ElementWire(start, end, self.change(element), truth(element.get("suppressUnitConversion")))
 
-    def change(self, element: Any) -> Linear | Mapped | None:
+    def change(self, element: Any) -> LinearConversion | Mapped | None:
         """Return the transformation of a connection or a mapping entry."""
         for child in element:
             word = local(child)
             if word == "LinearTransformation":
                 factor, offset = self.number(child, "factor"), self.number(child, "offset")
-                made = Linear(1.0 if factor is None else factor, 0.0 if offset is None else offset)
+                made = LinearConversion(1.0 if factor is None else factor, 0.0 if offset is None else offset)
                 if not (math.isfinite(made.factor) and math.isfinite(made.offset)):
                     raise self.refused(word, "finite numbers", f"{made.factor:g}, {made.offset:g}")
                 return made

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Protocol
 
-from harness.cosim.structure.conversion import Linear, Unit
+from harness.cosim.structure.conversion import LinearConversion, Unit
 from harness.cosim.structure.elements import children, first, local, truth
 from harness.cosim.structure.model import Binding, Mapped, Value
 from harness.cosim.structure.package import InFmu, Package, parsed
@@ -15,7 +15,7 @@ VALUES, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-paramete
 REALS = ("Real", "Float64", "Float32")
 
 
-class Reader(Protocol):
+class BindingReader(Protocol):
     """What reading a binding asks of the reader of the file that it stands in."""
 
     package: Package
@@ -23,7 +23,7 @@ class Reader(Protocol):
     notes: list[str]
     units: dict[str, Unit]
 
-    def change(self, element: Any) -> Linear | Mapped | None:
+    def change(self, element: Any) -> LinearConversion | Mapped | None:
         """Return the transformation of a mapping entry."""
 
     def unit(self, text: str, units: dict[str, Unit]) -> Unit | None:
@@ -39,7 +39,7 @@ class Reader(Protocol):
         """Return the error for something in the file."""
 
 
-def read_bindings(reader: Reader, element: Any, fmu: Path | None) -> list[Binding]:
+def read_bindings(reader: BindingReader, element: Any, fmu: Path | None) -> list[Binding]:
     """Return the bindings of an element in their order; of two at one level the later counts (SSP 2.0 sec. 5.2.2).
 
     - ``reader``: of the file that holds the element
@@ -79,7 +79,7 @@ def read_bindings(reader: Reader, element: Any, fmu: Path | None) -> list[Bindin
     return found
 
 
-def _content(reader: Reader, element: Any, fmu: Path | None, expected: str, inline: Any) -> Any:
+def _content(reader: BindingReader, element: Any, fmu: Path | None, expected: str, inline: Any) -> Any:
     """Return the root of what an element holds inline or refers to."""
     source = element.get("source")
     if source is None:
@@ -96,7 +96,7 @@ def _content(reader: Reader, element: Any, fmu: Path | None, expected: str, inli
     return root
 
 
-def _given(reader: Reader, content: Any, prefix: str) -> dict[str, Value]:
+def _given(reader: BindingReader, content: Any, prefix: str) -> dict[str, Value]:
     """Return the values of a parameter set by their names."""
     units: dict[str, Unit] = {**reader.units, **reader.defined_units(content)}
     found = {}
@@ -111,7 +111,7 @@ def _given(reader: Reader, content: Any, prefix: str) -> dict[str, Value]:
     return found
 
 
-def _value(reader: Reader, name: str, element: Any, array: bool) -> Any:
+def _value(reader: BindingReader, name: str, element: Any, array: bool) -> Any:
     """Return a value in its type; a list for an array."""
     kind, text = local(element), element.get("value")
     if text is None:

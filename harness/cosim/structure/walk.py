@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.cosim.structure.conversion import Linear, Unit, change_of_unit, named_unit
+from harness.cosim.structure.conversion import LinearConversion, Unit, change_of_unit, named_unit
 from harness.cosim.structure.flat import (
     Describe,
     FlatComponent,
@@ -20,13 +20,13 @@ from harness.cosim.structure.flat import (
 from harness.cosim.structure.model import (
     Component,
     Connector,
-    Description,
     Element,
+    ElementWire,
     Mapped,
     Reference,
-    System,
+    SystemDescription,
+    SystemElement,
     Value,
-    Wire,
 )
 from harness.errors import InputError
 
@@ -47,7 +47,7 @@ class Hop:
     source: Place
     before: tuple[Unit | None, ...]
     unit: Unit | None
-    change: Linear | Mapped | None
+    change: LinearConversion | Mapped | None
     after: tuple[Unit | None, ...]
     suppress: bool
     ends: tuple[Connector, Connector]
@@ -56,7 +56,7 @@ class Hop:
 class Walk:
     """What a walk through the systems of a file has met."""
 
-    def __init__(self, description: Description, describe: Describe) -> None:
+    def __init__(self, description: SystemDescription, describe: Describe) -> None:
         self.path, self.describe = description.path, describe
         self.notes = list(description.notes)
         self.components: dict[Way, FlatComponent] = {}
@@ -69,7 +69,7 @@ class Walk:
         self.files: dict[Path, dict[str, Any]] = {}
         self._visit(description.system, ())
 
-    def _visit(self, system: System, way: Way) -> None:
+    def _visit(self, system: SystemElement, way: Way) -> None:
         self.dictionaries.append((way, system.dictionaries))
         for name, entries in system.dictionaries.items():
             for entry in entries.values():
@@ -80,7 +80,7 @@ class Walk:
         self.bindings += [(way, value) for binding in system.bindings for value in binding]
         elements = {element.name: element for element in system.elements}
         for element in system.elements:
-            if isinstance(element, System):
+            if isinstance(element, SystemElement):
                 self._visit(element, (*way, element.name))
             elif isinstance(element, Component):
                 self._place(element, (*way, element.name))
@@ -156,7 +156,7 @@ class Walk:
             what = f"component {element!r} ({self.components[inner].path.name}): end of a connection"
         raise self.refused(what, "a declared connector", repr(dotted(inner, name)))
 
-    def _connect(self, wire: Wire, way: Way, elements: dict[str, Element]) -> None:
+    def _connect(self, wire: ElementWire, way: Way, elements: dict[str, Element]) -> None:
         """Note which end drives which; the standard lets a connection be written either way round (sec. 5.2.4)."""
         ends = []
         for element, name in (wire.start, wire.end):
@@ -190,7 +190,7 @@ class Walk:
             )
         )
 
-    def _refuse_no_signals(self, first: Connector, second: Connector, wire: Wire) -> None:
+    def _refuse_no_signals(self, first: Connector, second: Connector, wire: ElementWire) -> None:
         """Refuse clocks, and texts that become something else on their way."""
         kinds = {one.type for one in (first, second)} & NO_SIGNAL
         alike = kinds <= TEXTS and len({first.type, second.type} - {None}) == 1

@@ -53,7 +53,7 @@ _NO_CLOCK = f"{_GRID}: no one clock explains the stamps"
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class RecordPiece:
     """One uninterrupted piece of a record."""
 
     start: float  # First instant [s]
@@ -81,7 +81,7 @@ def pieces_of(
     rules: TimeRules,
     common: float | None = None,
     where: Callable[[int], str] = "row {}".format,
-) -> tuple[list[Piece], list[str]]:
+) -> tuple[list[RecordPiece], list[str]]:
     """Turn the columns of one run into pieces with a uniform time axis.
 
     Raises InputError if the time is not usable and no declared remedy covers it.
@@ -132,7 +132,7 @@ def _held_on(run: _Run, values: FloatArray) -> FloatArray:
 
 def _pieces_within(
     run: _Run, time: FloatArray | None, values: FloatArray, common: float | None, where: Callable[[int], str]
-) -> list[Piece]:
+) -> list[RecordPiece]:
     """Return the pieces of a run, or of a stretch of it; none where gaps leave only fragments."""
     _, inputs, rules, notes = run
     if time is None:
@@ -247,9 +247,9 @@ def _restarted(
     values: FloatArray,
     common: float | None,
     where: Callable[[int], str],
-) -> list[Piece]:
+) -> list[RecordPiece]:
     """Return the pieces of a run whose clock begins anew: what stands behind is a record of its own."""
-    pieces: list[Piece] = []
+    pieces: list[RecordPiece] = []
     lost = len(time) - sum(rows.size for rows in stretches)
     begins = ", ".join(where(int(rows[0])) for rows in stretches[:6]) + (" ..." if len(stretches) > 6 else "")
     run.notes.append(
@@ -380,7 +380,9 @@ def _check_order(keys: npt.NDArray[Any], time: FloatArray, where: Callable[[int]
     raise InputError(what, expected=expected, got=got, remedy=remedy, place=where(row))
 
 
-def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], dt: float, notes: list[str]) -> Piece:
+def _uniform(
+    time: FloatArray, values: FloatArray, where: Callable[[int], str], dt: float, notes: list[str]
+) -> RecordPiece:
     """Return a piece whose time stamps lie on a grid, near enough."""
     n = len(time)
     own = (time[-1] - time[0]) / (n - 1) if n > 1 else dt
@@ -405,7 +407,7 @@ def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], 
     drift = abs(own / dt - 1.0) * n
     if drift > 0.1:
         notes.append(f"the clock runs {own / dt - 1.0:+.1e} off: {drift:.2g} samples over the record, taken as uniform")
-    return Piece(first_instant(time, np.arange(n), dt), values, dt)
+    return RecordPiece(first_instant(time, np.arange(n), dt), values, dt)
 
 
 def _shortest(value: float, within: float) -> float:
@@ -428,7 +430,7 @@ def _is_clock(time: FloatArray, dt: float) -> bool:
     return index is None or bool((np.diff(index) > 0).all())
 
 
-def _resampled(run: _Run, time: FloatArray, values: FloatArray, present: BoolArray, dt: float) -> list[Piece]:
+def _resampled(run: _Run, time: FloatArray, values: FloatArray, present: BoolArray, dt: float) -> list[RecordPiece]:
     """Return the pieces between long gaps, brought onto a uniform grid."""
     _, inputs, rules, notes = run
     assert rules.resample is not None
@@ -543,7 +545,9 @@ def _coarser(steps: FloatArray, new: float) -> bool:
     return bool(new > 1.5 * float(np.median(steps)))
 
 
-def _interpolated(time: FloatArray, values: FloatArray, dt: float, inputs: tuple[bool, ...], rules: TimeRules) -> Piece:
+def _interpolated(
+    time: FloatArray, values: FloatArray, dt: float, inputs: tuple[bool, ...], rules: TimeRules
+) -> RecordPiece:
     """Return one piece on a uniform grid: inputs as they are held between samples, outputs by the declared method."""
     assert rules.resample is not None
     n = int(np.floor((time[-1] - time[0]) / dt + 1e-6)) + 1
@@ -570,7 +574,7 @@ def _interpolated(time: FloatArray, values: FloatArray, dt: float, inputs: tuple
             result[:, column] = CubicSpline(own, signal)(grid)
         else:
             result[:, column] = np.interp(grid, own, signal)
-    return Piece(float(time[0]), result, dt, between if between.any() else None)
+    return RecordPiece(float(time[0]), result, dt, between if between.any() else None)
 
 
 def _between(time: FloatArray, grid: FloatArray) -> BoolArray:

@@ -27,7 +27,7 @@ _LONGEST = 6  # Rows over which the noise behind a low-pass is followed: further
 
 
 @dataclass(frozen=True)
-class Filter:
+class SensorFilter:
     """A filter behind a sensor."""
 
     null: float  # Lowest frequency that it takes away [cycles a row]; 1/2 for a digital low-pass
@@ -39,7 +39,7 @@ class Filter:
         return self.null < _EDGE
 
 
-def filter_of(y: FloatArray, u: FloatArray) -> Filter | None:
+def filter_of(y: FloatArray, u: FloatArray) -> SensorFilter | None:
     """Return the filter of which a reading shows the null; None without one.
 
     No motion and no noise has a spectrum with a null that no input has: a mean over ``m`` rows has nulls at multiples
@@ -75,8 +75,8 @@ def filter_of(y: FloatArray, u: FloatArray) -> Filter | None:
         return None
     # one null of a comb may be filled by the motion: the lowest that is nearly as deep is the comb's
     null = float(frequency[np.flatnonzero(depth >= _ALSO * ODD.null)[0]])
-    found = Filter(null, round(1 / null))
-    return found if found.mean else Filter(null, _remembered(y))
+    found = SensorFilter(null, round(1 / null))
+    return found if found.mean else SensorFilter(null, _remembered(y))
 
 
 def _spectrum(y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from harness.data.conditioning.offset import offset_between
 from harness.data.sections import BesideSection
-from harness.data.tables.named import Columns
+from harness.data.tables.named import NamedColumns
 from harness.errors import InputError
 from harness.signals import FloatArray
 
@@ -25,9 +25,9 @@ class BesideFile:
 
     def __init__(
         self,
-        main: Columns,
+        main: NamedColumns,
         time: Callable[[], FloatArray | None],
-        others: Sequence[tuple[Columns, BesideSection]],
+        others: Sequence[tuple[NamedColumns, BesideSection]],
     ) -> None:
         self._main, self._time, self._others = main, time, list(others)
         self._homes: dict[str, tuple[int, str]] = {title: (0, title) for title in main.titles}
@@ -61,10 +61,10 @@ class BesideFile:
         number, own = self._homes[title]
         return self._table(number).read(own)
 
-    def _table(self, number: int) -> Columns:
+    def _table(self, number: int) -> NamedColumns:
         return self._main if number == 0 else self._others[number - 1][0]
 
-    def _clock(self, table: Columns, section: BesideSection) -> str | int | None:
+    def _clock(self, table: NamedColumns, section: BesideSection) -> str | int | None:
         """Return the title of a file's clock."""
         return table.clock([]) if section.time is None else table.find(section.time) or section.time
 
@@ -80,7 +80,7 @@ class BesideFile:
             raise _no_clock(str(self._main.path.name))
         return time
 
-    def _brought(self, table: Columns, section: BesideSection) -> FloatArray:
+    def _brought(self, table: NamedColumns, section: BesideSection) -> FloatArray:
         """Return the stamps of a file beside, with its offset declared or estimated."""
         column = self._clock(table, section)
         if column is None:

@@ -23,7 +23,7 @@ Found = dict[str | int, tuple[str, SignalSection]]
 """By title, or by number where two have one title, the name and the signal of a column."""
 
 
-class Signals(TypedDict, total=False):
+class ChosenSignals(TypedDict, total=False):
     """What a caller may say of the columns of a table that has no ``dataset.toml``."""
 
     input: str | Sequence[str] | None
@@ -42,7 +42,7 @@ class Signals(TypedDict, total=False):
     a use are for estimation."""
 
 
-class Records(Signals, total=False):
+class Records(ChosenSignals, total=False):
     """What a caller may say of records beside the columns of their table."""
 
     validation: Any  # Validation data beside a bare file or table; without them the last third validates.
@@ -72,7 +72,7 @@ class Chosen:
     whole: bool = False  # True where the table is one record, and no part of it validates
 
     @classmethod
-    def of(cls, signals: Signals) -> Chosen:
+    def of(cls, signals: ChosenSignals) -> Chosen:
         """Return the columns, units and uses that the caller's words choose.
 
         Raises InputError if a word is unknown, or the sample time is no positive number.
@@ -83,11 +83,11 @@ class Chosen:
         >>> chosen.inputs, chosen.outputs, chosen.runs
         (('u [V]',), ('x', 'y'), (('test', 'b.csv'), ('estimation', 'c.csv')))
         """
-        unknown = [name for name in signals if name not in Signals.__annotations__]
+        unknown = [name for name in signals if name not in ChosenSignals.__annotations__]
         if unknown:
             raise InputError(
                 "unknown argument",
-                expected=f"one of {', '.join(Signals.__annotations__)}",
+                expected=f"one of {', '.join(ChosenSignals.__annotations__)}",
                 got=", ".join(unknown),
                 remedy="correct the name",
             )

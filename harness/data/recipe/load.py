@@ -10,7 +10,7 @@ from typing import Any, Unpack
 import msgspec
 
 from harness.data.recipe.bare import describe_bare
-from harness.data.recipe.chosen import Chosen, Signals
+from harness.data.recipe.chosen import Chosen, ChosenSignals
 from harness.data.recipe.description import read_description
 from harness.data.recipe.in_memory import are_records, of_records
 from harness.data.recipe.loaded import LoadedDataset
@@ -32,7 +32,7 @@ def load_dataset(
     validation: Any = None,
     ports: tuple[Sequence[Channel], Sequence[Channel]] | None = None,
     undriven: Sequence[str] = (),
-    **signals: Unpack[Signals],
+    **signals: Unpack[ChosenSignals],
 ) -> LoadedDataset:
     """Read a data set, check it, and convert it to SI units.
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from harness.data.conditioning.clock import TimeRules
-from harness.data.conditioning.timebase import Piece, pieces_of
+from harness.data.conditioning.timebase import RecordPiece, pieces_of
 from harness.data.conditioning.trends import conditioned
 from harness.data.conditioning.unstated import refuse_unlikely_seconds
 from harness.data.recipe.beside import BesideFile
@@ -242,7 +242,7 @@ class Reader:
 
     # ---- values ---------------------------------------------------------------------------------------------------
 
-    def _pieces(self, section: RunSection, table: Table, common: float | None) -> tuple[list[Piece], list[str]]:
+    def _pieces(self, section: RunSection, table: Table, common: float | None) -> tuple[list[RecordPiece], list[str]]:
         """Return the uninterrupted pieces of one run, in SI units."""
         from harness.data.oddities.numbers import ODD
 
@@ -303,7 +303,7 @@ class Reader:
         columns: dict[str, FloatArray],
         inputs: tuple[bool, ...],
         common: float | None,
-    ) -> tuple[list[Piece], list[str]]:
+    ) -> tuple[list[RecordPiece], list[str]]:
         """Return the pieces of a run whose signals have clocks of their own, in SI units."""
         declared = section.columns.get(
             "time", "time" if self.description.time is None else self.description.time.column
@@ -325,7 +325,7 @@ class Reader:
         inputs: tuple[bool, ...],
         common: float | None,
         section: RunSection | None = None,
-    ) -> tuple[list[Piece], list[str]]:
+    ) -> tuple[list[RecordPiece], list[str]]:
         """Return the pieces of signals that have stamps of their own, cut to the rows of a run."""
         clocks, kind = own
         names, notes = tuple(columns), [f"time: {kind}"]
@@ -443,7 +443,7 @@ class Reader:
             feedthrough=self.description.feedthrough,
         )
 
-    def _trajectory(self, piece: Piece, spec: PlantSpec) -> tuple[Trajectory, dict[str, FloatArray]]:
+    def _trajectory(self, piece: RecordPiece, spec: PlantSpec) -> tuple[Trajectory, dict[str, FloatArray]]:
         """Return one piece as a record, and its references."""
         n, nu, ny = len(piece.values), spec.nu, spec.ny
         t = piece.start + np.arange(n, dtype=np.float64) * spec.sample_time

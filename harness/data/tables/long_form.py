@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.data.tables.cells import EMPTY, is_number, numbers_of, with_unit
 from harness.data.tables.headers import clock_of, says_time, split_header, words_of
-from harness.data.tables.named import Columns
+from harness.data.tables.named import NamedColumns
 from harness.data.times.stamps import is_date, is_time, is_time_of_day
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -63,7 +63,7 @@ class LongTable:
         stamps, units = np.full(len(tags), np.nan), dict[str, str]()
         rows = np.sort(np.concatenate(list(own.values())))
         kept = _Kept(source, rows)
-        beside = Columns(Path(), kept)
+        beside = NamedColumns(Path(), kept)
         together = beside.of_several(clock, turns=True)
         stamps[rows] = kept.values(clock) if together is None else together
         if together is not None or kept.units.get(clock):

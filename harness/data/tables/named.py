@@ -54,7 +54,7 @@ class Source(Protocol):
         ...
 
 
-class Columns:
+class NamedColumns:
     """The columns of a source.
 
     - ``path``: what messages call it

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
-from harness.data.tables.named import Columns, Source
+from harness.data.tables.named import NamedColumns, Source
 from harness.data.tables.packing import unzipped
 from harness.errors import InputError, no_file
 
@@ -158,7 +158,7 @@ def unknown_format(path: Path) -> InputError:
     )
 
 
-class Table(Columns):
+class Table(NamedColumns):
     """One file of data, or a table in memory.
 
     Raises InputError if there is no file, its format is unknown, or it cannot be read.

@@ -24,7 +24,7 @@ from harness.errors import FitError
 from harness.models.estimate import Estimate
 from harness.physics.arms.arm import ArmModel
 from harness.physics.arms.inertia import TEN, UNITS, is_consistent
-from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program
+from harness.physics.arms.inertial_fit import Bodies, InertialProblem, by_log_cholesky, by_semidefinite_program
 from harness.physics.lumps.identifiability import determined
 from harness.signals import FloatArray
 
@@ -181,7 +181,7 @@ def _estimated(
         own.append(rows - basis @ (basis.T @ rows))
         targets.append(target - basis @ (basis.T @ target))
     rows, known = np.concatenate(own), np.concatenate(targets) + np.concatenate(own) @ prior.ravel()
-    problem = Problem(rows.T @ rows, rows.T @ known, Bodies(prior), TRUST, np.zeros(0, dtype=bool))
+    problem = InertialProblem(rows.T @ rows, rows.T @ known, Bodies(prior), TRUST, np.zeros(0, dtype=bool))
     how = "log-Cholesky coordinates"
     try:
         x = by_log_cholesky(problem)

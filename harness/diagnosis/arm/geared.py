@@ -16,7 +16,7 @@ from harness.diagnosis.arm.joint import JointRegression
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.rotor import ON_LOAD, ROTOR
 from harness.diagnosis.policy import ARM_POLICY, Policy
-from harness.diagnosis.search.compare import Comparison, compared, impossible
+from harness.diagnosis.search.compare import FitComparison, compared, impossible
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.search import search
@@ -194,7 +194,7 @@ def _needed(form: Form, fit: Fit | None, policy: Policy) -> Fit | None:
     return None
 
 
-def _gains(form: Form, fit: Fit, policy: Policy) -> list[tuple[Placed, Comparison]]:
+def _gains(form: Form, fit: Fit, policy: Policy) -> list[tuple[Placed, FitComparison]]:
     """Return what every effect brings beside the others."""
     found = []
     for out in fit.effects:
@@ -204,7 +204,7 @@ def _gains(form: Form, fit: Fit, policy: Policy) -> list[tuple[Placed, Compariso
     return found
 
 
-def _lacks(gain: Comparison, policy: Policy) -> bool:
+def _lacks(gain: FitComparison, policy: Policy) -> bool:
     """Return whether less than what is asked of an effect is brought."""
     asked = max(2 * policy.evidence, policy.gain_z * gain.total_error)
     alone = gain.validation < policy.alone_z * gain.error

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.diagnosis.arm.motion import ArmRun, low_passed, moving_rows
-from harness.diagnosis.arm.regression import Change
+from harness.diagnosis.arm.regression import TorqueChange
 from harness.diagnosis.arm.rotor import ON_LOAD, friction_of_the_load, rotor_inertia
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.policy import ARM_POLICY, POLICY
-from harness.diagnosis.records.motion import Motion, motion_band
+from harness.diagnosis.records.motion import SmoothedMotion, motion_band
 from harness.diagnosis.runs.equation import decimated, expressible
 from harness.diagnosis.search.fit import WAVE
 from harness.effects.compose import compose
@@ -54,7 +54,7 @@ class JointEquation:
     """
 
     system: System
-    motions: Mapping[str, Sequence[Motion]]
+    motions: Mapping[str, Sequence[SmoothedMotion]]
     rows: Callable[..., list[FloatArray]]
     hidden: int = 0
 
@@ -111,7 +111,7 @@ class JointRegression:
         self.latest = max(ARM_POLICY.rows_late * first.sample_time, ARM_POLICY.late / (2 * np.pi * band))
         self.nominal = joint_system(arm, joint, count)
         self.own = frozenset(name for name in self.nominal.parameter_names if name != CLOCK)
-        self.motions: dict[str, tuple[Motion, ...]] = {}
+        self.motions: dict[str, tuple[SmoothedMotion, ...]] = {}
         pick = slice(joint, joint + 1)
         for use, parts in runs.items():
             made = []
@@ -142,7 +142,7 @@ class JointRegression:
             self._equations[key] = JointEquation(system, self.motions, _residual_rows(system, self.nominal.np))
         return self._equations[key]
 
-    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
+    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[TorqueChange]:
         """Return what each candidate would change, at several choices of the parameters in which it is not linear."""
         changes = []
         for placed in candidates:
@@ -163,7 +163,7 @@ class JointRegression:
                 names = (linear or ("effect",)) if phase is None else WAVE
                 known = {name: value for name, value in given.items() if phase is None or name != phase.name}
                 if all(np.isfinite(part).all() for use in torque.values() for part in use):
-                    changes.append(Change(placed, known, names, torque, "linear" if phase is None else "wave"))
+                    changes.append(TorqueChange(placed, known, names, torque, "linear" if phase is None else "wave"))
         return changes
 
     def choices(self, placed: Placed) -> list[dict[str, float]]:
@@ -205,7 +205,7 @@ class JointRegression:
         index = [system.parameter_names.index(placed.name(name)) for name in linear]
         return {use: [j[:, :, index] for _, j in equation.residual(p, use)] for use in uses}
 
-    def free_torques(self) -> list[Change]:
+    def free_torques(self) -> list[TorqueChange]:
         """Return piecewise linear torques over position, speed and torque, and over position with each other."""
         name = self.nominal.coordinates[0].name
         axes = {
@@ -238,7 +238,7 @@ class JointRegression:
                     torque[use].append(-decimated(free, motion)[:, None, :])
             grid = itertools.product(*knots)
             labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in grid]
-            changes.append(Change(None, {}, (f"{name} over {' and '.join(group)}", *labels), torque))
+            changes.append(TorqueChange(None, {}, (f"{name} over {' and '.join(group)}", *labels), torque))
         return changes
 
     def torque(self, use: str) -> list[FloatArray]:
@@ -363,7 +363,7 @@ def _residual_rows(system: System, free: int) -> Callable[..., list[FloatArray]]
     return OnRecords(ca.Function("rows", [q, v, a, u, p, t], [smooth, jumps, *slopes]))
 
 
-def _sizes(system: System, motion: Motion) -> dict[str, dict[str, float]]:
+def _sizes(system: System, motion: SmoothedMotion) -> dict[str, dict[str, float]]:
     """Return the rms sizes at the ports of a joint, for start values of effects.
 
     The force is what is unsteady of the torque: a constant weight says nothing about friction.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.diagnosis.policy import ARM_POLICY
-from harness.diagnosis.records.motion import ORDER, Motion, motion_band, smooth_motion
+from harness.diagnosis.records.motion import ORDER, SmoothedMotion, motion_band, smooth_motion
 from harness.diagnosis.runs.equation import decimated
 from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray, Trajectory
@@ -46,8 +46,8 @@ class ArmRun:
         By how much links are behind their motors, where springs are known: gradients are taken half way.
     """
 
-    motion: Motion
-    calm: Motion
+    motion: SmoothedMotion
+    calm: SmoothedMotion
     first: FloatArray
     rigid: FloatArray
     corner: float
@@ -89,7 +89,7 @@ def arm_runs(arm: ArmModel, dataset: Dataset) -> dict[str, tuple[ArmRun, ...]]:
     }
 
 
-def moving_rows(motion: Motion) -> FloatArray:
+def moving_rows(motion: SmoothedMotion) -> FloatArray:
     """Return 1 for every row (rows, n) of the decimated residual in which a joint moves, 0 where it stands still.
 
     While a joint stands still its dry friction is whatever keeps it there, anywhere between minus and plus its level:
@@ -149,7 +149,7 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
 
 
 def torque_gradient(
-    arm: ArmModel, motion: Motion, joint: int, of: int, parameters: FloatArray | None = None
+    arm: ArmModel, motion: SmoothedMotion, joint: int, of: int, parameters: FloatArray | None = None
 ) -> FloatArray:
     """Return gradients (N, n) of all torques along a motion by a joint's position (0), rate (1) or acceleration (2)."""
     step, sides = np.zeros(arm.n), []
@@ -173,7 +173,7 @@ def _of_held_torques(a: FloatArray, differenced: Sequence[bool]) -> FloatArray:
     return np.asarray(a - more * np.asarray(differenced))
 
 
-def _pauses(still: NDArray[np.bool_], motion: Motion) -> NDArray[np.bool_]:
+def _pauses(still: NDArray[np.bool_], motion: SmoothedMotion) -> NDArray[np.bool_]:
     """Return where joints (N, n) pause, and as far around it as the filter of the torques carries what is unknown."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
@@ -229,7 +229,7 @@ def clear_runs(runs: Mapping[str, Sequence[ArmRun]]) -> dict[str, tuple[ArmRun, 
     }
 
 
-def _calmed(motion: Motion, corner: float) -> Motion:
+def _calmed(motion: SmoothedMotion, corner: float) -> SmoothedMotion:
     """Return a motion low-passed without delay at a corner [Hz]."""
     q, v, u = (low_passed(part, corner, motion.sample_time) for part in (motion.q, motion.v, motion.u))
     return replace(motion, q=q, v=v, a=np.gradient(v, motion.sample_time, axis=0), u=u)

@@ -22,7 +22,7 @@ from harness.diagnosis.arm.rotor import SPRINGS
 from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.arm.wide_regression import WideRegression
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy, Policy
-from harness.diagnosis.records.motion import Motion
+from harness.diagnosis.records.motion import SmoothedMotion
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.table import value
 from harness.models.damped import Damping, damped_descent
@@ -244,10 +244,10 @@ def runs_of_another_arm(
     needs = ca.Function("needs", [*arguments, free], [torques])
     gradient_of = ca.Function("gradient", [*arguments, free], [ca.jacobian(torques, free)])
 
-    def motion(m: Motion) -> list[FloatArray]:
+    def motion(m: SmoothedMotion) -> list[FloatArray]:
         return [*(np.ascontiguousarray(part.T) for part in (m.q, m.v, m.a)), np.array(GRAVITY)]
 
-    def needed(m: Motion, at: FloatArray) -> FloatArray:
+    def needed(m: SmoothedMotion, at: FloatArray) -> FloatArray:
         return np.array(needs(*motion(m), at)).T
 
     records = runs["estimation"]

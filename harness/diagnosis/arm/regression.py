@@ -59,7 +59,7 @@ class Equation(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class TorqueChange:
     """By how much the residual torque changes, (rows, n, k) by use and record; see Column."""
 
     placed: Placed | None
@@ -96,11 +96,11 @@ class TorqueRegression(Protocol):
         """Return the equation with effects."""
         ...
 
-    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
+    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[TorqueChange]:
         """Return what candidates would change, at some values of the nominal parameters."""
         ...
 
-    def free_torques(self) -> list[Change]:
+    def free_torques(self) -> list[TorqueChange]:
         """Return what torques that are no effect would change, over position, speed and torque."""
         ...
 
@@ -445,7 +445,7 @@ class RegressionForm(InOneGo):
         """See :class:`harness.diagnosis.search.fit.Form`."""
         return [self._answered(fit, change) for change in self.regression.free_torques()]
 
-    def _answered(self, fit: Fit, change: Change) -> Column:
+    def _answered(self, fit: Fit, change: TorqueChange) -> Column:
         """Return what a change does to the whitened residual."""
         errors = regression_detail(fit).errors
         made = {use: self.whitened(change.torque[use], use, errors[use]) for use in USES}

@@ -260,7 +260,7 @@ def swinging(arm: ArmModel, joint: int) -> Callable[[ArmRun], Swinging]:
 
 
 @dataclass(frozen=True, eq=False)
-class Ahead:
+class LeadingRotor:
     """A rotor that runs ahead of its link along one record.
 
     Attributes
@@ -297,15 +297,15 @@ class Ahead:
         return np.zeros((*self.bent.shape, 0 * len(values)))
 
 
-def ahead(arm: ArmModel, joint: int) -> Callable[[ArmRun], Ahead]:
+def ahead(arm: ArmModel, joint: int) -> Callable[[ArmRun], LeadingRotor]:
     """Return what makes the record of a rotor ahead of its link."""
     bodies = arm.arm.parameters
 
-    def made(run: ArmRun) -> Ahead:
+    def made(run: ArmRun) -> LeadingRotor:
         m, dt = run.calm, run.motion.sample_time
         bent = np.zeros_like(m.q)
         bent[:, joint] = _second(arm.torques(m.q, m.v, m.a, parameters=bodies)[:, joint], dt)
-        return Ahead(bent, dt)
+        return LeadingRotor(bent, dt)
 
     return made
 

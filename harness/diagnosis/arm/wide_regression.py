@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.diagnosis.arm.effects import Wide, together, torques_of, wide_effects
 from harness.diagnosis.arm.motion import STEP, ArmRun, moving_rows
-from harness.diagnosis.arm.regression import USES, Change
+from harness.diagnosis.arm.regression import USES, TorqueChange
 from harness.diagnosis.arm.rotor import Spring, Swinging
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
 from harness.diagnosis.search.fit import Fit
@@ -27,7 +27,7 @@ FADED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearRegressors:
     """What has the parameters of a linear regression."""
 
     parameters: tuple[Parameter, ...]
@@ -57,7 +57,7 @@ class LinearEquation:
     ``bent`` gives beside the places of some parameters the torques that are not in proportion to them.
     """
 
-    system: Linear
+    system: LinearRegressors
     target: Mapping[str, Sequence[FloatArray]]
     columns: Mapping[str, Sequence[FloatArray]]
     bent: Sequence[tuple[Sequence[int], Bent]] = ()
@@ -173,7 +173,7 @@ class WideRegression:
         self.inertia = [f"inertia{k + 1}" for k in range(len(calibrated))]
         names += self.inertia
         self.own = frozenset(names).difference(self.own_name(k, ROTOR) for k in joints)
-        self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
+        self.nominal = LinearRegressors(tuple(Parameter(name, "1", 0.0) for name in names))
         torques = np.sqrt(np.mean(np.concatenate([run.calm.u for run in runs["estimation"]]) ** 2, axis=0))
         self.size = torques[self.joints]
         self.effects = {str(effect): effect for effect in wide_effects(arm, torques, policy)}
@@ -224,7 +224,7 @@ class WideRegression:
                 for whole, part in zip(columns[use], parts, strict=True):
                     whole.append(part if bent is None else np.zeros_like(part))
         joined = {use: [np.concatenate(parts, axis=2) for parts in each] for use, each in columns.items()}
-        return LinearEquation(Linear(tuple(parameters)), self._target, joined, self._swinging(places))
+        return LinearEquation(LinearRegressors(tuple(parameters)), self._target, joined, self._swinging(places))
 
     def _swinging(self, apart: Sequence[tuple[Sequence[int], Bent]]) -> list[tuple[list[int], Bent]]:
         """Return what is bent, with its places; springs whose links swing together are one."""
@@ -256,7 +256,7 @@ class WideRegression:
             use: tuple(replace(run, twist=e) for run, e in zip(self.runs[use], found[use], strict=True)) for use in USES
         }
 
-    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
+    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[TorqueChange]:
         """Return the columns of candidates, and the whole of what is not in proportion at several choices."""
         del values
         found = []
@@ -264,21 +264,23 @@ class WideRegression:
             effect = self.effects[str(placed)]
             bent, columns, names = self.bent(effect), self.columns(effect), placed.effect.parameter_names
             if bent is None:
-                found.append(Change(placed, {}, names, columns))
+                found.append(TorqueChange(placed, {}, names, columns))
                 continue
             for given in bent.made["estimation"][0].starts():
                 at = np.array([given[name] for name in names])
                 torque = {
                     use: [bent.torque(at, use, k)[:, :, None] for k in range(len(self.runs[use]))] for use in USES
                 }
-                found.append(Change(placed, given, ("effect",), torque))
+                found.append(TorqueChange(placed, given, ("effect",), torque))
             last = {name: given[name] for name in names[1:]}
             found.append(
-                Change(placed, last, names[:1], {use: [x[:, :, :1] for x in each] for use, each in columns.items()})
+                TorqueChange(
+                    placed, last, names[:1], {use: [x[:, :, :1] for x in each] for use, each in columns.items()}
+                )
             )
         return found
 
-    def free_torques(self) -> list[Change]:
+    def free_torques(self) -> list[TorqueChange]:
         """Return nothing: what is left is asked joint by joint."""
         return []
 

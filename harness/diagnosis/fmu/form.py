@@ -14,7 +14,7 @@ from harness.blackbox.simulator import FmuSimulator, Loan
 from harness.blackbox.system import FmuSystem
 from harness.diagnosis.directions.directions import Direction
 from harness.diagnosis.effort import EFFORT
-from harness.diagnosis.fmu.passes import FreePass, Run
+from harness.diagnosis.fmu.passes import FreePass, StateRun
 from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_of
 from harness.diagnosis.fmu.pushes import Moved, as_measured, pushes, test_pushes
 from harness.diagnosis.forms.fit_records import likelihood_detail
@@ -28,7 +28,7 @@ from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.physics.compiled.kalman_pass import Filtered, Pass
 from harness.physics.compiled.sampled import SampledBlocks
-from harness.physics.compiled.smoother import Smoothed
+from harness.physics.compiled.smoother import SmoothedStates
 from harness.physics.fitting.likelihood_fit import first_noises, sensor_noise
 from harness.signals import Dataset, FloatArray, Trajectory
 
@@ -191,10 +191,10 @@ class FmuForm(LikelihoodForm[FmuSystem]):
             x0 = x0 - np.linalg.lstsq(j, e, rcond=1e-9)[0]
         return x0
 
-    def smooth(self, passed: Filtered) -> Smoothed:
+    def smooth(self, passed: Filtered) -> SmoothedStates:
         """Return the states of the free run itself."""
-        assert isinstance(passed, Run)
-        return Smoothed(passed.x, np.zeros_like(passed.x))
+        assert isinstance(passed, StateRun)
+        return SmoothedStates(passed.x, np.zeros_like(passed.x))
 
     def first_starts(self) -> list[dict[str, float]]:
         """Return parameters to start the nominal fit from: as declared, and fitted over short windows.
@@ -271,7 +271,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         for use in found[0].forces if found else ():
             passed, _ = self.paths(fit, use)
             for number, run in enumerate(passed):
-                assert isinstance(run, Run)
+                assert isinstance(run, StateRun)
                 u = self.records[use][number].u
                 rms = max(float(np.sqrt(np.mean(u**2))) if u.size else 0.0, 1e-9)
                 still = run.pushed(np.zeros_like(u))
@@ -300,7 +300,9 @@ class FmuForm(LikelihoodForm[FmuSystem]):
         ]  # fmt: skip
 
 
-def _convolution(run: Run, still: FloatArray, u: FloatArray, size: float) -> Callable[[FloatArray], FloatArray] | None:
+def _convolution(
+    run: StateRun, still: FloatArray, u: FloatArray, size: float
+) -> Callable[[FloatArray], FloatArray] | None:
     """Return from pushes (K, nu, n) the responses (K, ny, n) of a run that answers alike whenever it is pushed.
 
     The response to a pulse at the first sample is convolved with them; None if that is not what a push at all times

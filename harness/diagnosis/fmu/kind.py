@@ -23,7 +23,7 @@ from harness.signals import Dataset, FloatArray
 
 
 class BlackBox:
-    """See :class:`harness.diagnosis.kinds.Kind`."""
+    """See :class:`harness.diagnosis.kinds.ModelKind`."""
 
     def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
         """Return the data, whose columns nothing doubts, with what is to be said about how the FMU is run."""

@@ -10,13 +10,13 @@ import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from harness.blackbox.simulator import FmuSimulator, Loan
-from harness.physics.compiled.kalman_pass import Filtered, Noise
+from harness.physics.compiled.kalman_pass import Filtered, PassNoise
 from harness.physics.compiled.latent import LatentForce
 from harness.signals import FloatArray, Trajectory
 
 
 @dataclass(eq=False)
-class Run(Filtered):
+class StateRun(Filtered):
     """A free run with the states (K, nx) that it went through, and how to push its inputs.
 
     Attributes
@@ -50,7 +50,7 @@ class FreePass:
         record: Trajectory,
         p: ArrayLike,
         x0: ArrayLike,
-        noise: Noise,
+        noise: PassNoise,
         *,
         columns: npt.NDArray[np.intp] | None = None,
         keep: bool = False,
@@ -86,7 +86,7 @@ class FreePass:
                 made.e_noise = np.zeros((*e.shape, self.ny))
                 made.s_noise = np.broadcast_to(2 * np.eye(self.ny), made.e_noise.shape)
             return made
-        return Run(e, variance, j, x=x, pushed=lambda extra: self._pushed(record, p, x0, extra))
+        return StateRun(e, variance, j, x=x, pushed=lambda extra: self._pushed(record, p, x0, extra))
 
     def take_own(self) -> None:
         """Take derivatives of its own from now on."""

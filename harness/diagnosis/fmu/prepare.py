@@ -21,7 +21,7 @@ from harness.diagnosis.records.horizon import Horizon, short_window
 from harness.errors import HarnessError, InputError
 from harness.parts.files import describe_fmu
 from harness.physics.compiled.windows import Evaluation, Windows
-from harness.physics.fitting.levenberg import Solution, minimise, minimise_states
+from harness.physics.fitting.levenberg import Minimised, minimise, minimise_states
 from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.physics.fitting.smoothing import smooth
 from harness.rng import stream
@@ -131,7 +131,7 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
     begun = windows.starts_from([told[number][0][first : first + length] for number, first in places])
     rng, simulator.one_sided = stream("nominal FMU", system.digest), True
     free = np.array([not parameter.fixed for parameter in system.parameters], dtype=bool)
-    tried: list[Solution] = []
+    tried: list[Minimised] = []
     for start, states in drawn(windows, system.parameters, STARTS, begun, hidden, rng, spread=EFFORT.spread):
         x0 = minimise_states(windows, start, states, 8)
         tried.append(minimise(windows, start, x0, free, EFFORT.first_steps, decrease=EFFORT.roughly))

@@ -32,7 +32,7 @@ from harness.effects.places import port_of
 from harness.physics.compiled.kalman_pass import Filtered, KalmanPass, Pass
 from harness.physics.compiled.latent import with_latent_forces, without_latent_forces
 from harness.physics.compiled.simulator import default_substeps
-from harness.physics.compiled.smoother import Smoothed, smoothed
+from harness.physics.compiled.smoother import SmoothedStates, smoothed
 from harness.physics.compiled.system import System
 from harness.physics.fitting.likelihood_fit import first_state, force_scale
 from harness.physics.fitting.start import first_values
@@ -96,7 +96,7 @@ class EquationsForm(LikelihoodForm[System]):
         """Return the initial state that a record tells, (nx,)."""
         return first_state(system, record, p, self.dataset.intersample)
 
-    def smooth(self, passed: Filtered) -> Smoothed:
+    def smooth(self, passed: Filtered) -> SmoothedStates:
         """Return the states given the whole record."""
         return smoothed(passed)
 

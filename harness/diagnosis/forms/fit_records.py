@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.forms.predictive import Predictive
+from harness.diagnosis.forms.predictive import PredictiveDensity
 from harness.diagnosis.search.fit import Fit
-from harness.physics.compiled.kalman_pass import Filtered, Noise, Pass
-from harness.physics.compiled.smoother import Smoothed
+from harness.physics.compiled.kalman_pass import Filtered, Pass, PassNoise
+from harness.physics.compiled.smoother import SmoothedStates
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.maximum import LikelihoodFit, Point
 from harness.signals import FloatArray
@@ -23,10 +23,10 @@ class LikelihoodDetail:
     points: dict[str, Point]
     passes: Pass
     best: LikelihoodFit
-    predictive: Predictive
+    predictive: PredictiveDensity
     told: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     paths: dict[str, list[Filtered]] = field(default_factory=dict)
-    smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
+    smooth: dict[str, list[SmoothedStates]] = field(default_factory=dict)
 
 
 def likelihood_detail(fit: Fit) -> LikelihoodDetail:
@@ -58,7 +58,7 @@ def point_record(point: Point) -> dict[str, Any]:
 
 def point_from_record(record: dict[str, Any]) -> Point:
     """Return the point of a record."""
-    noise = Noise(*(np.array(values, dtype=float) for values in record["noise"]))
+    noise = PassNoise(*(np.array(values, dtype=float) for values in record["noise"]))
     return Point(np.array(record["p"], dtype=float), [np.array(state, dtype=float) for state in record["x0"]], noise)
 
 

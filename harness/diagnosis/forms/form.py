@@ -10,7 +10,7 @@ from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
 from harness.physics.compiled.kalman_pass import Filtered
-from harness.physics.compiled.smoother import Smoothed
+from harness.physics.compiled.smoother import SmoothedStates
 from harness.physics.fitting.maximum import NoiseModel
 from harness.signals import Dataset, Trajectory
 
@@ -76,7 +76,7 @@ class WholeForm(Form, Protocol):
         """Return the fit of a record; None if it cannot be filtered."""
         ...
 
-    def paths(self, fit: Fit, use: str) -> tuple[list[Filtered], list[Smoothed]]:
+    def paths(self, fit: Fit, use: str) -> tuple[list[Filtered], list[SmoothedStates]]:
         """Return the pass of a fit over every record of a use, and the smoothed states."""
         ...
 

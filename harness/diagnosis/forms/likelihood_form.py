@@ -32,7 +32,7 @@ from harness.diagnosis.forms.named import (
     state_values,
     within,
 )
-from harness.diagnosis.forms.predictive import Predictive, day_values, predicted, spread_of
+from harness.diagnosis.forms.predictive import PredictiveDensity, day_values, predicted, spread_of
 from harness.diagnosis.forms.robust import coloured_deviations
 from harness.diagnosis.forms.suspects import lost_signs, piled_up
 from harness.diagnosis.forms.system_form import SystemForm
@@ -42,8 +42,8 @@ from harness.diagnosis.systems import AnySystem, Starts, SystemT
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import FitError, HarnessError
-from harness.physics.compiled.kalman_pass import Filtered, Noise, Pass
-from harness.physics.compiled.smoother import Smoothed
+from harness.physics.compiled.kalman_pass import Filtered, Pass, PassNoise
+from harness.physics.compiled.smoother import SmoothedStates
 from harness.physics.fitting.likelihood import Likelihood
 from harness.physics.fitting.likelihood_fit import LONGEST, first_noises, sensor_noise
 from harness.physics.fitting.maximum import LikelihoodFit, NoiseModel, Point
@@ -293,7 +293,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         outside = self._outside(system, passes, point, told)
         if best is None or outside is None:
             return None
-        expected = Predictive(point, np.array(record["moved"], dtype=float), float(record["price"]))
+        expected = PredictiveDensity(point, np.array(record["moved"], dtype=float), float(record["price"]))
         return self._fitted(effects, system, passes, best, dict(record["own"]), outside, expected, told)
 
     def _fitted(
@@ -304,7 +304,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
         best: LikelihoodFit,
         own: dict[str, float],
         outside: list[Filtered],
-        expected: Predictive,
+        expected: PredictiveDensity,
         told: list[tuple[FloatArray, FloatArray]],
     ) -> Fit:
         """Return the fit as the search wants it.
@@ -394,7 +394,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     def _validated(
         self, system: SystemT, passes: Pass, best: LikelihoodFit, base: Fit | None
-    ) -> tuple[dict[str, float], list[tuple[FloatArray, FloatArray]], Predictive]:
+    ) -> tuple[dict[str, float], list[tuple[FloatArray, FloatArray]], PredictiveDensity]:
         """Fit what belongs to the validation records; return it, what halves tell of phases, and what is expected.
 
         Initial states and noise belong to a record: a law that leaves one record without any latent force is not to
@@ -477,7 +477,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             return paths
         return judged_by_halves(paths, passes, self.records["validation"], point, told)
 
-    def _noises(self, base: Fit | None, effects: Sequence[Placed] = ()) -> list[Noise]:
+    def _noises(self, base: Fit | None, effects: Sequence[Placed] = ()) -> list[PassNoise]:
         """Return the noise to start from: that of the base, which other effects may change, else several."""
         if base is None:
             return first_noises(self.noise_model, self._first_noise, self.dt)
@@ -486,7 +486,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
             return [noise]
         return [self._woken(noise, likelihood_detail(base).best)]
 
-    def _woken(self, noise: Noise, seen: LikelihoodFit) -> Noise:
+    def _woken(self, noise: PassNoise, seen: LikelihoodFit) -> PassNoise:
         """Return noise of which no part is lost, neither a latent force nor a sensor's: it may be needed elsewhere.
 
         A model that lacks much leaves its innovations to the force alone, as an equation error does, and where r has
@@ -529,7 +529,7 @@ class LikelihoodForm(InOneGo, SystemForm[SystemT]):
 
     # ---- what the score test needs -----------------------------------------------------------------------------------
 
-    def paths(self, fit: Fit, use: str) -> tuple[list[Filtered], list[Smoothed]]:
+    def paths(self, fit: Fit, use: str) -> tuple[list[Filtered], list[SmoothedStates]]:
         """Return the pass of a fit over every record of a use, and the smoothed states; found once."""
         detail = likelihood_detail(fit)
         if use not in detail.paths:

@@ -30,7 +30,7 @@ _ALIVE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Predictive:
+class PredictiveDensity:
     """Where parameters and initial states are likeliest, given both uses, and what their uncertainty costs."""
 
     point: Point
@@ -102,7 +102,7 @@ def predicted(
     own: Sequence[str],
     effects: Sequence[Placed],
     enough: float = np.inf,
-) -> Predictive:
+) -> PredictiveDensity:
     """Return the density of records given those of the estimation, on the same day or another one: the larger of both.
 
     Another day is asked only where the log-density on the same one is below ``enough``: it makes wrong laws likelier,
@@ -134,7 +134,7 @@ def predictive(
     free: Sequence[str],
     spread: FloatArray,
     moved: FloatArray | None = None,
-) -> Predictive:
+) -> PredictiveDensity:
     """Return the density of records that parameters with a normal spread predict, by Laplace's approximation.
 
     ``log p(y) = max [log p(y | p, x0) - |moved|^2 / 2] - log det(I + J' J) / 2`` with the derivatives J of the whitened
@@ -200,7 +200,7 @@ def predictive(
                 break
         if len(lost) > halving:
             break
-    return Predictive(point, moved, price, 0.5 * float(moved @ moved) - value - price)
+    return PredictiveDensity(point, moved, price, 0.5 * float(moved @ moved) - value - price)
 
 
 def _may_gain(lost: Sequence[float]) -> bool:

@@ -14,7 +14,7 @@ from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.number import described
 from harness.diagnosis.policy import DATA_POLICY, POLICY
 from harness.diagnosis.search.fit import Begun, Column, Fit, InOneGo, Jump, Linearised, Suspect
-from harness.diagnosis.store import Store, data_fingerprint
+from harness.diagnosis.store import CandidateStore, data_fingerprint
 from harness.diagnosis.systems import AnySystem, Starts
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -33,10 +33,10 @@ class Remembered(InOneGo):
 
     def __init__(self, form: WholeForm, folder: Path | None) -> None:
         self.form = form
-        self.store: Store | None = None
+        self.store: CandidateStore | None = None
         if folder is not None:
             decides = [described(numbers) for numbers in (POLICY, EFFORT, DATA_POLICY)]
-            self.store = Store(folder, fingerprint(data_fingerprint(form.dataset), decides, own_code()))
+            self.store = CandidateStore(folder, fingerprint(data_fingerprint(form.dataset), decides, own_code()))
         self.proposed: Callable[[], list[Suspect]] = list
         """What else is begun beside the nominal model, whatever a first-order test says."""
 

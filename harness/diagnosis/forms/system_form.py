@@ -12,7 +12,7 @@ from harness.diagnosis.search.fit import Column, Fit, Jump
 from harness.diagnosis.systems import SystemT
 from harness.effects.effect import Placed
 from harness.physics.compiled.kalman_pass import Filtered, Pass
-from harness.physics.compiled.smoother import Smoothed
+from harness.physics.compiled.smoother import SmoothedStates
 from harness.signals import FloatArray, Trajectory
 
 
@@ -52,7 +52,7 @@ class SystemForm(ABC, Generic[SystemT]):
         """Return the initial state that a record tells, (nx,)."""
 
     @abstractmethod
-    def smooth(self, passed: Filtered) -> Smoothed:
+    def smooth(self, passed: Filtered) -> SmoothedStates:
         """Return the states given the whole record."""
 
     def limited(self) -> bool:

@@ -19,7 +19,7 @@ second order, and with smooth signals and differences of fourth order."""
 
 
 @dataclass(frozen=True)
-class Motion:
+class SmoothedMotion:
     """Smoothed motion of one record."""
 
     t: FloatArray  # (N,)
@@ -111,7 +111,7 @@ def smooth_motion(
     intersample: str = "zoh",
     *,
     by_rates: bool = False,
-) -> Motion:
+) -> SmoothedMotion:
     """Return the motion of a record.
 
     Zero-phase Butterworth low-pass of order 4 (Gautier, Janot & Vandanjon, IEEE Trans. Control Syst. Technol. 21:428,
@@ -168,7 +168,9 @@ def smooth_motion(
         u = 0.5 * (u + np.concatenate([u[:1], u[:-1]]))
     if (by_rates or intersample == "smooth") and u.size:  # a balance of forces is linear in them: one filter for both
         u = signal.sosfiltfilt(sos, u, axis=0, padlen=min(3 * edge, n - 1))
-    return Motion(run.t, position_of, speed_of, acceleration_of, u, slice(edge, n - edge), factor, dt, cutoff=cutoff)
+    return SmoothedMotion(
+        run.t, position_of, speed_of, acceleration_of, u, slice(edge, n - edge), factor, dt, cutoff=cutoff
+    )
 
 
 def _interpolated(run: Trajectory, positions: list[int]) -> Trajectory:
@@ -191,7 +193,7 @@ def _interpolated(run: Trajectory, positions: list[int]) -> Trajectory:
     return Trajectory(t, inputs, np.stack(y, axis=1), replace(run.spec, sample_time=dt / factor))
 
 
-def thinned(motion: Motion, most: int = 6000) -> Motion:
+def thinned(motion: SmoothedMotion, most: int = 6000) -> SmoothedMotion:
     """Return a motion with fewer samples where its band allows, the input averaged over each step.
 
     - ``most``: samples wanted at most; never thinned to less than five decimated samples in one
@@ -208,7 +210,7 @@ def thinned(motion: Motion, most: int = 6000) -> Motion:
 
     u = motion.u[: rows * step].reshape(rows, step, motion.u.shape[1]).mean(axis=1)
     edge = -(-motion.inside.start // step)
-    return Motion(
+    return SmoothedMotion(
         pick(motion.t),
         pick(motion.q),
         pick(motion.v),

@@ -21,7 +21,7 @@ LONGEST = 10_000
 
 
 @dataclass(frozen=True)
-class Path:
+class SignPath:
     """Signs along a folded record.
 
     Attributes
@@ -36,7 +36,7 @@ class Path:
     gain: float
 
 
-def tracked(y: FloatArray) -> tuple[Path, ...]:
+def tracked(y: FloatArray) -> tuple[SignPath, ...]:
     """Return the signs of a folded record, likeliest first; empty where following it decides nothing.
 
     - ``y`` (N,): readings at equal distances in time that never change their sign
@@ -78,10 +78,10 @@ def tracked(y: FloatArray) -> tuple[Path, ...]:
     straight = likely if turns == 0 else _followed(scaled, walk, folds=False)[0][0]
     if likely - straight < DATA_POLICY.turn * turns:
         return ()
-    paths = [Path(signs, float(likely - straight))]
+    paths = [SignPath(signs, float(likely - straight))]
     for rival, others in best[1:]:
         if likely - rival < DATA_POLICY.rival and all(np.mean(others != path.signs) > 0.01 for path in paths):
-            paths.append(Path(others, float(rival - straight)))
+            paths.append(SignPath(others, float(rival - straight)))
     return tuple(paths)
 
 

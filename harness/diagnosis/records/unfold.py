@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
-from harness.diagnosis.records.tracked_signs import BEAM, Path, fourth_difference, tracked
+from harness.diagnosis.records.tracked_signs import BEAM, SignPath, fourth_difference, tracked
 from harness.signals import FloatArray, Trajectory
 
 HIDING = ("sensor_rectification",)
@@ -125,17 +125,17 @@ def _turns(signs: Sequence[FloatArray]) -> int:
     return sum(int(np.count_nonzero(np.diff(part))) for part in signs)
 
 
-def followed(y: FloatArray) -> tuple[Path, ...]:
+def followed(y: FloatArray) -> tuple[SignPath, ...]:
     """Return the paths of an output (N,) that could be followed through its zeros, likeliest first, made once."""
     return _followed(y.tobytes())
 
 
 @functools.lru_cache(maxsize=32)
-def _followed(y: bytes) -> tuple[Path, ...]:
+def _followed(y: bytes) -> tuple[SignPath, ...]:
     return tracked(np.frombuffer(y))
 
 
-def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Sequence[Path]]) -> list[Unfolding]:
+def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Sequence[SignPath]]) -> list[Unfolding]:
     """Return the signs of followed records and their opposite; all are turned to answer the input alike.
 
     Of their paths and senses the likeliest are taken, by the motion itself and by one ARX model of all records.

@@ -23,7 +23,7 @@ NO_FINDING = "the model does not fit these data: nothing is accepted"
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class Conclusion:
     """What a diagnosis stands for: where the model does not fit, the nominal one and nothing beside it."""
 
     accepted: tuple[Accepted, ...]
@@ -31,11 +31,11 @@ class Answer:
     runs: Fitted | None
 
 
-def answer_of(found: Diagnosis) -> Answer:
+def answer_of(found: Diagnosis) -> Conclusion:
     """Return what a diagnosis stands for."""
     if found.misfit:
-        return Answer((), found.nominal, found.runs.before)
-    return Answer(tuple(found.outcome.accepted), found.final, found.runs.after)
+        return Conclusion((), found.nominal, found.runs.before)
+    return Conclusion(tuple(found.outcome.accepted), found.final, found.runs.after)
 
 
 def candidate_rows(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any]]:

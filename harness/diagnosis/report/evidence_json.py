@@ -337,7 +337,9 @@ def _tests(found: Diagnosis, fit: Fit) -> dict[str, Any]:
             if np.ptp(record.u[:, k]) > 0:
                 outcome = residual_tests.input_correlation(record.u[: r.size, k], r)
                 tests.append(
-                    residual_tests.Outcome(f"{outcome.name} ({port.name})", outcome.statistic, outcome.dof, outcome.p)
+                    residual_tests.TestOutcome(
+                        f"{outcome.name} ({port.name})", outcome.statistic, outcome.dof, outcome.p
+                    )
                 )
         result[channel.name] = {
             "largest_autocorrelation": known(residual_tests.max_autocorrelation(r)),

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.records.motion import Motion
+from harness.diagnosis.records.motion import SmoothedMotion
 from harness.effects.effect import Placed
 from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class MotionEquations:
     """Residual force of a system on measured motion."""
 
     system: System
@@ -39,16 +39,18 @@ class Equations:
             known[name] = OnRecords(getattr(self, name))
         return known[name](*arguments)
 
-    def force_of(self, motion: Motion, p: FloatArray) -> FloatArray:
+    def force_of(self, motion: SmoothedMotion, p: FloatArray) -> FloatArray:
         """Return the force (N, n) of the inputs along a motion."""
         return self._values("drive", motion.q, motion.v, motion.u, np.asarray(p, dtype=float), motion.t[:, None])[0]
 
-    def residual(self, motion: Motion, p: FloatArray) -> FloatArray:
+    def residual(self, motion: SmoothedMotion, p: FloatArray) -> FloatArray:
         """Return the residual force (rows, n) [force units] of one record, decimated."""
         p, t = np.asarray(p, dtype=float), motion.t[:, None]
         return decimated(self._values("strong", motion.q, motion.v, motion.a, motion.u, p, t)[0], motion)
 
-    def weak_residual(self, motion: Motion, p: FloatArray, columns: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    def weak_residual(
+        self, motion: SmoothedMotion, p: FloatArray, columns: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the mean residual force (rows, n) over half overlapping test functions, and its derivatives.
 
         - ``p`` (np,): parameters in the order of the system's
@@ -73,7 +75,7 @@ def expressible(placed: Placed) -> bool:
     return not effect.states and not effect.sampled and bool({"coordinate", "input", "base"} & set(effect.kinds))
 
 
-def equations_of(system: System) -> Equations:
+def equations_of(system: System) -> MotionEquations:
     """Return the equation form of a system.
 
     - ``system``: with coordinates and without hidden states
@@ -93,7 +95,7 @@ def equations_of(system: System) -> Equations:
     strong = ca.Function("strong", [q, v, a, u, p, t], [left_over])
     weak = ca.Function("weak", [q, v, u, p, t], [momentum, drift, ca.jacobian(momentum, p), ca.jacobian(drift, p)])
     driving = ca.substitute(system.input_forces, *swap)
-    return Equations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [driving]))
+    return MotionEquations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [driving]))
 
 
 @functools.cache
@@ -104,7 +106,7 @@ def _low_pass(factor: int) -> FloatArray:
     return np.asarray(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"))
 
 
-def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
+def decimated(rows: FloatArray, motion: SmoothedMotion) -> FloatArray:
     """Return rows (N, n * k), low-passed without delay, decimated, the touched ends cut off.
 
     Rows that do not count are 0 in what is measured and in what a model says: a filter carries nothing of them into
@@ -125,7 +127,7 @@ def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
     return np.asarray(result[cut:-cut])
 
 
-def weak_rows(rows: FloatArray, motion: Motion, *, derivative: bool = False) -> FloatArray:
+def weak_rows(rows: FloatArray, motion: SmoothedMotion, *, derivative: bool = False) -> FloatArray:
     """Return means of rows (N, k) over half overlapping test functions, or minus those over their derivatives.
 
     A test function is (1 - s^2)^2 on s in (-1, 1), so both it and its derivative vanish at its ends; it is as wide as

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from harness.diagnosis.records.motion import Motion, measured_coordinates, smooth_motion, thinned
-from harness.diagnosis.runs.equation import Equations, equations_of, expressible
+from harness.diagnosis.records.motion import SmoothedMotion, measured_coordinates, smooth_motion, thinned
+from harness.diagnosis.runs.equation import MotionEquations, equations_of, expressible
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.errors import FitError
@@ -47,7 +47,7 @@ class EquationForm:
         self.sizes = sizes
         self.columns = tuple((coordinate.name, coordinate.force_unit) for coordinate in nominal.coordinates)
         weak, smooth = shape == "weak", dataset.intersample == "smooth"
-        self.motions: dict[str, tuple[Motion, ...]] = {
+        self.motions: dict[str, tuple[SmoothedMotion, ...]] = {
             use: tuple(
                 smooth_motion(run, columns, dataset.intersample if weak or smooth else "foh")
                 for run in dataset.using(use)
@@ -56,7 +56,7 @@ class EquationForm:
         }
         if weak:  # a screen: it need not see every sample
             self.motions = {use: tuple(map(thinned, motions)) for use, motions in self.motions.items()}
-        self._equations: dict[tuple[str, ...], Equations] = {}
+        self._equations: dict[tuple[str, ...], MotionEquations] = {}
 
     def judges(self, placed: Placed) -> bool:
         """Return True for forces without a state of their own; see :func:`expressible`."""
@@ -64,7 +64,7 @@ class EquationForm:
             coordinate.name for coordinate in self.nominal.coordinates
         }
 
-    def equations(self, effects: Sequence[Placed]) -> Equations:
+    def equations(self, effects: Sequence[Placed]) -> MotionEquations:
         """Return the equation form with effects, made once."""
         key = tuple(str(placed) for placed in effects)
         if key not in self._equations:

@@ -11,7 +11,7 @@ from harness.signals import FloatArray
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TestOutcome:
     """One statistical test: statistic, degrees of freedom, p-value (NaN where the test cannot be made)."""
 
     name: str
@@ -71,7 +71,7 @@ def cross_correlation(u: FloatArray, r: FloatArray, lags: int = 25) -> FloatArra
     return np.asarray(np.r_[full[-lags:] if lags else [], full[: lags + 1]] / scale)
 
 
-def ljung_box(r: FloatArray, lags: int = 25, fitted: int = 0) -> Outcome:
+def ljung_box(r: FloatArray, lags: int = 25, fitted: int = 0) -> TestOutcome:
     """Test ``r`` (N,) for whiteness (Ljung & Box 1978): Q = N (N + 2) sum rho_k^2 / (N - k).
 
     - ``r`` (N,): residual
@@ -84,7 +84,7 @@ def ljung_box(r: FloatArray, lags: int = 25, fitted: int = 0) -> Outcome:
     return _chi2("Ljung-Box", q, max(rho.size - fitted, 1))
 
 
-def input_correlation(u: FloatArray, r: FloatArray, lags: int = 25) -> Outcome:
+def input_correlation(u: FloatArray, r: FloatArray, lags: int = 25) -> TestOutcome:
     """Test the residual for independence of the last ``lags`` inputs (Lagrange multiplier form, any colour of ``u``).
 
     Of a short record half of its length at most.
@@ -95,7 +95,7 @@ def input_correlation(u: FloatArray, r: FloatArray, lags: int = 25) -> Outcome:
     return _projection("input cross-correlation", _lagged(u, min(lags, len(u) // 2)), r)
 
 
-def cusum_of_squares(r: FloatArray) -> tuple[FloatArray, float, Outcome]:
+def cusum_of_squares(r: FloatArray) -> tuple[FloatArray, float, TestOutcome]:
     """Return the path C_k - k / N of the cumulative squares, its 99 % half width, and the test of its largest value.
 
     The half width is 2.58 / sqrt(N); the p-value is Kolmogorov's, with the spread of r^2 taken from the data.
@@ -109,7 +109,7 @@ def cusum_of_squares(r: FloatArray) -> tuple[FloatArray, float, Outcome]:
     largest = float(np.abs(path).max())
     spread = float(squares.std()) / (total / n) if total > 0 else 0.0
     p = float(special.kolmogorov(largest * np.sqrt(n) / spread)) if spread > 0 else float("nan")
-    return path, correlation_band(n), Outcome("CUSUM of squares", largest, n, p)
+    return path, correlation_band(n), TestOutcome("CUSUM of squares", largest, n, p)
 
 
 def effective_samples(r: FloatArray) -> float:
@@ -131,11 +131,11 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _chi2(name: str, statistic: float, dof: int) -> Outcome:
+def _chi2(name: str, statistic: float, dof: int) -> TestOutcome:
     """Return a chi-square outcome."""
     from scipy import special
 
-    return Outcome(name, statistic, dof, float(special.chdtrc(dof, statistic)))
+    return TestOutcome(name, statistic, dof, float(special.chdtrc(dof, statistic)))
 
 
 def _lagged(u: FloatArray, lags: int) -> FloatArray:
@@ -144,7 +144,7 @@ def _lagged(u: FloatArray, lags: int) -> FloatArray:
     return np.lib.stride_tricks.sliding_window_view(x, lags + 1)[:, ::-1]
 
 
-def _projection(name: str, x: FloatArray, r: FloatArray) -> Outcome:
+def _projection(name: str, x: FloatArray, r: FloatArray) -> TestOutcome:
     """Test whether ``r``, cut to the rows of ``x`` (N', k), lies in the span of ``x``."""
     e = np.asarray(r, dtype=float)[-x.shape[0] :]
     e = e - e.mean()
@@ -153,6 +153,6 @@ def _projection(name: str, x: FloatArray, r: FloatArray) -> Outcome:
     left, values, _ = np.linalg.svd(x, full_matrices=False)
     rank = int((values > 1e-8 * values.max(initial=0.0)).sum()) if values.size and values[0] > 0 else 0
     if rank == 0 or power == 0:
-        return Outcome(name, float("nan"), 0, float("nan"))
+        return TestOutcome(name, float("nan"), 0, float("nan"))
     share = float(np.sum((left[:, :rank].T @ e) ** 2)) / power
     return _chi2(name, e.size * share, rank)

@@ -21,7 +21,7 @@ _NEAR_BOUND = 1e-4
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FitComparison:
     """One fit against another.
 
     Attributes
@@ -62,7 +62,7 @@ class Judged:
 
     added: tuple[Placed, ...]
     fit: Fit | None
-    comparison: Comparison | None
+    comparison: FitComparison | None
     refusals: tuple[Refusal, ...]
 
     @property
@@ -76,11 +76,11 @@ class Judged:
         return " + ".join(sorted(str(placed) for placed in self.added))
 
 
-def compared(fit: Fit, base: Fit, policy: Policy = POLICY) -> Comparison:
+def compared(fit: Fit, base: Fit, policy: Policy = POLICY) -> FitComparison:
     """Return how much better a fit is than a base."""
     gain, error = difference(fit, base, ("validation",), policy)
     _, total_error = difference(fit, base, ("estimation", "validation"), policy)
-    return Comparison(fit.penalised - base.penalised, gain, error, total_error)
+    return FitComparison(fit.penalised - base.penalised, gain, error, total_error)
 
 
 def difference(fit: Fit, base: Fit, uses: Sequence[str], policy: Policy = POLICY) -> tuple[float, float]:
@@ -173,7 +173,7 @@ def unseen(fit: Fit) -> list[Refusal]:
     return [Refusal(Kind.UNSEEN, numbers=(fit.unseen,))] if fit.unseen > 1.0 else []
 
 
-def _wanting(fit: Fit, base: Fit, nominal: Fit, found: Comparison, policy: Policy) -> list[Refusal]:
+def _wanting(fit: Fit, base: Fit, nominal: Fit, found: FitComparison, policy: Policy) -> list[Refusal]:
     """Return which of the evidence that is asked for a fit does not have."""
     reasons = []
     asked = max(2 * policy.evidence, policy.gain_z * found.total_error)

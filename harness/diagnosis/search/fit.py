@@ -207,7 +207,7 @@ class Suspect:
     base: Fit | None = None
 
 
-class Steps(Protocol):
+class StepwiseForm(Protocol):
     """What fits in two steps: see :class:`Form`."""
 
     def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
@@ -223,7 +223,7 @@ class InOneGo:
     """Adds ``fit`` to what begins and finishes."""
 
     def fit(
-        self: Steps,
+        self: StepwiseForm,
         effects: Sequence[Placed],
         starts: Sequence[Mapping[str, float]],
         base: Fit | None,

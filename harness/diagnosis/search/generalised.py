@@ -11,7 +11,7 @@ import numpy as np
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.compare import impossible, pays
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.table import Table, named, value
+from harness.diagnosis.search.table import FitTable, named, value
 from harness.diagnosis.search.warm import Fits, share_ends
 from harness.effects.effect import Placed
 
@@ -36,7 +36,7 @@ class _Question:
     likeliest: list[Placed]
 
 
-def generalise(table: Table, base: Fit, fits: Fits, untried: Sequence[Placed]) -> None:
+def generalise(table: FitTable, base: Fit, fits: Fits, untried: Sequence[Placed]) -> None:
     """Add the fits of what refines the laws that were fitted beside a base.
 
     What adds the same to several laws at a place is one question. What refines the one that would be the answer is
@@ -71,7 +71,7 @@ def generalise(table: Table, base: Fit, fits: Fits, untried: Sequence[Placed]) -
         share_ends(table, base, fits, lambda rich: None, richer, upward=True)
 
 
-def _questions(table: Table, base: Fit, fits: Fits, untried: Sequence[Placed]) -> Iterator[_Question]:
+def _questions(table: FitTable, base: Fit, fits: Fits, untried: Sequence[Placed]) -> Iterator[_Question]:
     """Yield which additions may help: to laws that pay for themselves and are not far below the best one.
 
     Or that are near one that does: what it becomes in a limit, a rounded play, may have taken its place.
@@ -107,7 +107,7 @@ def _starts_elsewhere(question: _Question, known: Fits) -> dict[str, tuple[float
     }
 
 
-def generalised(table: Table, model: Fit, law: Placed) -> list[tuple[Placed, Fit]]:
+def generalised(table: FitTable, model: Fit, law: Placed) -> list[tuple[Placed, Fit]]:
     """Return what refines a law of a model, with its fit in the place of that law, where the first steps promise it.
 
     Beside what was found later a refinement may help that did not when the law stood alone.
@@ -133,7 +133,7 @@ def generalised(table: Table, model: Fit, law: Placed) -> list[tuple[Placed, Fit
 
 
 def _grown(
-    table: Table,
+    table: FitTable,
     others: Sequence[Placed],
     rich: Placed,
     simple: Placed,

@@ -18,16 +18,16 @@ from harness.diagnosis.search.generalised import generalise, generalised, refine
 from harness.diagnosis.search.race import raced
 from harness.diagnosis.search.refusal import Kind, Refusal, only
 from harness.diagnosis.search.scores import Lead, score_test
-from harness.diagnosis.search.table import Accepted, Answer, Round, Table, named, value
+from harness.diagnosis.search.table import Accepted, Answer, FitTable, Round, named, value
 from harness.diagnosis.search.ties import alike, physical, tied, total
 from harness.diagnosis.search.warm import own_values, polished, start_between
 from harness.diagnosis.stand_in import same_whole
 from harness.effects.effect import Placed
 
-Move = Callable[[Table, Answer], Iterator[Answer]]
+Move = Callable[[FitTable, Answer], Iterator[Answer]]
 
 
-def preferred(table: Table, new: Answer, old: Answer, *, simpler: bool = False) -> bool:
+def preferred(table: FitTable, new: Answer, old: Answer, *, simpler: bool = False) -> bool:
     """Return True if one answer is to take the place of another: the rule of all moves.
 
     Every effect more must bring the evidence that is asked of one, an exchange more than a tie, and an effect less may
@@ -44,20 +44,20 @@ def preferred(table: Table, new: Answer, old: Answer, *, simpler: bool = False) 
     return value(new.model) > value(old.model) + asked
 
 
-def best_of(table: Table, answer: Answer, trials: Iterable[Answer], *, simpler: bool = False) -> Answer | None:
+def best_of(table: FitTable, answer: Answer, trials: Iterable[Answer], *, simpler: bool = False) -> Answer | None:
     """Return the likeliest of some answers that are to take the place of another one; None where none is."""
     stand = [trial for trial in trials if preferred(table, trial, answer, simpler=simpler)]
     return max(stand, key=lambda trial: value(trial.model), default=None)
 
 
-def climbed(table: Table, answer: Answer, move: Move, *, simpler: bool = False) -> Answer:
+def climbed(table: FitTable, answer: Answer, move: Move, *, simpler: bool = False) -> Answer:
     """Return where a move leads from an answer until it betters it no more."""
     while (better := best_of(table, answer, move(table, answer), simpler=simpler)) is not None:
         answer = better
     return answer
 
 
-def _corner(table: Table, fit: Fit) -> float:
+def _corner(table: FitTable, fit: Fit) -> float:
     """Return what a law may bring more than a special case and be no other law: a share of what all effects bring."""
     return table.policy.second_share * (value(fit) - value(table.nominal))
 
@@ -65,7 +65,7 @@ def _corner(table: Table, fit: Fit) -> float:
 # ---- add -------------------------------------------------------------------------------------------------------------
 
 
-def expanded(table: Table, answer: Answer) -> Answer:
+def expanded(table: FitTable, answer: Answer) -> Answer:
     """Fit an answer with each effect more that promises something, as a round; return it, at its maximum then."""
     base, present = answer.model, named(answer.model.effects)
     untried = [placed for placed in table.candidates if str(placed) not in present]
@@ -81,7 +81,7 @@ def expanded(table: Table, answer: Answer) -> Answer:
     return replace(answer, model=base)
 
 
-def add(table: Table, answer: Answer) -> Iterator[Answer]:
+def add(table: FitTable, answer: Answer) -> Iterator[Answer]:
     """Yield answers with one candidate of the last round more, first the one to take.
 
     It is the likeliest one, or the simplest that these data do not tell from it: of its special cases, and of the other
@@ -94,7 +94,7 @@ def add(table: Table, answer: Answer) -> Iterator[Answer]:
         yield answer.added(row, len(table.rounds) - 1)
 
 
-def _no_more(table: Table, best: Judged, row: Judged) -> bool:
+def _no_more(table: FitTable, best: Judged, row: Judged) -> bool:
     """Return True for a candidate that the best one is, as far as these data tell, or a corner of it."""
     first, other, fit = best.added[0], row.added[0], best.fit
     special = first.generalises(other)
@@ -103,7 +103,7 @@ def _no_more(table: Table, best: Judged, row: Judged) -> bool:
     return (special or same_whole(first, other)) and tied(best, row, table.policy)
 
 
-def _ended(table: Table, rows: Sequence[Judged], base: Fit) -> list[Judged]:
+def _ended(table: FitTable, rows: Sequence[Judged], base: Fit) -> list[Judged]:
     """Return candidates of which those go to their end that nothing speaks against but that they have not come there.
 
     Only those that would be the answer or tie with it: both uses decide that, and a fit is left by one of them.
@@ -130,7 +130,7 @@ def _unfinished(row: Judged, best: Judged | None, policy: Policy) -> bool:
     return best is None or tied(best, row, policy)
 
 
-def pair(table: Table, answer: Answer) -> Iterator[Answer]:
+def pair(table: FitTable, answer: Answer) -> Iterator[Answer]:
     """Yield pairs in the place of a first answer, each likelier than the one before: one law may stand in for two.
 
     Its best rivals go to their end, and get a second effect. Each of a pair has to pass beside the other, as if it had
@@ -158,7 +158,7 @@ def pair(table: Table, answer: Answer) -> Iterator[Answer]:
                     yield _together(table, row)
 
 
-def _rivals(table: Table, answer: Answer) -> list[Judged]:
+def _rivals(table: FitTable, answer: Answer) -> list[Judged]:
     """Return the candidates of the first round that may be one of two; what refines others comes later.
 
     First the special cases of a law of the answer, which may stand in for one of them and another law, then the
@@ -184,7 +184,7 @@ def _special(answer: Answer, simple: Placed) -> bool:
     return any(placed.generalises(simple) for placed in answer.model.effects)
 
 
-def _second(table: Table, answer: Answer, rival: Judged, fit: Fit) -> Iterator[Lead]:
+def _second(table: FitTable, answer: Answer, rival: Judged, fit: Fit) -> Iterator[Lead]:
     """Yield what may be the second of a pair: its column promises enough of what the pair would need.
 
     Nothing is promised where a latent force has taken it up. That something is there, beside its special case, the law
@@ -202,7 +202,7 @@ def _second(table: Table, answer: Answer, rival: Judged, fit: Fit) -> Iterator[L
             yield lead
 
 
-def _each_passes(table: Table, row: Judged, alone: Fit) -> bool:
+def _each_passes(table: FitTable, row: Judged, alone: Fit) -> bool:
     """Return True for a pair of which each passes beside the other; ``alone`` is the fit with the first one."""
     first, second = row.added
     assert row.fit is not None
@@ -214,7 +214,7 @@ def _each_passes(table: Table, row: Judged, alone: Fit) -> bool:
     return table.judged([first], row.fit, other).passed
 
 
-def _together(table: Table, row: Judged) -> Answer:
+def _together(table: FitTable, row: Judged) -> Answer:
     """Return the answer of effects that were found together, each with its part of the evidence."""
     assert row.fit is not None
     assert row.comparison is not None
@@ -234,7 +234,7 @@ def second_friction(answer: Answer) -> bool:
     return any(same_whole(last, placed) for placed in earlier)
 
 
-def _clear(table: Table, past: Round) -> list[tuple[Placed, Fit]]:
+def _clear(table: FitTable, past: Round) -> list[tuple[Placed, Fit]]:
     """Return the likeliest candidates of a round with the evidence that is asked for, whatever else is said of them."""
     rows = [
         (row.added[0], row.fit)
@@ -244,7 +244,7 @@ def _clear(table: Table, past: Round) -> list[tuple[Placed, Fit]]:
     return rows[: EFFORT.pairs + 1]
 
 
-def exchange_contradicted(table: Table, answer: Answer) -> Iterator[Answer]:
+def exchange_contradicted(table: FitTable, answer: Answer) -> Iterator[Answer]:
     """Yield answers with a candidate of the last round in the place of an earlier effect that is no law beside it.
 
     Signs that a law does not have show two effects that do the same.
@@ -258,7 +258,7 @@ def exchange_contradicted(table: Table, answer: Answer) -> Iterator[Answer]:
                     yield answer.exchanged(number, new, fit, len(table.rounds) - 1)
 
 
-def generalise_earlier(table: Table, answer: Answer) -> Iterator[Answer]:
+def generalise_earlier(table: FitTable, answer: Answer) -> Iterator[Answer]:
     """Yield answers with what refines an earlier effect in its place; one alone was refined when it was found."""
     for number, earlier in answer.earlier:
         for rich, fit in generalised(table, answer.model, earlier.placed):
@@ -266,7 +266,7 @@ def generalise_earlier(table: Table, answer: Answer) -> Iterator[Answer]:
                 yield answer.exchanged(number, rich, fit, len(table.rounds) - 1)
 
 
-def exchange(table: Table, answer: Answer) -> Iterator[Answer]:
+def exchange(table: FitTable, answer: Answer) -> Iterator[Answer]:
     """Yield answers with a rival of an earlier effect in its place: the first may have stood in for two."""
     for number, earlier in answer.earlier:
         past = table.rounds[earlier.found] if earlier.found < len(table.rounds) else None
@@ -279,7 +279,7 @@ def exchange(table: Table, answer: Answer) -> Iterator[Answer]:
                 yield answer.exchanged(number, new, fit, earlier.found, alike(new, past, table.laws))
 
 
-def _in_place(table: Table, model: Fit, others: Sequence[Placed], new: Placed, alone: Fit) -> Fit | None:
+def _in_place(table: FitTable, model: Fit, others: Sequence[Placed], new: Placed, alone: Fit) -> Fit | None:
     """Return a fit with a rival in the place of an effect, if its first steps may lead it to the model."""
     # nominal parameters as they are beside the effect that would go, and as they were beside its rival
     starts = [{**model.values, **values} for values in (own_values(new, alone), alone.values)]
@@ -288,7 +288,7 @@ def _in_place(table: Table, model: Fit, others: Sequence[Placed], new: Placed, a
     return None if begun is None or begun.log_likelihood < hope else table.finish(begun, model, model)
 
 
-def specialise(table: Table, answer: Answer) -> Iterator[Answer]:
+def specialise(table: FitTable, answer: Answer) -> Iterator[Answer]:
     """Yield answers with a special case of a law in its place.
 
     Asked of a law beside what did not stand beside it when it was accepted: what was general there may have been so for
@@ -309,7 +309,7 @@ def specialise(table: Table, answer: Answer) -> Iterator[Answer]:
 # ---- drop ------------------------------------------------------------------------------------------------------------
 
 
-def drop(table: Table, answer: Answer) -> Iterator[Answer]:
+def drop(table: FitTable, answer: Answer) -> Iterator[Answer]:
     """Yield answers without one of the earlier effects: a later one may have made it needless."""
     for number, _ in answer.earlier:
         fit = table.fit(answer.without(number), [answer.model.values], answer.model, answer.model)

@@ -13,7 +13,7 @@ from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import pays, wrong_signs
 from harness.diagnosis.search.fit import Begun, Fit
 from harness.diagnosis.search.scores import Lead, ScoreTest, score_test
-from harness.diagnosis.search.table import Table, named
+from harness.diagnosis.search.table import FitTable, named
 from harness.diagnosis.search.warm import Fits, share_ends
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -21,7 +21,7 @@ from harness.effects.effect import Placed
 Passes = Callable[[Placed, Fit], bool]
 
 
-def raced(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> tuple[Fits, frozenset[str]]:
+def raced(table: FitTable, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> tuple[Fits, frozenset[str]]:
     """Begin the refits of all that promises something; finish those whose first steps keep up with the best.
 
     Returns them, and the names of those that were begun and left.
@@ -47,7 +47,7 @@ def raced(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -
     return fits, named(placed for placed in race.begun if placed not in fits)
 
 
-def _special_cases(table: Table, base: Fit, fits: Fits, begun: Mapping[Placed, Begun | None]) -> list[Placed]:
+def _special_cases(table: FitTable, base: Fit, fits: Fits, begun: Mapping[Placed, Begun | None]) -> list[Placed]:
     """Return what was begun and left, and is a special case of what pays: it is tried from where that one ended."""
     paying = [placed for placed, fit in fits.items() if fit is not None and pays(fit, base, table.policy)]
     return [simple for simple in begun if simple not in fits and any(rich.generalises(simple) for rich in paying)]
@@ -114,7 +114,7 @@ class _Race:
         return first is not None and bool(wrong_signs(placed, first.values))
 
 
-def _begun(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> _Race:
+def _begun(table: FitTable, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> _Race:
     """Begin the refits of all that promises something, and of what no promise tells of."""
     race = _Race(base, base.penalised - table.nominal.penalised, table.policy, table.laws)
     before = base.log_likelihood("estimation")
@@ -168,7 +168,7 @@ def chosen(test: ScoreTest, laws: Dictionary, policy: Policy = POLICY) -> list[L
     return [*list(ordered)[: EFFORT.begun], *faint[: EFFORT.faint]]
 
 
-def _remembered(table: Table, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> list[Lead]:
+def _remembered(table: FitTable, base: Fit, test: ScoreTest, untried: Sequence[Placed]) -> list[Lead]:
     """Return leads that promise something only where the base has not taken it up, and that start from there."""
     without_memory = table.form.without_memory(base)
     if without_memory is None:

@@ -21,7 +21,7 @@ from harness.diagnosis.search.moves import (
     specialise,
 )
 from harness.diagnosis.search.outcome import Outcome
-from harness.diagnosis.search.table import Answer, Say, Table, silent
+from harness.diagnosis.search.table import Answer, FitTable, Say, silent
 from harness.diagnosis.search.ties import asked_again, tie_set_of_last, unknown_parts
 from harness.effects.effect import Placed
 
@@ -62,7 +62,7 @@ def search(
     -------
     Outcome
     """
-    table = Table(form, nominal, candidates, policy, say, sizes or {}, rounds=list(begun.rounds) if begun else [])
+    table = FitTable(form, nominal, candidates, policy, say, sizes or {}, rounds=list(begun.rounds) if begun else [])
     answer = table.given(given) if begun is None else Answer(begun.model, begun.accepted)
     paired = bool(given)  # a pair would be one in the place of what is given
     while len(answer.accepted) < policy.most + len(given):
@@ -84,7 +84,7 @@ def search(
     return Outcome(form, table.nominal, answer.model, answer.accepted, tuple(table.rounds))
 
 
-def _step(table: Table, answer: Answer) -> Answer | None:
+def _step(table: FitTable, answer: Answer) -> Answer | None:
     """Return the best answer that one move away from another betters it; None where none does.
 
     A second friction at a joint only imitates what one law is, and keeps no refinement of the first from its place. An

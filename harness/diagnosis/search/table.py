@@ -109,7 +109,7 @@ class Round:
 
 
 @dataclass(eq=False)
-class Table(InOneGo):
+class FitTable(InOneGo):
     """Every set of effects that was fitted, with the best fit of it.
 
     Parameters

@@ -13,7 +13,7 @@ from harness.diagnosis.search.compare import Judged, difference
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, only, subjects
-from harness.diagnosis.search.table import Accepted, Answer, Round, Table, named, value
+from harness.diagnosis.search.table import Accepted, Answer, FitTable, Round, named, value
 from harness.diagnosis.search.warm import own_values
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
@@ -107,7 +107,7 @@ def tie_set(
     return tuple(found)
 
 
-def tie_set_of_last(table: Table, answer: Answer) -> Answer:
+def tie_set_of_last(table: FitTable, answer: Answer) -> Answer:
     """Return an answer whose last effect, found in the last round, has its tie set."""
     last, past = answer.accepted[-1], table.rounds[-1]
     best = next(row for row in past.candidates if row.added[-1] == last.placed)
@@ -122,7 +122,7 @@ def alike(placed: Placed, past: Round, laws: Dictionary) -> list[tuple[Placed, .
     return [(other,) for other in near if other.at == placed.at and other != placed]
 
 
-def held(table: Table, best: Judged, past: Round) -> list[Judged]:
+def held(table: FitTable, best: Judged, past: Round) -> list[Judged]:
     """Return laws that are as likely as an answer but for a parameter with a usual value, with this held there.
 
     On its bound a law is another one: an exponent of 0.05 is dry friction. And what loses by the price of a parameter
@@ -175,7 +175,7 @@ def _usual(row: Judged, typical: Placed) -> dict[str, float]:
     return {**row.fit.values, **{typical.name(known.name): known.start({}) for known in held_now}}
 
 
-def asked_again(table: Table, answer: Answer) -> Answer:
+def asked_again(table: FitTable, answer: Answer) -> Answer:
     """Return an answer whose effects have the rivals that stay tied beside all that was accepted.
 
     A tie of the first effect was found when it stood alone: what was accepted later may tell them apart, be the rival
@@ -197,7 +197,7 @@ def asked_again(table: Table, answer: Answer) -> Answer:
     return replace(answer, accepted=tuple(found))
 
 
-def _still_tied(table: Table, model: Fit, placed: Placed, member: tuple[Placed, ...]) -> bool:
+def _still_tied(table: FitTable, model: Fit, placed: Placed, member: tuple[Placed, ...]) -> bool:
     """Return whether a model with a rival in the place of an effect is as likely."""
     policy = table.policy
     others = [effect for effect in model.effects if str(effect) != str(placed)]
@@ -220,7 +220,7 @@ def _still_tied(table: Table, model: Fit, placed: Placed, member: tuple[Placed, 
     return undecided(table.form, model, placed, trial, member, value(model) - value(trial), policy)
 
 
-def unknown_parts(table: Table, answer: Answer) -> Answer:
+def unknown_parts(table: FitTable, answer: Answer) -> Answer:
     """Return an answer that marks effects which explain less than an unknown force that is left: parts of it, maybe.
 
     Where something unknown acts, laws of the dictionary follow parts of it. What the records are surer of than of all

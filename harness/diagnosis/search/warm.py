@@ -8,7 +8,7 @@ from itertools import permutations
 from harness.diagnosis.effort import EFFORT
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.table import Table, named, value
+from harness.diagnosis.search.table import FitTable, named, value
 from harness.effects.effect import Placed
 
 Fits = dict[Placed, Fit | None]
@@ -44,7 +44,7 @@ def as_good(fit: Fit, other: Fit, *, contains: bool) -> bool:
 
 
 def share_ends(
-    table: Table,
+    table: FitTable,
     base: Fit,
     fits: Fits,
     rival: Callable[[Placed], Fit | None],
@@ -80,7 +80,7 @@ def share_ends(
             fits[mine] = again
 
 
-def polished(table: Table, base: Fit, fits: Sequence[Fit]) -> Fit:
+def polished(table: FitTable, base: Fit, fits: Sequence[Fit]) -> Fit:
     """Return the base fitted again from where its best rival ended, if that is better; it is then that of its set.
 
     Nothing is compared with a model that is not at its maximum.

@@ -63,7 +63,7 @@ class Bodies:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class InertialProblem:
     """Weighted normal equations of bodies and friction."""
 
     # (k, k), (k,): G and s; the first 10 B unknowns are the bodies'
@@ -87,7 +87,7 @@ class Problem:
         return float(0.5 * x @ self.gram @ x - self.side @ x) + prior
 
 
-def by_semidefinite_program(problem: Problem, *, objective: FloatArray | None = None) -> FloatArray:
+def by_semidefinite_program(problem: InertialProblem, *, objective: FloatArray | None = None) -> FloatArray:
     """Return x (k,) by a semidefinite program (cvxpy, Clarabel): the global optimum among consistent bodies.
 
     Raises FitError if the solver does not end at an optimum.
@@ -106,7 +106,7 @@ def by_semidefinite_program(problem: Problem, *, objective: FloatArray | None = 
 class _Program:
     """The unknowns of a problem in cvxpy, what limits them, and their cost."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: InertialProblem) -> None:
         # its stubs miss most of its functions
         self.cp: Any = importlib.import_module("cvxpy")
         cp, prior = self.cp, problem.bodies.prior
@@ -153,7 +153,7 @@ class _Program:
         return np.asarray(self.x.value, dtype=float).ravel()
 
 
-def by_log_cholesky(problem: Problem) -> FloatArray:
+def by_log_cholesky(problem: InertialProblem) -> FloatArray:
     """Return x (k,) by Newton's method in log-Cholesky coordinates of K: consistent at every step, no constraint.
 
     The other unknowns are linear: for given bodies the best ones, none below nothing where that is asked, are known
@@ -238,7 +238,7 @@ def _factor(theta: FloatArray) -> FloatArray:
     return U
 
 
-def by_least_squares(problem: Problem, kept: FloatArray) -> FloatArray:
+def by_least_squares(problem: InertialProblem, kept: FloatArray) -> FloatArray:
     """Return x (k,) by least squares in given directions (columns of kept (k, r)), at the prior in the others."""
     start = np.concatenate([problem.bodies.prior.ravel(), np.zeros(problem.side.size - problem.bodies.prior.size)])
     root, known = _root(problem.gram, problem.side)
@@ -248,7 +248,7 @@ def by_least_squares(problem: Problem, kept: FloatArray) -> FloatArray:
     return np.asarray(start + kept @ move)
 
 
-def extent_of(problem: Problem, direction: FloatArray) -> tuple[float, float]:
+def extent_of(problem: InertialProblem, direction: FloatArray) -> tuple[float, float]:
     """Return least and largest ``direction @ x`` among bodies that reproduce the data exactly (maybe infinite).
 
     - ``problem``: its prior does not count
@@ -260,7 +260,7 @@ def extent_of(problem: Problem, direction: FloatArray) -> tuple[float, float]:
     return float(direction[chosen] @ low), float(direction[chosen] @ high)
 
 
-def interval_of(problem: Problem, direction: FloatArray, slack: float) -> tuple[float, float]:
+def interval_of(problem: InertialProblem, direction: FloatArray, slack: float) -> tuple[float, float]:
     """Return least and largest ``direction @ x`` among bodies whose cost is within a slack of the least.
 
     With half the quantile of chi square with one degree of freedom (1.92 for 95 %) these are profile likelihood

@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.errors import InputError, refuse_unknown
 from harness.models.analysis import Findings, Takes
-from harness.physics.arms.inertial_fit import Bodies, Problem, extent_of
+from harness.physics.arms.inertial_fit import Bodies, InertialProblem, extent_of
 from harness.physics.arms.mechanism import arm_of
 
 _MOTIONS = 300
@@ -59,14 +59,14 @@ class MassExtents:
         q, v, a = rng.uniform(-1.0, 1.0, size=(3, _MOTIONS, arm.n))
         rows = arm.arm.regressor(q, v, a).reshape(_MOTIONS * arm.n, -1)
         gram = rows.T @ rows
-        free = Problem(gram, gram @ truth, Bodies(truth), None, np.zeros(0, dtype=bool))
+        free = InertialProblem(gram, gram @ truth, Bodies(truth), None, np.zeros(0, dtype=bool))
         boxed = None
         if self.hull and arm.path is not None:
             from harness.physics.arms.urdf_shapes import bounding_boxes
 
             boxes = bounding_boxes(arm)
             if any(box is not None for box in boxes):
-                boxed = Problem(gram, gram @ truth, Bodies(truth, boxes=boxes), None, np.zeros(0, dtype=bool))
+                boxed = InertialProblem(gram, gram @ truth, Bodies(truth, boxes=boxes), None, np.zeros(0, dtype=bool))
         table = []
         for name in asked:
             body = names.index(name)

@@ -14,7 +14,7 @@ from harness.signals import FloatArray
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PassRequest:
     """What a pass is asked for beside innovations and their variances.
 
     Parameters
@@ -59,10 +59,12 @@ class FilterMachine:
         self.ns, self.nn = system.np + system.nx - nl, 3 * nl + len(periods)
         self.periods = periods
         self._row = self._advancing(substeps, foh)
-        self._samples: dict[Wanted, Any] = {}
-        self._maps: dict[tuple[Wanted, int], Any] = {}
+        self._samples: dict[PassRequest, Any] = {}
+        self._maps: dict[tuple[PassRequest, int], Any] = {}
 
-    def __call__(self, wanted: Wanted, given: Mapping[str, FloatArray], times: FloatArray) -> dict[str, FloatArray]:
+    def __call__(
+        self, wanted: PassRequest, given: Mapping[str, FloatArray], times: FloatArray
+    ) -> dict[str, FloatArray]:
         """Run over a record.
 
         - ``given``: ``x0`` (nx,), ``p0`` (nx, nx), ``p``, ``r``, ``w``, ``a``, ``q``, ``fade``, ``q_tau`` as the C code
@@ -101,13 +103,13 @@ class FilterMachine:
         made["e"][~known] = np.nan
         return made
 
-    def _names(self, wanted: Wanted) -> list[str]:
+    def _names(self, wanted: PassRequest) -> list[str]:
         """Return what a sample tells, in order."""
         names = ["e", "s", *(["j"] if wanted.columns else []), *(["e_noise", "s_noise"] if wanted.noise else [])]
         path = ["x_before", "p_before", "x_after", "p_after", "transition", "gain", "row"]
         return [*names, *(path if wanted.path else [])]
 
-    def _map(self, wanted: Wanted, n: int) -> Any:
+    def _map(self, wanted: PassRequest, n: int) -> Any:
         """Return the function of a record of n samples."""
         if (wanted, n) not in self._maps:
             if wanted not in self._samples:
@@ -149,7 +151,7 @@ class FilterMachine:
             parts = [ca.sparsify(columns[:, self.np :]), ca.sparsify(columns[:, : self.np])]
         return ca.Function("row", [x, u, later, p, t], [after, *parts], {"cse": True})
 
-    def _blocks(self, wanted: Wanted) -> list[Any]:
+    def _blocks(self, wanted: PassRequest) -> list[Any]:
         """Return symbols of what a state holds: x, lower triangle of its covariance, S, dx, triangles of dP."""
         size = self.nx * (self.nx + 1) // 2
         return [
@@ -160,7 +162,7 @@ class FilterMachine:
             *(ca.SX.sym("dP", size) for _ in range(self.nn if wanted.noise else 0)),
         ]
 
-    def _sample(self, wanted: Wanted) -> Any:
+    def _sample(self, wanted: PassRequest) -> Any:
         """Return the function (state, moving, constant) of a sample: next state, and what it tells.
 
         Most samples need no finer steps: one flat function computes them, and whether they do.
@@ -178,7 +180,7 @@ class FilterMachine:
         *found, near = plainly(*given)
         return ca.Function("sample", given, list(either(near, *given, *found)))
 
-    def _flat(self, wanted: Wanted, row: Any, symbol: Any, near: Any = None) -> Any:
+    def _flat(self, wanted: PassRequest, row: Any, symbol: Any, near: Any = None) -> Any:
         """Return the function of a sample whose rows are advanced by ``row``; with ``near``, the last output."""
         read, spread = self._reading(wanted), self._spreading(wanted)
         nd, rows = len(self.delay_columns), self.every + 1
@@ -202,7 +204,7 @@ class FilterMachine:
         options = {"cse": True} if symbol is ca.SX.sym else {}
         return ca.Function("sample", [state, moving, constant], outputs, options)
 
-    def _reading(self, wanted: Wanted) -> Any:
+    def _reading(self, wanted: PassRequest) -> Any:
         """Return the function (state, u, d, y, known, p, r, t) -> state after the outputs were seen, what they tell."""
         x, packed, s, dx, *slopes = blocks = self._blocks(wanted)
         state = ca.vertcat(*map(ca.vec, blocks))
@@ -219,7 +221,7 @@ class FilterMachine:
         parts = [ca.densify(ca.vec(outputs[name])) for name in names]
         return ca.Function("read", [state, u, d, y, known, p, r, t], [ca.densify(result), *parts], {"cse": True})
 
-    def _spreading(self, wanted: Wanted) -> Any:
+    def _spreading(self, wanted: PassRequest) -> Any:
         """Return the function (state, transition, d, next d, noise, row...) -> state and transition after a row."""
         nx, nl, nu, nd = self.nx, self.nl, self.nu, len(self.delay_columns)
         _, packed, s, dx, *slopes = blocks = self._blocks(wanted)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from harness.physics.compiled.compilation import Compilation
 from harness.physics.compiled.filter_kernels import JOB, filter_kernels
-from harness.physics.compiled.filter_machine import FilterMachine, Wanted
+from harness.physics.compiled.filter_machine import FilterMachine, PassRequest
 from harness.physics.compiled.rollout_source import RUNGE_KUTTA, STAGE, shared_source
 from harness.signals import FloatArray, Trajectory
 
@@ -122,7 +122,7 @@ _STORES = ("x_before", "p_before", "x_after", "p_after", "transition", "gain", "
 
 
 @dataclass(frozen=True)
-class Noise:
+class PassNoise:
     """What disturbs plant and sensors.
 
     Attributes
@@ -142,7 +142,7 @@ class Noise:
 
 
 @dataclass(eq=False)
-class Path:
+class FilterPath:
     """What a smoother needs of a pass: states before and after the outputs of each sample, transitions, gains.
 
     ``x_before``, ``x_after`` (K, nx); ``p_before``, ``p_after``, ``transition`` (K, nx, nx), from a sample to the next;
@@ -166,7 +166,7 @@ class Filtered:
     e: FloatArray
     s: FloatArray
     j: FloatArray | None = None  # (K, ny, columns): Derivatives of the innovations, gains held fixed
-    path: Path | None = field(default=None, repr=False)
+    path: FilterPath | None = field(default=None, repr=False)
     # (K, ny, 3 nl + ny): Derivatives of the innovations, and of the logarithms of their variances, by the logarithms of
     # the noise: s, tau and w of every latent force, then r of every output. None where only difference quotients can
     # tell.
@@ -310,7 +310,7 @@ class KalmanPass:
             source = filter_source(self.simulator.functions, self.sampled.delay_columns)
             self._compilation = Compilation(source)
         self._seen: dict[int, tuple[Trajectory, tuple[float, ...], _Arrays]] = {}
-        self._noise: tuple[Noise, _Arrays] | None = None
+        self._noise: tuple[PassNoise, _Arrays] | None = None
 
     def prepare(self) -> None:
         """Start the compiler in the background."""
@@ -322,7 +322,7 @@ class KalmanPass:
         record: Trajectory,
         p: Any,
         x0: Any,
-        noise: Noise,
+        noise: PassNoise,
         *,
         columns: npt.NDArray[np.intp] | None = None,
         keep: bool = False,
@@ -353,7 +353,7 @@ class KalmanPass:
             made.e_noise, made.s_noise = given["e_noise"], given["s_noise"] = np.empty(lanes), np.empty(lanes)
         if keep:
             wide, square, tall = (samples, self.nx), (samples, self.nx, self.nx), (samples, self.ny, self.nx)
-            made.path = Path(*(np.empty(shape) for shape in (wide, square, wide, square, square, tall, tall)))
+            made.path = FilterPath(*(np.empty(shape) for shape in (wide, square, wide, square, square, tall, tall)))
         library = None if self._compilation is None else self._compilation.library()
         steps = None if library is None else filter_kernels(self.nx, self.ny, self.nl)
         if library is None or steps is None:
@@ -369,7 +369,7 @@ class KalmanPass:
         )  # fmt: skip
         return None if library.sysid_filter(ctypes.byref(job)) else made
 
-    def _disturbing(self, noise: Noise) -> _Arrays:
+    def _disturbing(self, noise: PassNoise) -> _Arrays:
         """Return what the pass needs of a noise, made once for all records that are filtered with it."""
         if self._noise is None or self._noise[0] is not noise:
             variance = np.zeros((self.nx, self.nx))
@@ -406,7 +406,7 @@ class KalmanPass:
                 self.simulator.functions, self.dt / every, 1 if every > 1 else self.substeps, every,
                 self.intersample != "zoh", self.sampled.delay_columns, self.nl, self._period,
             )  # fmt: skip
-        wanted = Wanted(columns is not None, made.e_noise is not None, made.path is not None)
+        wanted = PassRequest(columns is not None, made.e_noise is not None, made.path is not None)
         found = known[key](wanted, given, record.t[0] + np.arange(len(record)) * self.dt)
         measured = np.isfinite(record.readings)
         if not (np.isfinite(found["e"][measured]).all() and np.isfinite(found["s"]).all() and (found["s"] > 0).all()):

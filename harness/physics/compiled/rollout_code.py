@@ -32,7 +32,7 @@ def _literally() -> Iterator[None]:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class DifferentiatedFunction:
     """A function of (x, u, p, t) with its derivatives, sparse: the value (n, 1), by x (n, nx), by p, by u."""
 
     arguments: list[Any]
@@ -137,20 +137,22 @@ class Functions:
         """See :func:`harness.physics.compiled.ccode.corners`."""
         return corners(self.system)
 
-    def rates(self, delay_columns: tuple[int, ...]) -> Linear:
+    def rates(self, delay_columns: tuple[int, ...]) -> DifferentiatedFunction:
         """Return dx/dt with its derivatives; those by u only if the inputs depend on parameters."""
         return self._linear("rates", self.system.f, bool(delay_columns))
 
-    def readings(self, delay_columns: tuple[int, ...]) -> Linear:
+    def readings(self, delay_columns: tuple[int, ...]) -> DifferentiatedFunction:
         """Return the outputs with their derivatives; those by u only if the inputs depend on parameters."""
         return self._linear("readings", self.h, bool(delay_columns))
 
-    def _linear(self, name: str, value: Any, delays: bool) -> Linear:
+    def _linear(self, name: str, value: Any, delays: bool) -> DifferentiatedFunction:
         if (name, delays) not in self._machines:
             x, u, p, _ = self.arguments
             by_u = ca.jacobian(value, u) if delays else ca.SX(value.shape[0], u.shape[0])
             found = [ca.densify(value), ca.jacobian(value, x), ca.jacobian(value, p), by_u]
-            self._machines[name, delays] = Linear(self.arguments, *_without_quotients(self.arguments, ca.cse(found)))
+            self._machines[name, delays] = DifferentiatedFunction(
+                self.arguments, *_without_quotients(self.arguments, ca.cse(found))
+            )
         return self._machines[name, delays]  # type: ignore[no-any-return]
 
     def stage(self, delay_columns: tuple[int, ...]) -> Any:
@@ -161,7 +163,7 @@ class Functions:
         """Return the function (x, S, u, dU, p, t) -> (y, dY), dY (ny, np + nx) row by row."""
         return self._carried("measure", self.readings(delay_columns), delay_columns)
 
-    def _carried(self, name: str, parts: Linear, delay_columns: tuple[int, ...]) -> Any:
+    def _carried(self, name: str, parts: DifferentiatedFunction, delay_columns: tuple[int, ...]) -> Any:
         """Return the function of the value and of A S + (B + F dU), in the order of the C code."""
         system = self.system
         ns = system.np + system.nx

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from harness.physics.compiled.ccode import FINE, c_function, near_zero
 
 if TYPE_CHECKING:
-    from harness.physics.compiled.rollout_code import Functions, Linear
+    from harness.physics.compiled.rollout_code import DifferentiatedFunction, Functions
 
 
 def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tuple[int, ...]) -> str:
@@ -72,7 +72,7 @@ def shared_source(
     return ["#include <math.h>\n#include <stddef.h>", head, _TYPES, *bodies]
 
 
-def _terms(parts: Linear, row: int, s: str, a: str, b: str) -> str:
+def _terms(parts: DifferentiatedFunction, row: int, s: str, a: str, b: str) -> str:
     """Return the C text of a row of A S + B; an entry of A that is 1 is left out."""
     terms = [
         f"{s}{column}" if entry.is_one() else f"{a}[{place}]*{s}{column}"
@@ -84,7 +84,7 @@ def _terms(parts: Linear, row: int, s: str, a: str, b: str) -> str:
     return " + ".join(terms) if terms else "none"
 
 
-def _carry(parts: Linear) -> str:
+def _carry(parts: DifferentiatedFunction) -> str:
     """Return the C function that carries four columns over a step whose stages are known."""
     rows = range(parts.value.shape[0])
     lines = [f"block s{i} = s[{i}], w{i} = s{i}, k{i}, sum{i};" for i in rows]
@@ -104,7 +104,7 @@ def _carry(parts: Linear) -> str:
     return "\n".join([*head, *(f"  {line}" for line in lines), "}"])
 
 
-def _look(parts: Linear) -> str:
+def _look(parts: DifferentiatedFunction) -> str:
     """Return the C functions of four columns of the outputs' derivatives, and of a product of two columns."""
     rows = range(parts.value.shape[0])
     lines = [f"  y[{i}] = {_terms(parts, i, 's', 'a', 'b')};" for i in rows]
@@ -125,7 +125,7 @@ def _look(parts: Linear) -> str:
     )
 
 
-def _source(name: str, parts: Linear, delay_columns: tuple[int, ...]) -> str:
+def _source(name: str, parts: DifferentiatedFunction, delay_columns: tuple[int, ...]) -> str:
     """Return the C function that puts the entries of B = df/dp + df/du dU where the chosen columns want them."""
     lines = []
     own = parts.entries("by_p")

@@ -13,14 +13,14 @@ from harness.signals import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class SmoothedStates:
     """States given the whole record, and their standard deviations, (K, nx)."""
 
     x: FloatArray
     deviation: FloatArray
 
 
-def smoothed(passed: Filtered) -> Smoothed:
+def smoothed(passed: Filtered) -> SmoothedStates:
     """Return the states given all outputs of a record, by the modified Bryson-Frazier recursion.
 
     It runs backwards on the innovations and inverts no covariance: at a high sample rate that is nearly singular
@@ -36,7 +36,7 @@ def smoothed(passed: Filtered) -> Smoothed:
     if compiled is not None:
         given = (passed.e, passed.s, path.transition, path.gain, path.row, path.x_before, path.p_before)
         compiled.smooth(n, [np.ascontiguousarray(array) for array in given], [x, variance])
-        return Smoothed(x, np.sqrt(np.maximum(variance, 0.0)))
+        return SmoothedStates(x, np.sqrt(np.maximum(variance, 0.0)))
     known = np.isfinite(passed.e)
     e, s = np.where(known, passed.e, 0.0), passed.s
     adjoint, information = np.zeros(nx), np.zeros((nx, nx))
@@ -54,7 +54,7 @@ def smoothed(passed: Filtered) -> Smoothed:
         p = path.p_before[k]
         x[k] = path.x_before[k] - p @ adjoint
         variance[k] = np.diag(p) - np.einsum("ij,jk,ki->i", p, information, p)
-    return Smoothed(x, np.sqrt(np.maximum(variance, 0.0)))
+    return SmoothedStates(x, np.sqrt(np.maximum(variance, 0.0)))
 
 
 def innovation_response(

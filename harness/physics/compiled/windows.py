@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class WindowGroup:
     """Windows of equal length: which record each comes from and where it starts."""
 
     record: list[int]
@@ -65,9 +65,9 @@ class Windows:
         self.places: list[tuple[int, int, int]] = []
         for number, record in enumerate(self.trajectories):
             self.places += [(number, first, last) for first, last in _cuts(len(record), horizon, simulator.dt)]
-        lengths: dict[int, Group] = {}
+        lengths: dict[int, WindowGroup] = {}
         for order, (number, first, last) in enumerate(self.places):
-            group = lengths.setdefault(last - first, Group([], [], last - first, []))
+            group = lengths.setdefault(last - first, WindowGroup([], [], last - first, []))
             group.record.append(number)
             group.first.append(first)
             group.order.append(order)
@@ -93,7 +93,7 @@ class Windows:
         """Number of scalar measurements."""
         return sum(len(record) * record.spec.ny for record in self.trajectories)
 
-    def _cut(self, group: Group, arrays: list[FloatArray], each: int = 1) -> FloatArray:
+    def _cut(self, group: WindowGroup, arrays: list[FloatArray], each: int = 1) -> FloatArray:
         """Return the part of every record's array that belongs to a window, ``each`` rows from sample to sample."""
         rows = (group.length - 1) * each + 1
         return np.stack([arrays[r][k * each : k * each + rows] for r, k in zip(group.record, group.first, strict=True)])

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.physics.compiled.windows import Windows
-from harness.physics.fitting.levenberg import Solution, eliminated
+from harness.physics.fitting.levenberg import Minimised, eliminated
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class OutputErrorFit:
 class Result:
     """The end of one start."""
 
-    solution: Solution
+    solution: Minimised
     windows: Windows
     objective: float
     horizon: float | None
@@ -115,7 +115,7 @@ class Result:
     n_data: int
 
 
-def objective(solution: Solution, windows: Windows) -> float:
+def objective(solution: Minimised, windows: Windows) -> float:
     """Return minus the log-likelihood, each output with its own standard deviation."""
     n = windows.n_data / windows.simulator.spec.ny
     variance = np.maximum(solution.evaluation.squares / n, 1e-300)
@@ -164,7 +164,7 @@ def finish(
         horizon=best.horizon,
         n_data=windows.n_data,
         n_parameters=k,
-        log_likelihood=-objective(Solution(solution.p, solution.x0, final, True, 0, ""), windows),
+        log_likelihood=-objective(Minimised(solution.p, solution.x0, final, True, 0, ""), windows),
         n_states=n_states,
         unidentified=unidentified,
         intersample=intersample,
@@ -173,7 +173,7 @@ def finish(
 
 
 def _covariance(
-    system: System, solution: Solution, gram: FloatArray, free: npt.NDArray[np.bool_], chi2: float
+    system: System, solution: Minimised, gram: FloatArray, free: npt.NDArray[np.bool_], chi2: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of the free parameters, and which of them lie in a direction without information."""
     count = system.np

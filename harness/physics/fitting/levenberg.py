@@ -28,7 +28,7 @@ _MORE = 1 + 1e-9
 
 
 @dataclass(eq=False)
-class Solution:
+class Minimised:
     """Where a minimisation ended; its normal equations are those of the free parameters and the states."""
 
     p: FloatArray
@@ -85,7 +85,7 @@ def minimise(
     *,
     states_free: bool = True,
     decrease: float = _DECREASE,
-) -> Solution:
+) -> Minimised:
     """Minimise the cost over the free parameters and the initial states.
 
     - ``p`` (np,): start
@@ -104,7 +104,7 @@ def minimise(
     columns = np.flatnonzero(np.concatenate([free, np.ones(windows.simulator.nx, dtype=bool)]))
     now = windows.trial(p, x0, columns=columns, keep=True)
     if not np.isfinite(now.cost):
-        return Solution(p, x0, now, False, 0, "the simulation diverges at the start", states_free)
+        return Minimised(p, x0, now, False, 0, "the simulation diverges at the start", states_free)
     damping, growth = 1e-3, 4.0
     count = p.shape[0]
     small = 0
@@ -128,7 +128,7 @@ def minimise(
             expected = float(moved @ gradient[:, :count].sum(axis=0) + np.sum(change * gradient[:, count:]))
             expected -= 0.5 * _quadratic(gram, moved, change)
             if 0 <= expected <= _PROMISE * decrease * now.cost and damping < 1.0:
-                return Solution(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
+                return Minimised(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
             # What costs more is rejected, whatever else the simulation would have told.
             then = windows.trial(trial, x0 + change, columns=columns, budget=now.cost * _MORE, keep=True)
             gain = now.cost - then.cost
@@ -139,7 +139,7 @@ def minimise(
                 growth = 4.0
                 break
             if np.isfinite(then.cost) and abs(gain) <= 1e-12 * now.cost:
-                return Solution(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
+                return Minimised(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
             damping *= growth
             growth *= 2.0
             if damping > 1e14:
@@ -147,14 +147,14 @@ def minimise(
         if not accepted:
             flat = expected <= 1e-6 * now.cost
             words = "converged" if flat else "no step decreases the cost any more"
-            return Solution(p, x0, now, flat, iteration, f"{words} in {iteration} iterations", states_free)
+            return Minimised(p, x0, now, flat, iteration, f"{words} in {iteration} iterations", states_free)
         relative = gain / max(now.cost, 1e-300)
         p, x0, now = trial, x0 + change, then
         small = small + 1 if relative < decrease * 100 and damping < 1e3 else 0
         if (relative < decrease and damping < 1.0) or small >= 8:
-            return Solution(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
+            return Minimised(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
     words = f"not converged in {max_iterations} iterations"
-    return Solution(p, x0, now, False, max_iterations, words, states_free)
+    return Minimised(p, x0, now, False, max_iterations, words, states_free)
 
 
 def minimise_states(

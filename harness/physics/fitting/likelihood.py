@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError
-from harness.physics.compiled.kalman_pass import Filtered, KalmanPass, Noise, Pass
+from harness.physics.compiled.kalman_pass import Filtered, KalmanPass, Pass, PassNoise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.physics.fitting.fisher_scoring import ENOUGH, FisherScoring, Place, joined
 from harness.physics.fitting.levenberg import log_scaled
@@ -102,9 +102,9 @@ class Likelihood:
         log_noise = z[n + len(self.records) * m :]
         nothing, fast = np.zeros(nl), np.full(nl, self.noise_model.shortest)
         if not self.noise_model.latent:
-            return Point(p, x0, Noise(np.exp(log_noise), nothing, fast, nothing))
+            return Point(p, x0, PassNoise(np.exp(log_noise), nothing, fast, nothing))
         white = np.exp(log_noise[2 * nl : 3 * nl]) if self.noise_model.white else nothing
-        noise = Noise(np.exp(log_noise[-ny:]), np.exp(log_noise[:nl]), np.exp(log_noise[nl : 2 * nl]), white)
+        noise = PassNoise(np.exp(log_noise[-ny:]), np.exp(log_noise[:nl]), np.exp(log_noise[nl : 2 * nl]), white)
         return Point(p, x0, noise)
 
     def layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray]:

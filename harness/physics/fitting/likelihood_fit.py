@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from harness.errors import FitError
-from harness.physics.compiled.kalman_pass import Noise
+from harness.physics.compiled.kalman_pass import PassNoise
 from harness.physics.compiled.simulator import default_substeps
 from harness.physics.compiled.windows import data_states
 from harness.physics.fitting.likelihood import Likelihood
@@ -114,11 +114,11 @@ def _likeliest(likelihood: Likelihood, points: Sequence[Point]) -> LikelihoodFit
     return likelihood.past_forces(best, exact=True)
 
 
-def first_noises(model: NoiseModel, sensors: FloatArray, dt: float) -> list[Noise]:
+def first_noises(model: NoiseModel, sensors: FloatArray, dt: float) -> list[PassNoise]:
     """Return noises to start from: little latent force, and much."""
     tau = np.full(len(model.force_scale), float(np.clip(FADES_AFTER * dt, model.shortest, model.longest)))
     shares = SHARES if model.latent else SHARES[:1]
-    return [Noise(sensors, share * model.force_scale, tau, 0.01 * model.force_scale) for share in shares]
+    return [PassNoise(sensors, share * model.force_scale, tau, 0.01 * model.force_scale) for share in shares]
 
 
 def first_state(system: System, record: Trajectory, p: FloatArray, intersample: Intersample) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from harness.physics.compiled.kalman_pass import Filtered, Noise
+from harness.physics.compiled.kalman_pass import Filtered, PassNoise
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class Point:
 
     p: FloatArray  # (np,)
     x0: list[FloatArray]  # list of array (start_size,): By record
-    noise: Noise
+    noise: PassNoise
 
 
 @dataclass(eq=False)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from harness.errors import FitError, InputError
 from harness.physics.compiled.windows import Windows, data_states
 from harness.physics.fitting.fit_result import OutputErrorFit, Result, finish, objective
-from harness.physics.fitting.levenberg import Solution, log_scaled, minimise, minimise_states
+from harness.physics.fitting.levenberg import Minimised, log_scaled, minimise, minimise_states
 from harness.signals import FloatArray, Trajectory
 
 if TYPE_CHECKING:
@@ -292,7 +292,7 @@ def _follow(
     if best is None:
         windows = Windows(simulator, records, path[0], sigma)
         rest = np.zeros((len(windows), simulator.nx))
-        failed = Solution(p, rest, windows.evaluate(p, rest), False, 0, "diverged")
+        failed = Minimised(p, rest, windows.evaluate(p, rest), False, 0, "diverged")
         return Result(failed, windows, np.inf, path[0], target, windows.n_data)
     return best
 

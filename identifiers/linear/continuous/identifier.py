@@ -25,7 +25,7 @@ from identifiers.linear.continuous.model import TransferFunction, estimate_of_ro
 from identifiers.linear.continuous.rational import Hold, Rational
 from identifiers.linear.continuous.record_fit import RecordFit, Shown, fit_to_records
 from identifiers.linear.continuous.response_fit import ResponseFit, fit_response
-from identifiers.linear.polynomials.model import Part
+from identifiers.linear.polynomials.model import OutputRecord
 
 ORDERS = (1, 2, 3, 4, 5)  # Orders that are tried where none is given.
 ENOUGH = 2  # Orders beyond the best one that are still tried on records, where each is a search of its own.
@@ -136,7 +136,7 @@ class ContinuousTransferFunction(Excited):
         self, records: Sequence[Trajectory], discrete: LinearModel, column: int, what: str
     ) -> tuple[RecordFit, dict[int, float]]:
         """Return the fit of the order with the least criterion, and the criteria of all."""
-        parts = [Part(record.u, record.y[:, column]) for record in records]
+        parts = [OutputRecord(record.u, record.y[:, column]) for record in records]
         step, longest = records[0].spec.sample_time, max(map(len, records))
         shown = Shown.of(discrete, column, self.hold, longest)
         fits: dict[int, RecordFit] = {}

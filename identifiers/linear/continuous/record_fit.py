@@ -15,7 +15,7 @@ from harness.signals import FloatArray
 from identifiers.common.linear_model import LinearModel
 from identifiers.linear.continuous.rational import Hold, Rational, held
 from identifiers.linear.continuous.response_fit import fit_to_response
-from identifiers.linear.polynomials.model import Part
+from identifiers.linear.polynomials.model import OutputRecord
 
 POINTS = 60  # Frequencies of the discrete model's response that a start is fitted to.
 LOW, HIGH = 0.5, 0.8  # They reach from half a period in the longest record to this share of the highest frequency.
@@ -91,7 +91,7 @@ def _settled(model: Rational) -> Rational:
 
 
 def fit_to_records(
-    parts: Sequence[Part], sample_time: float, start: Rational, hold: Hold, *, free_delay: bool, offset: bool
+    parts: Sequence[OutputRecord], sample_time: float, start: Rational, hold: Hold, *, free_delay: bool, offset: bool
 ) -> RecordFit:
     """Return the transfer function with the least output error, initial states and level free.
 
@@ -151,7 +151,7 @@ def fit_to_records(
 
 
 def output_errors(
-    model: Rational, parts: Sequence[Part], sample_time: float, hold: Hold, first: int, offset: bool
+    model: Rational, parts: Sequence[OutputRecord], sample_time: float, hold: Hold, first: int, offset: bool
 ) -> tuple[FloatArray, float]:
     """Return output errors (N,) of free runs from the row ``first`` of each record, and the level.
 

@@ -19,7 +19,7 @@ _STARTS = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Mechanism:
+class SampledMechanism:
     """A physical model with its parameters, sampled.
 
     Parameters
@@ -76,7 +76,7 @@ def mechanism_of(
     values: dict[str, float] | None,
     names: Sequence[str] = (),
     simulator: Any = None,
-) -> Mechanism:
+) -> SampledMechanism:
     """Return a system, sampled, with its parameters; all that are not fixed are asked for where none is named.
 
     Examples
@@ -91,4 +91,4 @@ def mechanism_of(
     """
     free = tuple(names) or tuple(one.name for one in system.parameters if not one.fixed)
     made = system.simulator(sample_time) if simulator is None else simulator
-    return Mechanism(made, np.asarray(system.vector(values), dtype=float), free)
+    return SampledMechanism(made, np.asarray(system.vector(values), dtype=float), free)

@@ -15,7 +15,7 @@ from harness.scoring import predict
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.neighbours import GROUPS
 from identifiers.linear.length.information import information_of_linear, variance_of
-from identifiers.linear.length.physical import Mechanism, mechanism_of
+from identifiers.linear.length.physical import SampledMechanism, mechanism_of
 from identifiers.linear.length.quantities import Asked, Item, items_of_estimate, items_of_matrices
 
 _UNEVEN = 4.0
@@ -25,7 +25,7 @@ _ANALYTIC = 1e6  # Degrees of freedom of a covariance that no scatter was counte
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
+class PilotEntry:
     """One thing asked for, after the pilot."""
 
     item: Item
@@ -42,7 +42,7 @@ class Pilot:
 
     samples: int  # In all records together
     spec: PlantSpec
-    entries: Sequence[Entry]
+    entries: Sequence[PilotEntry]
     words: Sequence[str] = field(default_factory=tuple)  # What was found on the way
     name: str = "the records"  # ``"the records"`` or ``"the planned record"``
 
@@ -70,7 +70,7 @@ def fitted_pilot(
         free = GROUPS - 1.0 if hasattr(model, "spread") else _ANALYTIC
         ratios, bound, said = _of_mechanism(model, records, [item.name for item, _ in pairs], amplitudes)
         entries = [
-            Entry(item, variance, free, ratios.get(item.name, {}), _over(variance, bound.get(item.name)))
+            PilotEntry(item, variance, free, ratios.get(item.name, {}), _over(variance, bound.get(item.name)))
             for item, variance in pairs
         ]
         return Pilot(rows, records[0].spec, entries, (*words, *said))
@@ -90,7 +90,7 @@ def fitted_pilot(
         covariance = covariance_of(model, item.of) if measured else least[1.0]
         covariance = np.atleast_2d(covariance)
         free = model.spread.freedom if measured else _ANALYTIC
-        entries.append(Entry(item, covariance, free, _ratios(least, amplitudes), _over(covariance, least[1.0])))
+        entries.append(PilotEntry(item, covariance, free, _ratios(least, amplitudes), _over(covariance, least[1.0])))
     if model.spread is None:
         more.append("the fit kept no neighbours: errors are the least that an unbiased method could have")
     return Pilot(rows, records[0].spec, entries, (*words, *more, *_uneven(*found.halves)))
@@ -129,13 +129,13 @@ def linear_plan(
     entries = []
     for item in items:
         least = {a: variance_of(item, model.matrices, found, a) for a in {1.0, *amplitudes}}
-        entries.append(Entry(item, least[1.0], _ANALYTIC, _ratios(least, amplitudes)))
+        entries.append(PilotEntry(item, least[1.0], _ANALYTIC, _ratios(least, amplitudes)))
     words.append("errors are the least that an unbiased method could have (Cramer and Rao), with the model as it is")
     return Pilot(sum(map(len, inputs)), model.spec, entries, (*words, *_uneven(*found.halves)), "the planned record")
 
 
 def mechanism_plan(
-    made: Mechanism,
+    made: SampledMechanism,
     runs: Mapping[float, tuple[FloatArray, FloatArray]],
     noise: FloatArray,
     units: Mapping[str, str],
@@ -155,7 +155,7 @@ def mechanism_plan(
         least = {a: covariance[row : row + 1, row : row + 1] for a, (covariance, _) in known.items()}
         if values[name] != 0:
             item = Item(name, units[name], None, np.array([values[name]]))
-            entries.append(Entry(item, least[1.0], _ANALYTIC, _ratios(least, list(runs))))
+            entries.append(PilotEntry(item, least[1.0], _ANALYTIC, _ratios(least, list(runs))))
     words = ("errors are the least that an unbiased method could have (Cramer and Rao), with the parameters as given",)
     return Pilot(len(runs[1.0][0]), spec, entries, (*words, *_uneven(*known[1.0][1])), "the planned record")
 

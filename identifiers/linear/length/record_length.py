@@ -15,8 +15,8 @@ from harness.signals import Dataset, FloatArray
 from identifiers.common.named import named
 from identifiers.linear.length.physical import mechanism_of
 from identifiers.linear.length.pilot import (
-    Entry,
     Pilot,
+    PilotEntry,
     fitted_pilot,
     linear_plan,
     mechanism_plan,
@@ -43,7 +43,7 @@ class Needed:
 
 
 def needed_length(
-    entry: Entry, samples: int, accuracy: float, certainty: float, rng: np.random.Generator, ratio: float = 1.0
+    entry: PilotEntry, samples: int, accuracy: float, certainty: float, rng: np.random.Generator, ratio: float = 1.0
 ) -> Needed:
     """Return the length at which 95 % of records have a relative error below an accuracy.
 
@@ -310,7 +310,7 @@ class RecordLength:
         return (*words, *pilot.words)
 
 
-def _drawn(pilot: Pilot, entry: Entry, need: Needed, accuracy: float) -> Any:
+def _drawn(pilot: Pilot, entry: PilotEntry, need: Needed, accuracy: float) -> Any:
     """Draw the error over the length, by amplitude, with what the pilot leaves open."""
     from harness.plots import sheet
 

@@ -20,7 +20,7 @@ DEPENDENT = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedOutput:
     """The end of the search for one output, in scaled signals."""
 
     model: Polynomials
@@ -39,7 +39,7 @@ class Fitted:
         return [float(error) for error in np.sqrt(np.diag(self.covariance))]
 
 
-def in_units(fit: Fitted, scaling: Scaling, output: int) -> tuple[Polynomials, FloatArray]:
+def in_units(fit: FittedOutput, scaling: Scaling, output: int) -> tuple[Polynomials, FloatArray]:
     """Return the polynomials of one output, and their standard errors (p,), in the units of the channels."""
     own, orders = float(scaling.outputs[output]), fit.model.orders
     gains = [np.full(nb, own / size) for nb, size in zip(orders.nb, scaling.inputs, strict=True)]
@@ -48,7 +48,7 @@ def in_units(fit: Fitted, scaling: Scaling, output: int) -> tuple[Polynomials, F
     return Polynomials.of(fit.model.vector * scale, orders), np.array(fit.errors) * scale
 
 
-def prediction_error_estimate(spec: PlantSpec, fits: Sequence[Fitted], scaling: Scaling) -> Estimate | None:
+def prediction_error_estimate(spec: PlantSpec, fits: Sequence[FittedOutput], scaling: Scaling) -> Estimate | None:
     """Return the record of all outputs; intervals only where the residuals of all are white.
 
     Covariance ``sigma^2 (Psi' Psi)^-1`` of the gradients of the prediction errors (Ljung 1999, eq. 9.42). It holds at

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.signals import FloatArray
-from identifiers.linear.polynomials.model import Part, Polynomials, errors_and_gradients, shifted
+from identifiers.linear.polynomials.model import OutputRecord, Polynomials, errors_and_gradients, shifted
 
 MOST = 200
 """Missing readings of a piece: beyond so many a record is cut, for a system of equations of that size is solved."""
@@ -37,7 +37,7 @@ class Misses:
         return found if np.isfinite(found) else np.inf
 
 
-def misses_of(model: Polynomials, starts: Starts, parts: Sequence[Part]) -> Misses:
+def misses_of(model: Polynomials, starts: Starts, parts: Sequence[OutputRecord]) -> Misses:
     """Return prediction errors and gradients over all records, missing readings integrated out.
 
     The errors are linear in the missing readings, ``e = e0 + E m`` with E the impulse responses of ``A D / C``. What
@@ -82,7 +82,7 @@ def misses_of(model: Polynomials, starts: Starts, parts: Sequence[Part]) -> Miss
     return Misses(errors, gradients * scale + np.outer(errors, slopes / (2 * count)), count, scale)
 
 
-def in_pieces(part: Part, *, at_once: bool) -> list[Part]:
+def in_pieces(part: OutputRecord, *, at_once: bool) -> list[OutputRecord]:
     """Return a record cut where too much is missing for one system of equations; whole where none is needed.
 
     - ``at_once``: the noise is white on the output: nothing need be solved
@@ -106,13 +106,13 @@ def in_pieces(part: Part, *, at_once: bool) -> list[Part]:
             holes = start + np.flatnonzero(missing[start:low])
             stop = low if holes.size <= MOST else int(holes[MOST])
             own = tuple(int(hole) - start for hole in holes if hole < stop)
-            pieces.append(Part(part.u[start:stop], part.y[start:stop], own))
+            pieces.append(OutputRecord(part.u[start:stop], part.y[start:stop], own))
             start = stop
         place = high
     return [piece for piece in pieces if piece.y.size > len(piece.holes)]
 
 
-def _places(parts: Sequence[Part]) -> Iterator[tuple[int, Part]]:
+def _places(parts: Sequence[OutputRecord]) -> Iterator[tuple[int, OutputRecord]]:
     """Yield the first row of every record, and the record."""
     place = 0
     for part in parts:
@@ -131,7 +131,7 @@ def _responses(model: Polynomials, n: int) -> tuple[FloatArray, FloatArray, Floa
     return whole, lfilter(pd, pc, pulse), lfilter(pa, pc, pulse), lfilter([1.0], pc, whole)
 
 
-def _basis(model: Polynomials, part: Part) -> tuple[FloatArray, FloatArray]:
+def _basis(model: Polynomials, part: OutputRecord) -> tuple[FloatArray, FloatArray]:
     """Return an orthonormal basis (N, m) of what missing readings do to the errors, and its triangle (m, m)."""
     whole = _responses(model, part.y.size)[0]
     columns = np.zeros((part.y.size, len(part.holes)))
@@ -141,7 +141,7 @@ def _basis(model: Polynomials, part: Part) -> tuple[FloatArray, FloatArray]:
     return np.asarray(basis, dtype=np.float64), np.asarray(triangle, dtype=np.float64)
 
 
-def _slopes(model: Polynomials, part: Part, basis: FloatArray, triangle: FloatArray) -> FloatArray:
+def _slopes(model: Polynomials, part: OutputRecord, basis: FloatArray, triangle: FloatArray) -> FloatArray:
     """Return the derivatives (p,) of ``log det(E' E)`` = ``2 tr (E' E)^-1 E' dE``."""
     orders, n, m = model.orders, part.y.size, len(part.holes)
     found = np.zeros(orders.count)

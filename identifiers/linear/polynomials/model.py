@@ -138,7 +138,7 @@ class Polynomials:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class OutputRecord:
     """One record of one output: u (N, nu), y (N,), and the rows where y was not read (m,)."""
 
     u: FloatArray
@@ -147,7 +147,7 @@ class Part:
 
 
 def errors_and_gradients(
-    model: Polynomials, starts: Sequence[tuple[FloatArray, FloatArray]], parts: Sequence[Part]
+    model: Polynomials, starts: Sequence[tuple[FloatArray, FloatArray]], parts: Sequence[OutputRecord]
 ) -> tuple[FloatArray, FloatArray]:
     """Return prediction errors (N,) over all records and their gradients (N, p + starts).
 
@@ -170,7 +170,9 @@ def errors_and_gradients(
     return errors, gradients
 
 
-def _of_part(model: Polynomials, start: tuple[FloatArray, FloatArray], part: Part) -> tuple[FloatArray, FloatArray]:
+def _of_part(
+    model: Polynomials, start: tuple[FloatArray, FloatArray], part: OutputRecord
+) -> tuple[FloatArray, FloatArray]:
     """Return errors and gradients (N, p + start) of one record."""
     from scipy.signal import lfilter
 

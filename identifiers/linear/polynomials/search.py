@@ -10,7 +10,7 @@ import numpy as np
 from harness.algebra import column_norms, divisor
 from harness.signals import FloatArray
 from identifiers.linear.polynomials.holes import Misses, misses_of
-from identifiers.linear.polynomials.model import Part, Polynomials
+from identifiers.linear.polynomials.model import OutputRecord, Polynomials
 
 # Relative gain of the loss below which the search has arrived, and rounds after which it gives up.
 _ARRIVED, _ROUNDS = 1e-9, 60
@@ -37,7 +37,7 @@ def best(ends: Sequence[End]) -> End:
     return min(ends, key=lambda end: end.cost)
 
 
-def needed(end: End, parts: Sequence[Part], offset: bool) -> End:
+def needed(end: End, parts: Sequence[OutputRecord], offset: bool) -> End:
     """Return the end of a search with a noise model, or the same without one where its gain is chance.
 
     Without noise that is coloured C and D may be any common factor: at the edge of the unit circle it follows the
@@ -66,7 +66,7 @@ def settled_inside(coefficients: FloatArray, radius: float = 0.98) -> FloatArray
 
 
 def search(
-    first: Polynomials, parts: Sequence[Part], offset: bool, radius: float = np.inf, rounds: int = _ROUNDS
+    first: Polynomials, parts: Sequence[OutputRecord], offset: bool, radius: float = np.inf, rounds: int = _ROUNDS
 ) -> End:
     """Return the least sum of squares that is reached, where, errors and gradients there, and whether it has arrived.
 

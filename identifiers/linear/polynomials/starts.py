@@ -11,7 +11,7 @@ import numpy.typing as npt
 from harness.errors import FitError
 from harness.signals import FloatArray
 from identifiers.linear.ho_kalman import realize
-from identifiers.linear.polynomials.model import Orders, Part, Polynomials, errors_and_gradients
+from identifiers.linear.polynomials.model import Orders, OutputRecord, Polynomials, errors_and_gradients
 from identifiers.linear.polynomials.search import best, search, settled_inside
 
 # Memory of the long regression that a start is realized from, at least.
@@ -26,7 +26,7 @@ _SWEEPS = 3
 Inputs = tuple[FloatArray, ...]
 
 
-def starting_models(parts: Sequence[Part], orders: Orders, offset: bool) -> list[Polynomials]:
+def starting_models(parts: Sequence[OutputRecord], orders: Orders, offset: bool) -> list[Polynomials]:
     """Return where the search begins: several, of which the best end is taken.
 
     - ``parts``: missing readings filled with what lies between their neighbours: only a start depends on it
@@ -56,7 +56,7 @@ def settled(model: Polynomials) -> Polynomials:
     return replace(model, a=a, d=d, f=tuple(map(settled_inside, model.f)))
 
 
-def _together(parts: Sequence[Part], orders: Orders, level: float) -> list[Polynomials]:
+def _together(parts: Sequence[OutputRecord], orders: Orders, level: float) -> list[Polynomials]:
     """Return starts with one denominator for all inputs."""
     found = [_steiglitz(parts, orders, level, refine) for refine in (True, False)]
     found += _realized(parts, orders, level, orders.nf[0])
@@ -64,7 +64,7 @@ def _together(parts: Sequence[Part], orders: Orders, level: float) -> list[Polyn
     return [Polynomials(orders, none, b, none, none, (settled_inside(f),), level) for f, b in found]
 
 
-def _apart(parts: Sequence[Part], orders: Orders, level: float) -> list[Polynomials]:
+def _apart(parts: Sequence[OutputRecord], orders: Orders, level: float) -> list[Polynomials]:
     """Return starts with a denominator for each input: what each is seen to do, the others' share taken away."""
     none, every = np.zeros(0), zip(orders.nb, orders.nk, orders.nf, strict=True)
     alone = [replace(orders, nb=(nb,), nk=(nk,), nf=(nf,)) for nb, nk, nf in every]
@@ -79,7 +79,7 @@ def _apart(parts: Sequence[Part], orders: Orders, level: float) -> list[Polynomi
         for i, own in enumerate(alone):
             if not own.nb[0]:
                 continue
-            left = [Part(part.u[:, i : i + 1], part.y - level - _free(model, part, i)) for part in parts]
+            left = [OutputRecord(part.u[:, i : i + 1], part.y - level - _free(model, part, i)) for part in parts]
             f, b = _steiglitz(left, own, 0.0, True)
             fs, bs = list(model.f), list(model.b)
             fs[i], bs[i] = settled_inside(f) if own.nf[0] else np.zeros(0), b[0]
@@ -87,7 +87,7 @@ def _apart(parts: Sequence[Part], orders: Orders, level: float) -> list[Polynomi
     return [model, blank] if markov is not None else [model]
 
 
-def _free(model: Polynomials, part: Part, but: int) -> FloatArray:
+def _free(model: Polynomials, part: OutputRecord, but: int) -> FloatArray:
     """Return the free run (N,) under all inputs but one."""
     quiet = tuple(b * (i != but) for i, b in enumerate(model.b))
     start = (np.zeros(model.orders.start_x), np.zeros(model.orders.start_z))
@@ -106,7 +106,7 @@ def _distinct(models: Sequence[Polynomials]) -> list[Polynomials]:
     return kept
 
 
-def _with_noise(quiet: Polynomials, orders: Orders, parts: Sequence[Part]) -> Polynomials:
+def _with_noise(quiet: Polynomials, orders: Orders, parts: Sequence[OutputRecord]) -> Polynomials:
     """Return an output-error model with the C and D that its residuals tell (Hannan & Rissanen 1982)."""
     blank = [(np.zeros(quiet.orders.start_x), np.zeros(quiet.orders.start_z)) for _ in parts]
     residual, gradients = errors_and_gradients(quiet, blank, parts)
@@ -114,12 +114,12 @@ def _with_noise(quiet: Polynomials, orders: Orders, parts: Sequence[Part]) -> Po
     if starts.shape[1]:  # what happened before the records is not noise
         residual = residual - starts @ np.linalg.lstsq(starts, residual, rcond=1e-9)[0]
     pieces = np.split(residual, np.cumsum([part.y.size for part in parts])[:-1])
-    silent = [Part(np.zeros((piece.size, 0)), piece) for piece in pieces]
+    silent = [OutputRecord(np.zeros((piece.size, 0)), piece) for piece in pieces]
     noise = _hannan(silent, Orders(na=orders.nd, nc=orders.nc), 0.0)
     return replace(quiet, orders=orders, c=noise.c, d=settled_inside(noise.a))
 
 
-def _realized(parts: Sequence[Part], orders: Orders, level: float, n: int) -> list[tuple[FloatArray, Inputs]]:
+def _realized(parts: Sequence[OutputRecord], orders: Orders, level: float, n: int) -> list[tuple[FloatArray, Inputs]]:
     """Return F and B by input of the system of this order that a long one-step regression shows (OKID, Ho-Kalman).
 
     Steiglitz and McBride's iteration may end anywhere where sampling is fast; a realization of the response does not
@@ -130,7 +130,7 @@ def _realized(parts: Sequence[Part], orders: Orders, level: float, n: int) -> li
     return [found] if found else []
 
 
-def _markov(parts: Sequence[Part], orders: Orders, level: float, n: int) -> FloatArray | None:
+def _markov(parts: Sequence[OutputRecord], orders: Orders, level: float, n: int) -> FloatArray | None:
     """Return the response (4 lags, nu) that a long one-step regression shows; None where it tells none."""
     nu = parts[0].u.shape[1]
     lags = int(min(max(4 * n, _MEMORY, max(orders.nk, default=0) + n), min(p.y.size for p in parts) // (4 * (nu + 1))))
@@ -166,7 +166,7 @@ def _realization(markov: FloatArray, orders: Orders, n: int) -> tuple[FloatArray
     return (f, b) if all(one.size == nb for one, nb in zip(b, orders.nb, strict=True)) else None
 
 
-def _long_rows(part: Part, lags: int, level: float) -> tuple[FloatArray, FloatArray]:
+def _long_rows(part: OutputRecord, lags: int, level: float) -> tuple[FloatArray, FloatArray]:
     """Return the rows ``[y[k-1], ..., y[k-p], u[k], u[k-1], ..., u[k-p]]`` and ``y[k]`` of one record."""
     y, index = part.y - level, np.arange(lags, part.y.size)
     columns = [y[index - j] for j in range(1, lags + 1)]
@@ -190,7 +190,7 @@ def _split(b: FloatArray, orders: Orders) -> Inputs:
     return tuple(np.split(b, np.cumsum(orders.nb)[:-1])) if orders.nb else ()
 
 
-def _steiglitz(parts: Sequence[Part], orders: Orders, level: float, refine: bool) -> tuple[FloatArray, Inputs]:
+def _steiglitz(parts: Sequence[OutputRecord], orders: Orders, level: float, refine: bool) -> tuple[FloatArray, Inputs]:
     """Return F and B by least squares on signals filtered by 1/F, again and again (Steiglitz & McBride 1965)."""
     from scipy.signal import lfilter
 
@@ -212,7 +212,7 @@ def _steiglitz(parts: Sequence[Part], orders: Orders, level: float, refine: bool
     return f, _split(b, orders)
 
 
-def _hannan(parts: Sequence[Part], orders: Orders, level: float) -> Polynomials:
+def _hannan(parts: Sequence[OutputRecord], orders: Orders, level: float) -> Polynomials:
     """Return A, B, C by two regressions, a long one for the innovations first (Hannan & Rissanen 1982)."""
     shortest = min(part.y.size for part in parts)
     most = max(orders.na, orders.nc, 1)

@@ -33,7 +33,7 @@ Delays = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ScaledStateSpace:
     """A state-space model of scaled records."""
 
     model: LinearModel  # With its spread; the states of plant, dead times and noise
@@ -54,7 +54,7 @@ def state_space_of(
     loop: bool,
     innovations: bool = True,
     most: int = ORDERS,
-) -> Found:
+) -> ScaledStateSpace:
     """Return the state-space model of largest likelihood; order, dead times and noise by Schwarz's rule.
 
     Raises FitError if the records are too short.
@@ -111,7 +111,7 @@ def state_space_of(
         "residual_rms": end.rms.tolist(),
         "converged": end.arrived,
     }
-    return Found(model, plant, [one.innovations for one in end.errors], {} if order else _told(found), notes)
+    return ScaledStateSpace(model, plant, [one.innovations for one in end.errors], {} if order else _told(found), notes)
 
 
 def _told(found: Sequence[_Choice]) -> dict[str, float]:

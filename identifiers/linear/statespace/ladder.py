@@ -10,7 +10,7 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.linear.statespace.model import Piece, StateSpace, errors_of
 from identifiers.linear.statespace.noise import MOST, noise_of
-from identifiers.linear.statespace.search import End, Freedom, loss_of, search, settled_starts
+from identifiers.linear.statespace.search import Freedom, StateSpaceEnd, loss_of, search, settled_starts
 from identifiers.linear.statespace.starts import filtered_model, long_models, reduced, without_each_mode
 
 ORDERS = 10  # Largest order that is tried.
@@ -34,7 +34,7 @@ class Rung:
     record.
     """
 
-    end: End
+    end: StateSpaceEnd
     judged: float
 
 
@@ -92,12 +92,12 @@ def finished(rung: Rung, pieces: Sequence[Piece], free: Freedom, *, gain: float 
     return Rung(end, _judged(end, pieces, free))
 
 
-def _judged(end: End, pieces: Sequence[Piece], free: Freedom) -> float:
+def _judged(end: StateSpaceEnd, pieces: Sequence[Piece], free: Freedom) -> float:
     """Return what Schwarz's rule says."""
     return loss_of(end.errors, ROUNDING) + _price(end, pieces, free)
 
 
-def _price(end: End, pieces: Sequence[Piece], free: Freedom) -> float:
+def _price(end: StateSpaceEnd, pieces: Sequence[Piece], free: Freedom) -> float:
     """Return what Schwarz's rule asks of a model for its parameters."""
     count = end.model.free(direct=free.direct, offset=free.offset)
     rows = sum(piece.y.size if piece.read is None else int(piece.read.sum()) for piece in pieces)
@@ -129,7 +129,7 @@ class _Climb:
         losses = [loss_of(one.end.errors, ROUNDING) for order, one in self.found.items() if order >= n]
         return min(losses) + _price(plain, self.pieces, self.free) <= self.least + SLACK
 
-    def _fine(self, end: End) -> End:
+    def _fine(self, end: StateSpaceEnd) -> StateSpaceEnd:
         """Return the end of a search whose noise has its colour."""
         beat = self.least - _price(end, self.pieces, self.free)
         return search(end, self.pieces, self.free, rounds=ROUNDS, gain=FINE, beat=beat)
@@ -142,7 +142,7 @@ class _Climb:
             if np.isfinite(rung.judged) and (n not in self.found or rung.judged < self.found[n].judged):
                 self.found[n] = rung
 
-    def _followed(self, first: End) -> Rung:
+    def _followed(self, first: StateSpaceEnd) -> Rung:
         """Return where the search from a start ends, the noise coloured as what is left says."""
         if not self.noise:
             end = self._fine(first)
@@ -159,11 +159,11 @@ class _Climb:
             end = self._fine(end)
         return Rung(end, _judged(end, self.pieces, self.free))
 
-    def _coloured(self, end: End, noise: FloatArray) -> End:
+    def _coloured(self, end: StateSpaceEnd, noise: FloatArray) -> StateSpaceEnd:
         """Return the same plant with another noise."""
         model = replace(end.model, noise=noise)
         errors = errors_of(model, end.starts, self.pieces)
-        return End(model, end.starts, errors, loss_of(errors), False)
+        return StateSpaceEnd(model, end.starts, errors, loss_of(errors), False)
 
 
 def _inside(model: StateSpace, radius: float = 0.998) -> StateSpace:

@@ -30,7 +30,7 @@ class Freedom:
 
 
 @dataclass(frozen=True, eq=False)
-class End:
+class StateSpaceEnd:
     """Where a search ended: the model, the starts of the pieces (R, n), its errors and minus the log-likelihood."""
 
     model: StateSpace
@@ -59,7 +59,7 @@ def loss_of(errors: Sequence[Errors], floor: float = EXACT) -> float:
     return found if np.isfinite(found) else np.inf
 
 
-def settled_starts(model: StateSpace, pieces: Sequence[Piece], free: Freedom) -> End:
+def settled_starts(model: StateSpace, pieces: Sequence[Piece], free: Freedom) -> StateSpaceEnd:
     """Return the model with the initial states, levels, B and D that suit its A and C best: a linear problem."""
     starts = np.zeros((len(pieces), model.order))
     errors = errors_of(model, starts, pieces)
@@ -68,12 +68,18 @@ def settled_starts(model: StateSpace, pieces: Sequence[Piece], free: Freedom) ->
     step, moves = system.solved(0.0)
     model, starts = model.moved(step), starts + moves
     errors = errors_of(model, starts, pieces)
-    return End(model, starts, errors, loss_of(errors), False)
+    return StateSpaceEnd(model, starts, errors, loss_of(errors), False)
 
 
 def search(
-    first: End, pieces: Sequence[Piece], free: Freedom, *, rounds: int = 60, gain: float = 1e-3, beat: float = np.inf
-) -> End:
+    first: StateSpaceEnd,
+    pieces: Sequence[Piece],
+    free: Freedom,
+    *,
+    rounds: int = 60,
+    gain: float = 1e-3,
+    beat: float = np.inf,
+) -> StateSpaceEnd:
     """Return the largest likelihood that is reached from a start.
 
     - ``first``: as :func:`settled_starts` makes it
@@ -99,17 +105,17 @@ def search(
                     loss = loss_of(errors)
                     if loss < now.loss:
                         gained = now.loss - loss
-                        now = End(model, starts, errors, loss, False)
+                        now = StateSpaceEnd(model, starts, errors, loss, False)
                         damping = max(damping / 10, DAMPING[0])
                         break
             damping *= 10
         if gained < gain:
-            return End(now.model, now.starts, now.errors, now.loss, True)
+            return StateSpaceEnd(now.model, now.starts, now.errors, now.loss, True)
         damping = min(damping, DAMPING[2] / 1e4)
     return now
 
 
-def steps_of(end: End, pieces: Sequence[Piece], free: Freedom) -> FloatArray | None:
+def steps_of(end: StateSpaceEnd, pieces: Sequence[Piece], free: Freedom) -> FloatArray | None:
     """Return how the model moves (G, k) without one stretch of the records each, as for ``StateSpace.moved``."""
     directions = coordinates(end.model)
     blocks = [_weighed(end, piece, own, directions, free) for piece, own in zip(pieces, end.errors, strict=True)]
@@ -189,7 +195,7 @@ def _eliminated(
 
 
 def _weighed(
-    end: End, piece: Piece, errors: Errors, directions: FloatArray, free: Freedom
+    end: StateSpaceEnd, piece: Piece, errors: Errors, directions: FloatArray, free: Freedom
 ) -> tuple[FloatArray, FloatArray]:
     """Return slopes (N ny, q) and innovations (N ny,) of a piece in units of their noise, starts eliminated."""
     rows, _ = _eliminated(end.model, errors, piece, directions, free, _weights(end.errors))

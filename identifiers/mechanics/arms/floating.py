@@ -15,7 +15,7 @@ from harness.models.analysis import Findings, Takes
 from harness.physics.arms.contact import friction_cone, restitution
 from harness.physics.arms.floating import FloatingRobot, load_floating
 from harness.physics.arms.inertia import is_consistent, pseudo_inertia
-from harness.physics.arms.inertial_fit import Bodies, Problem, by_semidefinite_program
+from harness.physics.arms.inertial_fit import Bodies, InertialProblem, by_semidefinite_program
 from harness.physics.lumps.identifiability import identifiability
 from harness.signals import Dataset, FloatArray, Trajectory
 from identifiers.mechanics.arms.floating_rows import Rows, channels_of, floating_motion, measured, rows_of
@@ -151,13 +151,15 @@ class FloatingInertial(OnSites):
             )
         return [robot.names.index(name) for name in asked]
 
-    def _problem(self, robot: FloatingRobot, chosen: Sequence[int], matrix: FloatArray, target: FloatArray) -> Problem:
+    def _problem(
+        self, robot: FloatingRobot, chosen: Sequence[int], matrix: FloatArray, target: FloatArray
+    ) -> InertialProblem:
         """Return the problem of consistent bodies beside the prior, then friction that is not negative."""
         prior = robot.arm.parameters.reshape(-1, 10)[list(chosen)]
         gram, side = matrix.T @ matrix, matrix.T @ target
         others = np.arange(prior.size, len(gram))
         gram[others, others] += 1e-8 * float(np.diag(gram).max())  # of joints that do not move
-        return Problem(gram, side, Bodies(prior), self.trust, np.ones(len(others), dtype=bool))
+        return InertialProblem(gram, side, Bodies(prior), self.trust, np.ones(len(others), dtype=bool))
 
     def _row(self, robot: FloatingRobot, body: int, row: FloatArray, spread: FloatArray) -> dict[str, Any]:
         """Return what is shown of a body."""
@@ -306,7 +308,9 @@ def _weights(matrix: FloatArray, target: FloatArray, kind: NDArray[np.intp]) -> 
     return own
 
 
-def _spread(problem: Problem, x: FloatArray, matrix: FloatArray, residual: FloatArray, block: FloatArray) -> FloatArray:
+def _spread(
+    problem: InertialProblem, x: FloatArray, matrix: FloatArray, residual: FloatArray, block: FloatArray
+) -> FloatArray:
     """Return standard deviations (k,) at an optimum: the score of each stretch of the record over the curvature.
 
     Errors of one stretch may have any colour (White 1980, *Econometrica* 48:817, with blocks for rows). Where the

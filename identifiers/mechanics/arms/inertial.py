@@ -23,7 +23,7 @@ from identifiers.mechanics.motion import Motion, Smoothing, motion, noisier
 
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
-    from harness.physics.arms.inertial_fit import Problem
+    from harness.physics.arms.inertial_fit import InertialProblem
 
 Method = Literal["sdp", "log-cholesky", "least-squares"]
 SLOW = 0.01
@@ -146,7 +146,7 @@ class Inertial:
 
     def prepared(
         self, arm: ArmModel, records: Sequence[Trajectory], *, like: Sequence[Motion] = (), coarser: bool = False
-    ) -> tuple[Equations, list[Motion]]:
+    ) -> tuple[TorqueEquations, list[Motion]]:
         """Return the equations of what is fitted, and the motion of the records (smoothed ``like`` another)."""
         names = SimpleNamespace(coordinates=arm.positions)
         given: Sequence[Motion | None] = like or [None] * len(records)
@@ -156,7 +156,7 @@ class Inertial:
         ]
         if self.intersample == "smooth":
             moved = [replace(smoothed, mean_u=smoothed.u) for smoothed in moved]
-        return Equations(arm, self._free_joints(arm), self.damping, self.friction, self.motor_inertia), moved
+        return TorqueEquations(arm, self._free_joints(arm), self.damping, self.friction, self.motor_inertia), moved
 
     def _free_joints(self, arm: ArmModel) -> list[int]:
         """Return the numbers of the bodies that are fitted."""
@@ -173,7 +173,7 @@ class Inertial:
             return [known.index(name) for name in self.free]
         return [number for number, joint in enumerate(arm.arm.joints) if joint in arm.arm.moving]
 
-    def problem(self, arm: ArmModel, equations: Equations, gram: FloatArray, side: FloatArray) -> Problem:
+    def problem(self, arm: ArmModel, equations: TorqueEquations, gram: FloatArray, side: FloatArray) -> InertialProblem:
         """Return the problem of the bodies beside their prior.
 
         Raises
@@ -182,7 +182,7 @@ class Inertial:
             If the file has no consistent bodies.
         """
         from harness.physics.arms.inertia import is_consistent
-        from harness.physics.arms.inertial_fit import Bodies, Problem
+        from harness.physics.arms.inertial_fit import Bodies, InertialProblem
 
         prior = arm.arm.parameters.reshape(-1, 10)[equations.bodies]
         wrong = [arm.arm.joints[b].name for b, row in zip(equations.bodies, prior, strict=True)
@@ -202,9 +202,9 @@ class Inertial:
             boxes = [found[b] for b in equations.bodies]
         positive = np.ones(len(side) - prior.size, dtype=bool)
         trust = None if self.method == "least-squares" else self.trust
-        return Problem(gram, side, Bodies(prior, boxes=boxes), trust, positive)
+        return InertialProblem(gram, side, Bodies(prior, boxes=boxes), trust, positive)
 
-    def _solved(self, problem: Problem, kept: FloatArray) -> FloatArray:
+    def _solved(self, problem: InertialProblem, kept: FloatArray) -> FloatArray:
         from harness.physics.arms.inertial_fit import by_least_squares, by_log_cholesky, by_semidefinite_program
 
         if self.method == "sdp":
@@ -215,7 +215,7 @@ class Inertial:
 
     def _rank(
         self,
-        equations: Equations,
+        equations: TorqueEquations,
         names: Any,
         records: Sequence[Trajectory],
         moved: Sequence[Motion],
@@ -242,7 +242,7 @@ class Inertial:
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class TorqueEquations:
     """The torque equations of an arm in the parameters that are fitted."""
 
     arm: ArmModel

@@ -12,12 +12,12 @@ from harness.models.analysis import Findings, Takes
 from harness.options import check_options
 from harness.signals import Dataset, FloatArray
 from identifiers.common.records import real_signals, usable
-from identifiers.mechanics.arms.inertial import Equations, Inertial, speaks
+from identifiers.mechanics.arms.inertial import Inertial, TorqueEquations, speaks
 from identifiers.mechanics.motion import Motion, Smoothing, noisier
 
 if TYPE_CHECKING:
     from harness.physics.arms.arm import ArmModel
-    from harness.physics.arms.inertial_fit import Problem
+    from harness.physics.arms.inertial_fit import InertialProblem
 
 QUANTILE = 1.96  # Of the normal distribution, for 95 %.
 BLOCKS = 40  # Stretches of the records by which the colour of the errors is told.
@@ -138,7 +138,7 @@ class MassIntervals:
         return load_arm(self.model)
 
     def _ends(
-        self, body: int, stated: float, alone: Interval, problems: Sequence[Problem | None]
+        self, body: int, stated: float, alone: Interval, problems: Sequence[InertialProblem | None]
     ) -> list[Interval | None]:
         """Return the intervals of one mass, for each of :data:`KINDS`; None where there is nothing to add."""
         from harness.physics.arms.inertial_fit import interval_of
@@ -166,7 +166,7 @@ class _Told:
     colour: float  # How many samples count as one
 
     @classmethod
-    def of(cls, equations: Equations, moved: Sequence[Motion]) -> _Told:
+    def of(cls, equations: TorqueEquations, moved: Sequence[Motion]) -> _Told:
         """Return what a motion tells, its errors taken for as many as count.
 
         How many do is the variance of the score of stretches over that of white errors (the sandwich of White 1982,
