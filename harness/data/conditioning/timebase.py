@@ -52,6 +52,9 @@ _GRID = "declare [resample], and intersample, in a dataset.toml"
 _NO_CLOCK = f"{_GRID}: no one clock explains the stamps"
 
 
+Where = Callable[[int], str]  # Says where a row stands, by its number.
+
+
 @dataclass(frozen=True, eq=False)
 class RecordPiece:
     """One uninterrupted piece of a record."""
@@ -80,7 +83,7 @@ def pieces_of(
     inputs: tuple[bool, ...],
     rules: TimeRules,
     common: float | None = None,
-    where: Callable[[int], str] = "row {}".format,
+    where: Where = "row {}".format,
 ) -> tuple[list[RecordPiece], list[str]]:
     """Turn the columns of one run into pieces with a uniform time axis.
 
@@ -131,7 +134,7 @@ def _held_on(run: _Run, values: FloatArray) -> FloatArray:
 
 
 def _pieces_within(
-    run: _Run, time: FloatArray | None, values: FloatArray, common: float | None, where: Callable[[int], str]
+    run: _Run, time: FloatArray | None, values: FloatArray, common: float | None, where: Where
 ) -> list[RecordPiece]:
     """Return the pieces of a run, or of a stretch of it; none where gaps leave only fragments."""
     _, inputs, rules, notes = run
@@ -191,9 +194,7 @@ def _pieces_within(
     return [_uniform(stamps[rows], values[rows], _renamed(where, rows), dt, notes) for rows in kept]
 
 
-def _jumps(
-    stamps: FloatArray, dt: float, inputs: tuple[bool, ...], rules: TimeRules, where: Callable[[int], str]
-) -> BoolArray:
+def _jumps(stamps: FloatArray, dt: float, inputs: tuple[bool, ...], rules: TimeRules, where: Where) -> BoolArray:
     """Return after which rows others are lost.
 
     Raises InputError if rows are, and gaps are refused.
@@ -246,7 +247,7 @@ def _restarted(
     time: FloatArray,
     values: FloatArray,
     common: float | None,
-    where: Callable[[int], str],
+    where: Where,
 ) -> list[RecordPiece]:
     """Return the pieces of a run whose clock begins anew: what stands behind is a record of its own."""
     pieces: list[RecordPiece] = []
@@ -264,9 +265,7 @@ def _restarted(
     return pieces
 
 
-def _refuse_empty(
-    run: _Run, time: FloatArray, values: FloatArray, present: BoolArray, where: Callable[[int], str]
-) -> None:
+def _refuse_empty(run: _Run, time: FloatArray, values: FloatArray, present: BoolArray, where: Where) -> None:
     """Refuse empty cells that nothing is declared for, by a remedy that helps.
 
     Raises InputError if a signal holds nothing at all, or rows are empty and neither split nor resampled.
@@ -314,7 +313,7 @@ def _refuse_empty(
     )
 
 
-def _renamed(where: Callable[[int], str], rows: npt.NDArray[np.int64]) -> Callable[[int], str]:
+def _renamed(where: Where, rows: npt.NDArray[np.int64]) -> Where:
     """Return what names rows that were chosen from others."""
     return lambda row: where(int(rows[row]))
 
@@ -325,7 +324,7 @@ def _remedy(inputs: tuple[bool, ...], rules: TimeRules, lost: bool) -> str:
     return f'gaps = "split"{made_up} in a dataset.toml (of a bare table: --gaps split)'
 
 
-def _check_finite(time: FloatArray, where: Callable[[int], str]) -> None:
+def _check_finite(time: FloatArray, where: Where) -> None:
     """Refuse time stamps that are missing."""
     if not np.isfinite(time).all():
         row = int(np.argmax(~np.isfinite(time)))
@@ -338,7 +337,7 @@ def _check_finite(time: FloatArray, where: Callable[[int], str]) -> None:
         )
 
 
-def _check_order(keys: npt.NDArray[Any], time: FloatArray, where: Callable[[int], str]) -> None:
+def _check_order(keys: npt.NDArray[Any], time: FloatArray, where: Where) -> None:
     """Refuse time stamps (or the samples that they stand for) that do not increase."""
     back = np.diff(keys) <= 0
     if not back.any():
@@ -380,9 +379,7 @@ def _check_order(keys: npt.NDArray[Any], time: FloatArray, where: Callable[[int]
     raise InputError(what, expected=expected, got=got, remedy=remedy, place=where(row))
 
 
-def _uniform(
-    time: FloatArray, values: FloatArray, where: Callable[[int], str], dt: float, notes: list[str]
-) -> RecordPiece:
+def _uniform(time: FloatArray, values: FloatArray, where: Where, dt: float, notes: list[str]) -> RecordPiece:
     """Return a piece whose time stamps lie on a grid, near enough."""
     n = len(time)
     own = (time[-1] - time[0]) / (n - 1) if n > 1 else dt

@@ -1,15 +1,23 @@
-"""Heads whose rows begin with a key: names, units and the sampling of all channels, each in a row of its own."""
+"""Lines of other forms, written anew as a table: heads whose rows begin with a key, tables as pandas prints them.
+
+Behind keys stand names, units and the sampling of all channels, each in a row of its own. Of a printed table each title
+ends where the numbers below it end, and the index stands before them.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 
-from harness.data.tables.cells import is_number, is_unit_cell
+from harness.data.tables.cells import EMPTY, is_number, is_unit_cell
 from harness.data.tables.headers import split_header
 from harness.data.tables.stacked import MOST_ABOVE
 from harness.errors import InputError
 
 Line = tuple[int, str]  # Number of a line in its file, and its text.
+_FEWEST = 3  # Rows of a printed table.
+_OUT = re.compile(r"\.{2,3}(?:\s+\.{3})*")  # The row that stands for those that pandas leaves out.
+_SHAPE = re.compile(r"\[\d+ rows x \d+ columns\]")
 
 NAMES = ("tracename", "path", "name", "symbolname", "channel name")
 """Keys of the row of names, in small letters, the fullest first where a head has several."""
@@ -248,3 +256,68 @@ def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str]
         return [cell for k in each for cell in cells[k + 3 : k + 5]]
 
     return titles, 0, read, "the settings of the scope beside the first rows are left aside"
+
+
+def printed(lines: Sequence[Line]) -> tuple[list[Line], str] | None:
+    r"""Return the table that pandas prints, with tabs between its cells, and what to say; None for any other lines.
+
+    Titles may hold blanks, so that only the places of their ends tell them apart. An index without a name that counts
+    the rows is left out.
+
+    Raises InputError if rows are left out, as in what ``print`` shows of a long table.
+
+    Examples
+    --------
+    >>> rows = ["   time  motor torque", "0  0.00         1.500", "1  0.01        -0.500", "2  0.02         0.250"]
+    >>> printed(list(enumerate(rows, start=1)))[0][:2]
+    [(1, 'time\tmotor torque'), (2, '0.00\t1.500')]
+    """
+    if len(lines) <= _FEWEST or not (head := lines[0][1].rstrip()).startswith(" ") or "\t" in head:
+        return None
+    named = lines[1][1].strip() if not any(map(is_number, lines[1][1].split())) else ""
+    rows = [(number, line.rstrip()) for number, line in lines[2 if named else 1 :]]
+    if _SHAPE.fullmatch(rows[-1][1]):
+        rows.pop()
+    kept = [(number, row) for number, row in rows if not _OUT.fullmatch(row)]
+    found = _aligned(head, [row for _, row in kept])
+    if found is None:
+        return None
+    titles, index, cells = found
+    if len(kept) < len(rows):
+        place = next(f"line {number}" for number, row in rows if _OUT.fullmatch(row))
+        raise InputError(
+            "a printed table without all its rows",
+            expected="every row",
+            got=f"'...' in {place}",
+            remedy='write the frame by df.to_csv("log.csv"), or print df.to_string()',
+            place=place,
+        )
+    if any(index) and (named or index != [str(k) for k in range(len(index))]):
+        titles, cells = [named, *titles], [[first, *row] for first, row in zip(index, cells, strict=True)]
+    body = [(number, "\t".join(row)) for (number, _), row in zip(kept, cells, strict=True)]
+    return [(lines[0][0], "\t".join(titles)), *body], "each title is that of the numbers which end where it does"
+
+
+def _aligned(head: str, rows: Sequence[str]) -> tuple[list[str], list[str], list[list[str]]] | None:
+    """Return titles, the index of every row (empty for none) and cells, where columns end together; None elsewhere."""
+    if len(rows) < _FEWEST or any(len(row) != len(head) for row in rows):
+        return None
+    ends = sorted(set.intersection(*({one.end() for one in re.finditer(r"\S+", row)} for row in rows)))
+    titles = _between(head, ends)
+    first = next((k for k, title in enumerate(titles) if title), len(titles))  # before it ends the index
+    titles, ends = titles[first:], ends[first:]
+    if not titles or not all(titles):
+        return None
+    index, cells = [], []
+    for row in rows:
+        leading, *others = _between(row, ends)
+        *own, cell = leading.split() or [""]
+        index.append(" ".join(own))
+        cells.append([cell, *others])
+    right = all(is_number(row[0]) or row[0].lower() in EMPTY for row in cells) and any(index) == all(index)
+    return (titles, index, cells) if right else None
+
+
+def _between(line: str, ends: Sequence[int]) -> list[str]:
+    """Return what stands in a line between these places."""
+    return [line[begin:end].strip() for begin, end in zip([0, *ends], ends, strict=False)]

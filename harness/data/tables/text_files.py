@@ -24,9 +24,8 @@ from harness.data.tables.cells import (
     with_unit,
 )
 from harness.data.tables.headers import clock_of, remarked_unit, says_time
-from harness.data.tables.keyed import keyed
+from harness.data.tables.keyed import keyed, printed
 from harness.data.tables.labelled import labelled
-from harness.data.tables.printed import printed
 from harness.data.tables.stacked import (
     CERTAIN,
     MOST_ABOVE,
