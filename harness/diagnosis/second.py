@@ -46,8 +46,9 @@ def searched_unless_carried(
     if not weak:
         return outcome, None
     other = again()
-    follows = other is not None and not other.misfit
-    return (outcome, _told(other, _carried(weak))) if other and follows else (searched(begun=outcome), None)
+    if other is None or other.misfit:
+        return searched(begun=outcome), None
+    return outcome, _told(other, _carried(weak))
 
 
 def second_opinion(first: Diagnosis, simple: SimpleFits | None, again: Again) -> Diagnosis | None:
