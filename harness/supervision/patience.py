@@ -135,9 +135,12 @@ class Aside:
         def serve() -> None:
             while (work := orders.get()) is not None:
                 try:
-                    answers.put((work(), None))
+                    answer: tuple[Any, BaseException | None] = work(), None
                 except BaseException as error:
-                    answers.put((None, error))
+                    answer = None, error
+                del work  # while the thread waits, it keeps nothing of what it worked on
+                answers.put(answer)
+                del answer
 
         self._orders, self._answers, self._process = orders, answers, os.getpid()
         self._thread = threading.Thread(target=serve, daemon=True)

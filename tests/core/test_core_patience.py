@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -66,3 +67,20 @@ def test_a_promise_of_a_sign_of_life_that_is_not_kept_ends_the_work() -> None:
     with pytest.raises(PlantError, match=r"^x.fmu: is not loaded within 0.7 s$") as caught:
         guarded(silent, what="the FMU x")
     assert caught.value.status == "timeout"
+
+
+def test_the_thread_keeps_nothing_of_what_it_worked_on_and_ends() -> None:
+    class Unit:
+        def run(self) -> int:
+            return 3
+
+    unit, aside = [Unit()], Aside("x.fmu")
+    gone = weakref.ref(unit[0])
+    assert aside.call(unit[0].run, lambda: 0, lambda: "", loads=False) == 3
+    thread = aside._thread
+    unit.clear()
+    assert gone() is None
+    del aside
+    assert thread is not None
+    thread.join(5.0)
+    assert not thread.is_alive()

@@ -60,7 +60,7 @@ def diagnosis(
 ) -> Diagnosis:
     """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
     noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
-    model = SimpleNamespace(detail=kept({"estimation": SimpleNamespace(noise=noise)}))
+    model = SimpleNamespace(effects=(), detail=kept({"estimation": SimpleNamespace(noise=noise)}))
     outcome: Any = SimpleNamespace(
         accepted=[SimpleNamespace(placed=DRAG)] if accepted else [],
         model=model,

@@ -23,7 +23,7 @@ from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.kalman_pass import KalmanPass, PassNoise
 from harness.physics.compiled.latent import with_latent_forces
 from harness.signals import PlantSpec, Trajectory
 
@@ -41,7 +41,7 @@ for model, port in (("pendulum", "theta"), ("cart-pole", "x")):
     disturbed = with_latent_forces(system)
     passes = KalmanPass(disturbed, dt), KalmanPass(disturbed, dt, compiled=False)
     nl = passes[0].nl
-    noise = Noise(s=np.full(nl, 0.01), tau=np.full(nl, 0.1), w=np.full(nl, 1e-4), r=np.full(passes[0].ny, 1e-3))
+    noise = PassNoise(s=np.full(nl, 0.01), tau=np.full(nl, 0.1), w=np.full(nl, 1e-4), r=np.full(passes[0].ny, 1e-3))
     columns = np.arange(system.np + system.nx)
     one, other = (each(record, p, x0, noise, columns=columns, by_noise=True) for each in passes)
     for name in ("e", "s", "j", "e_noise", "s_noise"):
