@@ -189,7 +189,7 @@ def close_loop(
                 )
             data, figures = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
             return Report(data, folder, arm, figures)
-        dataset = counted(dataset)
+        dataset = cut = counted(dataset)
         system = _system(model, parameters, dataset)
         box = is_fmu(system)
         if by_equations(system):
@@ -212,7 +212,7 @@ def close_loop(
             progress(0.9, "report")
         with one_thread():
             data = evidence_data(diagnosis, cut_alike(references, whole_runs, diagnosis.dataset))
-            data["oddities"] = oddities_data(told_of_whole(whole_runs, dataset, FOUND))
+            data["oddities"] = oddities_data(told_of_whole(whole_runs, replace(dataset, runs=cut.runs), FOUND))
             figures = Figures(partial(drawn, diagnosis))
             if folder is not None:
                 write_evidence(data, figures(), folder / HTML, odd_pictures(whole_runs))

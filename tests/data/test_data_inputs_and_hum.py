@@ -7,6 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from harness.data.oddities import examined
+from harness.diagnosis.close import close_loop
 from harness.diagnosis.records.inputs_check import inputs_checked
 from harness.diagnosis.records.stretches import parted
 from harness.judgement import law_of
@@ -126,6 +127,19 @@ def test_crosstalk_of_a_held_input_is_told_from_an_input_that_was_written_late(
     read = found.runs[0].trajectory
     assert np.allclose(read.y, true[: len(read)], atol=0.06 * 10.0 if taken_up else 0.0)
     assert np.array_equal(read.u, u[: len(read)])
+
+
+def test_a_loop_over_readings_that_lost_their_crosstalk_ends_with_a_report() -> None:
+    system = read_equations(f"input P [W]\nlevel T [K]\n{OVENS['one mass']}\noutput T", "oven").system()
+    runs, n = [], 400
+    for seed, use in ((1, "estimation"), (2, "validation")):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(0.0, 10.0, n // 20), 20)[:, None]
+        y = system.simulator(1.0).rollout(system.vector(), [0.0], u) + 0.02 * rng.standard_normal((n, 1))
+        runs.append(Run(Trajectory(np.arange(float(n)), u, y + 1.2 * u, _spec(system, 1.0)), use))
+    report = close_loop(Dataset("oven", tuple(runs)), system)
+    assert [odd["kind"] for odd in report.data["oddities"]] == ["direct"]
+    assert report.data["verdict"] == "nothing_missing"
 
 
 @pytest.mark.parametrize("law", [0.6, 1.0, 2.0])
