@@ -61,7 +61,7 @@ def describe(
 
     Examples
     --------
-    >>> root = describe("gain", "y = 2 u", "0", [Variable("u", "input", "V"), Variable("y", "output", "V")],
+    >>> root = describe("gain", "y = 2 u", "0", [FmuVariable("u", "input", "V"), FmuVariable("y", "output", "V")],
     ...                 sample_time=0.1, direct=[0])
     >>> root.find("ModelStructure/Outputs/Unknown").attrib
     {'index': '2', 'dependencies': '1'}

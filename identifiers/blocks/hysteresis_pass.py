@@ -113,7 +113,7 @@ class HysteresisLayout:
 
         Examples
         --------
-        >>> layout = Layout(3, 1, 1, 1, 2)
+        >>> layout = HysteresisLayout(3, 1, 1, 1, 2)
         >>> {name: table.shape for name, table in layout.tables(np.zeros(layout.count)).items()}["A"]
         (5,)
         """

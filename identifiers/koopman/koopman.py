@@ -162,7 +162,7 @@ class Lifting(Described):
 
         Examples
         --------
-        >>> Dictionary(2, scale=(1.0, 1.0)).names(["a", "b"], 6)
+        >>> Lifting(2, scale=(1.0, 1.0)).names(["a", "b"], 6)
         ['a', 'b', '1', 'a a', 'a b', 'b b']
         """
         names = [*arguments, "1"]

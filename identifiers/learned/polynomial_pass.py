@@ -91,7 +91,7 @@ class PolynomialTables:
 
         Examples
         --------
-        >>> layout = Polynomials(2, 1, 1, 3, 1)
+        >>> layout = PolynomialTables(2, 1, 1, 3, 1)
         >>> {name: table.shape for name, table in layout.tables(np.zeros(layout.count)).items()}
         {'W': (20, 2), 'V': (3, 1)}
         """
@@ -108,7 +108,7 @@ class PolynomialTables:
 
         Examples
         --------
-        >>> line, curve = Polynomials(1, 1, 1, 1, 1), Polynomials(1, 1, 1, 2, 1)
+        >>> line, curve = PolynomialTables(1, 1, 1, 1, 1), PolynomialTables(1, 1, 1, 2, 1)
         >>> line.grown(np.array([0.1, -0.5, 1.0, 0.0, 2.0]), curve)
         array([ 0.1, -0.5,  1. ,  0. ,  0. ,  0. ,  0. ,  2. ])
         """

@@ -64,7 +64,7 @@ class RecurrentLayout:
 
         Examples
         --------
-        >>> layout = Layout(2, 1, 1, 3, 1)
+        >>> layout = RecurrentLayout(2, 1, 1, 3, 1)
         >>> layout.tables(np.zeros(layout.count))["W1"].shape
         (4, 3)
         """

@@ -109,7 +109,7 @@ class RunningLevel(NamedTuple):
 
     Examples
     --------
-    >>> standing = Standing.blank(2)
+    >>> standing = RunningLevel.blank(2)
     >>> for values in ([299.0, 0.0], [301.0, 0.0]):
     ...     standing = standing.heard(np.array(values))
     >>> standing.relative(np.array([302.0, 0.0])).tolist(), standing.size.tolist()

@@ -106,7 +106,7 @@ def change_of_unit(source: Unit, target: Unit) -> LinearConversion | None:
     --------
     >>> celsius, kelvin = unit_of("degC", {"K": 1}, 1.0, 273.15), unit_of("K", {"K": 1}, 1.0, 0.0)
     >>> change_of_unit(celsius, kelvin)
-    Linear(factor=1.0, offset=273.15)
+    LinearConversion(factor=1.0, offset=273.15)
     >>> change_of_unit(unit_of("m", {"m": 1}, 1.0, 0.0), kelvin) is None
     True
     """
@@ -154,10 +154,10 @@ class Chain:
 
     Examples
     --------
-    >>> chain = Chain().then(Linear(2.0, 1.0)).then(Linear(0.5, 0.0))
+    >>> chain = Chain().then(LinearConversion(2.0, 1.0)).then(LinearConversion(0.5, 0.0))
     >>> chain.linear, chain(4.0)
-    (Linear(factor=1.0, offset=0.5), 4.5)
-    >>> Chain().then(Table(((1.0, 7.0),))).linear is None
+    (LinearConversion(factor=1.0, offset=0.5), 4.5)
+    >>> Chain().then(IntegerConversion(((1.0, 7.0),))).linear is None
     True
     """
 

@@ -280,7 +280,7 @@ class KalmanPass:
     >>> system = pendulum().system()
     >>> spec = PlantSpec(system.inputs, system.outputs, 0.01)
     >>> record = Trajectory(np.arange(3) * 0.01, np.zeros((3, 1)), np.array([[0.5], [0.4998], [0.499]]), spec)
-    >>> noise = Noise(np.array([0.01]), np.array([0.1]), np.array([0.1]), np.zeros(1))
+    >>> noise = PassNoise(np.array([0.01]), np.array([0.1]), np.array([0.1]), np.zeros(1))
     >>> filtered = KalmanPass(with_latent_forces(system), 0.01)(record, [0.1, 0.05, 1.0], [0.5, 0.0], noise)
     >>> (filtered.s[0] == 0.01**2).tolist(), filtered.e[:2].round(5).tolist()
     ([True], [[0.0], [4e-05]])

@@ -60,7 +60,7 @@ def needed_length(
     --------
     >>> from identifiers.linear.length.quantities import Item
     >>> item = Item("gain", "1", None, np.array([2.0]))
-    >>> found = needed_length(Entry(item, np.array([[0.04]]), 1e6, {}), 100, 0.05, 0.9, np.random.default_rng(0))
+    >>> found = needed_length(PilotEntry(item, np.array([[0.04]]), 1e6, {}), 100, 0.05, 0.9, np.random.default_rng(0))
     >>> round(found.now, 3), round(found.samples)
     (0.196, 1537)
     >>> found.low < found.samples < found.safe < found.high

@@ -90,7 +90,7 @@ def in_pieces(part: OutputRecord, *, at_once: bool) -> list[OutputRecord]:
     Examples
     --------
     >>> u, y = np.zeros((200, 1)), np.zeros(200)
-    >>> [piece.y.size for piece in in_pieces(Part(u, y, tuple(range(80, 150))), at_once=False)]
+    >>> [piece.y.size for piece in in_pieces(OutputRecord(u, y, tuple(range(80, 150))), at_once=False)]
     [80, 50]
     """
     if at_once or not part.holes:
