@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from feedback_judge import IDENTIFIERS as JUDGED
 
 from harness import registry
 from harness.errors import HarnessError
@@ -30,20 +31,8 @@ from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 BASE = 10_000  # First seed: those below may be used while tuning.
 RIGHT = 0.5  # Error up to which a fit is right.
 WORDS = ("refused", "warned wrong", "warned right", "right", "bands", "noted", "silent")
-IDENTIFIERS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("least-squares", {}),
-    ("least-squares", {"method": "iv"}),
-    ("arx", {}),
-    ("arx", {"order": 2}),
-    ("dmdc", {"delays": 2}),
-    ("edmdc", {}),
-    ("n4sid", {}),
-    ("n4sid", {"order": 2}),
-    ("ho-kalman", {}),
-    ("ho-kalman", {"observer": "auto"}),
-    ("piecewise-affine", {}),
-    ("stlsq", {"time": "discrete"}),
-    ("narx", {}),
+IDENTIFIERS = (
+    *JUDGED,
     ("prediction-error", {}),
     ("prediction-error", {"order": 2, "structure": "armax"}),
     ("transfer-function", {}),

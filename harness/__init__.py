@@ -82,7 +82,3 @@ _HOMES = {
 }
 __all__ = [*sorted(_HOMES)]
 __getattr__ = _on_demand(__name__, _HOMES)
-
-
-def __dir__() -> list[str]:
-    return [*__all__, "__version__"]

@@ -62,5 +62,5 @@ def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
         return value
 
     shown = vars(sys.modules[package])
-    shown.setdefault("__dir__", lambda: sorted({*shown, *homes}))
+    shown.setdefault("__dir__", lambda: sorted({*homes, *({"__version__"} & shown.keys())}))
     return load

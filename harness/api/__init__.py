@@ -116,7 +116,3 @@ _ROOMS = {
     ".scaffold": ("new",),
 }
 __getattr__ = on_demand(__name__, {name: room for room, names in _ROOMS.items() for name in names})
-
-
-def __dir__() -> list[str]:
-    return __all__

@@ -253,8 +253,8 @@ def taken_up_at_once(records: Sequence[Trajectory]) -> FloatArray | None:
     >>> taken_up_at_once([record]).round(2).tolist()
     [[2.0]]
     """
-    records = [record for record in first_rows(records) if len(record) > SHORT]
-    if records[0].spec.nu == 0 or (rows := _samples_and_past(records)) is None:
+    enough = [record for record in first_rows(records) if len(record) > SHORT]
+    if records[0].spec.nu == 0 or (rows := _samples_and_past(enough)) is None:
         return None
     u, y, past_u, past_y = rows
     regressors = np.hstack([u, past_u, past_y])

@@ -122,8 +122,8 @@ def test_crosstalk_of_a_held_input_is_told_from_an_input_that_was_written_late(
     logged = np.vstack([u[:1]] * late + [u])[:n]
     record = Trajectory(np.arange(float(n)), logged, true + taken_up * logged, _spec(system, 1.0))
     found = inputs_checked(system, examined(Dataset("oven", (Run(record),))))
-    told = [odd.kind for odd in found.oddities or () if odd.kind in ("shift", "direct")]
-    assert told == (["direct"] if taken_up else ["shift"] if late else [])
+    told = [odd.kind for odd in found.oddities or () if odd.kind == "shift" or odd.used]
+    assert told == (["crosstalk"] if taken_up else ["shift"] if late else [])
     read = found.runs[0].trajectory
     assert np.allclose(read.y, true[: len(read)], atol=0.06 * 10.0 if taken_up else 0.0)
     assert np.array_equal(read.u, u[: len(read)])
@@ -138,7 +138,8 @@ def test_a_loop_over_readings_that_lost_their_crosstalk_ends_with_a_report() -> 
         y = system.simulator(1.0).rollout(system.vector(), [0.0], u) + 0.02 * rng.standard_normal((n, 1))
         runs.append(Run(Trajectory(np.arange(float(n)), u, y + 1.2 * u, _spec(system, 1.0)), use))
     report = close_loop(Dataset("oven", tuple(runs)), system)
-    assert "direct" in [odd["kind"] for odd in report.data["oddities"]]
+    assert [odd["kind"] for odd in report.data["oddities"]] == ["crosstalk"]
+    assert "as the record is read here" in report.data["oddities"][0]["text"]
     assert report.data["verdict"] == "nothing_missing"
 
 

@@ -13,7 +13,6 @@
 ``hum``         a line above the motion that no input has
 ``burst``       a stretch in which a sensor scatters more than elsewhere
 ``shift``       an input that was written a row late (found with the equations of motion)
-``direct``      an output that takes up some of an input of its row (found with the equations of motion)
 ``between``     an input that moves between its readings where it passed for held (found so too)
 ``mismatch``    runs of one use that follow two models
 ``step``, ``slow``, ``fast``, ``trend``, ``crosstalk``

@@ -162,30 +162,31 @@ def numbers_of(
     [1234.5, 999.0, -12000.0]
     """
     cells = [_DASH.sub("-", cell.strip()) if not cell.isascii() else cell.strip() for cell in cells]
-    if (style := _grouped(cells)) is not None:
-        cells = [cell if cell.lower() in EMPTY else _ungrouped(cell, *style) for cell in cells]
-        text = f"{'spaces or apostrophes' if style[0] == ' ' else repr(style[0])} between thousands are left out"
-        if notes is not None and text not in notes:
-            notes.append(text)
+    cells, grouped = _without_groups(cells, notes)
     signs = [cell for cell in cells if "," in cell]
     thousands = bool(signs) and not commas and all(map(_THOUSANDS[0].fullmatch, signs))
     commas = not thousands and not any("." in cell for cell in cells)
-    refuse_thousands(cells, where, commas=commas and style is None)
-    numbers = []
-    hexadecimal = all(_ANY_HEX.fullmatch(cell) for cell in cells if cell.lower() not in EMPTY)
-    for row, cell in enumerate(cells):
-        if cell.lower() in EMPTY:
-            numbers.append(np.nan)
-            continue
-        plain = cell if hexadecimal else _FORTRAN.sub(r"\1e\2", cell)
+    refuse_thousands(cells, where, commas=commas and not grouped)
+    filled = [(row, cell) for row, cell in enumerate(cells) if cell.lower() not in EMPTY]
+    hexadecimal = all(_ANY_HEX.fullmatch(cell) for _, cell in filled)
+    numbers = np.full(len(cells), np.nan)
+    for row, cell in filled:
         try:
-            if _HEX.fullmatch(cell) and not hexadecimal:
-                raise ValueError(cell)
-            numbers.append(_number(plain.replace(",", ".") if commas and _COMMA.fullmatch(plain) else plain))
+            numbers[row] = _number(cell) if hexadecimal else _decimal(cell, commas=commas)
         except ValueError:
             more = " with one kind of decimal sign, and none for thousands" if "," in cell else ""
             raise _no_number(cell, where(row), f"a number{more}", "comma" if more else "") from None
-    return np.array(numbers)
+    return numbers
+
+
+def _without_groups(cells: list[str], notes: list[str] | None) -> tuple[list[str], bool]:
+    """Return cells without the signs between their thousands, and whether there were any; that is noted."""
+    if (style := _grouped(cells)) is None:
+        return cells, False
+    text = f"{'spaces or apostrophes' if style[0] == ' ' else repr(style[0])} between thousands are left out"
+    if notes is not None and text not in notes:
+        notes.append(text)
+    return [cell if cell.lower() in EMPTY else _ungrouped(cell, *style) for cell in cells], True
 
 
 _MEASURED = re.compile(
@@ -380,6 +381,14 @@ def _number(text: str) -> float:
     if (digits := _HEX.fullmatch(text.strip())) is not None:
         return float(int(digits[1], 16))
     return float(_APART.sub(r"\1", text.strip() if text.isascii() else _DASH.sub("-", text.strip()), count=1))
+
+
+def _decimal(cell: str, *, commas: bool) -> float:
+    """Return a number that is no hexadecimal one: beside decimal numbers that is a slip."""
+    if _HEX.fullmatch(cell):
+        raise ValueError(cell)
+    plain = _FORTRAN.sub(r"\1e\2", cell)
+    return _number(plain.replace(",", ".") if commas and _COMMA.fullmatch(plain) else plain)
 
 
 def _no_number(cell: str, place: str, expected: str, why: str) -> InputError:

@@ -202,15 +202,13 @@ def siglent_titles(lines: Sequence[str]) -> tuple[str, int] | None:
 
 
 Cells = Callable[[list[str]], list[str]]
+Scope = tuple[list[str], int, Cells, str]  # Titles, the rows above, what takes the cells of a row, and what to say.
 
 
-def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str] | None:
-    """Return the titles of a scope's waveform, its rows above, what takes the cells of a row, and what to say of it.
+def scope_of(rows: Sequence[Sequence[str]]) -> Scope | None:
+    """Return what a scope's waveform holds; None for other tables.
 
     Raises InputError if other columns stand beside those of a Tektronix.
-
-    Rigol counts the samples, and start and increment of the time stand once, behind the titles. Tektronix writes its
-    settings beside the first rows, in the first three columns; further channels stand beside it, six columns each.
 
     Examples
     --------
@@ -220,19 +218,28 @@ def scope_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], int, Cells, str]
     (['time [s]', 'CH1 [Volt]'], 2, ['-0.47', '1.25'])
     """
     names, units = ([cell for cell in row if cell] for row in rows[:2]) if len(rows) > 1 else ([], [])
-    if names[:1] + units[:1] == ["X", "Sequence"] and names[-2:] == ["Start", "Increment"] and len(names) == len(units):
-        if not all(map(is_number, units[-2:])):
-            return None
-        start, step = map(float, units[-2:])
-        titles = [f"{name} [{unit}]" for name, unit in zip(names[1:-2], units[1:-2], strict=True)]
+    first = names[:1] + units[:1]
+    if first == ["X", "Sequence"]:
+        return _rigol(names, units)
+    return _tektronix(rows) if first == ["Record Length", "Sample Interval"] else None
 
-        def counted(cells: list[str]) -> list[str]:
-            time = f"{start + step * float(cells[0]):.12g}" if is_number(cells[0]) else cells[0]
-            return [time, *cells[1 : len(titles) + 1]]
 
-        return ["time [s]", *titles], 2, counted, f"time: sample 0 at {start:g} s, every {step:g} s, as line 2 says"
-    if names[:1] + units[:1] != ["Record Length", "Sample Interval"]:
+def _rigol(names: Sequence[str], units: Sequence[str]) -> Scope | None:
+    """Return a table in which samples are counted; start and increment of the time stand once, behind the titles."""
+    if names[-2:] != ["Start", "Increment"] or len(names) != len(units) or not all(map(is_number, units[-2:])):
         return None
+    start, step = map(float, units[-2:])
+    titles = [f"{name} [{unit}]" for name, unit in zip(names[1:-2], units[1:-2], strict=True)]
+
+    def counted(cells: list[str]) -> list[str]:
+        time = f"{start + step * float(cells[0]):.12g}" if is_number(cells[0]) else cells[0]
+        return [time, *cells[1 : len(titles) + 1]]
+
+    return ["time [s]", *titles], 2, counted, f"time: sample 0 at {start:g} s, every {step:g} s, as line 2 says"
+
+
+def _tektronix(rows: Sequence[Sequence[str]]) -> Scope | None:
+    """Return a table with settings beside the first rows, in its first three columns; so for each channel in turn."""
     each = {k: {row[k]: row[k + 1] for row in rows if len(row) > k + 4 and row[k]} for k in range(0, MOST_CELLS, BLOCK)}
     each = {k: settings for k, settings in each.items() if settings.get("Horizontal Units") == "s"}
     if 0 not in each:

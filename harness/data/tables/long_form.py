@@ -230,9 +230,13 @@ def in_long_form(source: Any) -> LongTable | None:
     if clock is None:
         return None
     tags = [tag.strip() for tag in source.texts(found[0][0])]
-    names = [name for name, count in Counter(tags).items() if count >= FEWEST]
-    if not 1 < len(names) <= MOST or any(not name or (is_number(name) and not name.isdecimal()) for name in names):
-        return None
-    if any(map(str.isdecimal, names)) and not _take_turns(tags, names):
+    if not _are_channels(tags, [name for name, count in Counter(tags).items() if count >= FEWEST]):
         return None
     return LongTable(source, (clock, found[0][0], found[1][0], found[2][0] if found[2] else ""), tags)
+
+
+def _are_channels(tags: Sequence[str], names: Sequence[str]) -> bool:
+    """Return True for names that signals may have, of at least two; numbers must take turns."""
+    if not 1 < len(names) <= MOST or any(not name or (is_number(name) and not name.isdecimal()) for name in names):
+        return False
+    return not any(map(str.isdecimal, names)) or _take_turns(tags, names)

@@ -69,7 +69,7 @@ def titles_of(line: str, sign: str | None, width: int) -> list[str]:
 
 
 def sign_of(lines: Sequence[str]) -> str | None:
-    """Return the sign that parts the cells of a table, None for blanks: by it most of its last rows is readings.
+    """Return the sign that parts the cells of a table, None for blanks: by it most of its last rows are readings.
 
     Of several, the one that parts a line above into as many cells counts, then the one that makes more cells.
 

@@ -20,8 +20,9 @@ from harness.physics.fitting.maximum import LikelihoodFit
 from harness.signals import Dataset, FloatArray, Oddity, Run, Trajectory
 from harness.units import quotient
 
-FOUND = ("shift", "between", "direct")
-"""Kinds of oddity that the equations of motion find."""
+CROSSTALK = "crosstalk"
+FOUND = ("shift", "between", CROSSTALK)
+"""Kinds of oddity that the equations of motion find, or say more of."""
 _SAMPLES = 2000
 """Rows of a record that are asked; more would tell no other thing."""
 _STEPS = 12
@@ -123,32 +124,41 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
     if equations is None:
         return dataset
     rows, gained = _late(equations, read)
-    at_once = any(odd.kind == "crosstalk" for odd in dataset.oddities or ())
     without = -np.inf
-    # a controller that works faster than the log answers a reading before the next: no crosstalk, half a row
-    if law is None and (rows >= 1.0 or at_once) and (taken_up := taken_up_at_once([record])) is not None:
+    # readings half a row early are those of a controller that works faster than the log, which answers them in turn
+    at_once = rows >= 1.0 or any(odd.kind == CROSSTALK for odd in dataset.oddities or ())
+    if law is None and at_once and (taken_up := taken_up_at_once([record])) is not None:
         without = _gain(equations, read(0.0, taken_up))
         if without >= max(gained, 0.0) + ODD.shift:
             return _without_crosstalk(dataset, record, taken_up, without)
-    if not rows:
+    if not rows or (law is not None and not (rows >= 1.0 and equations.keeps(read(rows)))):
         return dataset
-    if law is not None and not (rows >= 1.0 and equations.keeps(read(rows))):
-        return dataset
-    late, sign = abs(rows), np.sign(rows)
-    whole, names = int(late), " and ".join(record.spec.inputs[k].name for k in moving)
-    many = "one row" if whole == 1 else f"{whole} rows"
-    verb = "is" if len(moving) == 1 else "are"
+    return _read_so(dataset, record, moving, rows, gained, doubted=without > gained - ODD.shift)
+
+
+def _read_so(
+    dataset: Dataset, record: Trajectory, moving: Sequence[int], rows: float, gained: float, *, doubted: bool
+) -> Dataset:
+    """Return the data set with its inputs read as they were found to be written, and that said.
+
+    - ``rows``: by which they are late; below 0 early, which is only said
+    - ``gained``: in log-likelihood by reading them so
+    - ``doubted``: whether crosstalk would explain it as well
+    """
+    late, one = int(abs(rows)), len(moving) == 1
+    names = " and ".join(record.spec.inputs[k].name for k in moving)
+    many, verb = "one row" if late == 1 else f"{late} rows", "is" if one else "are"
     number = next(k for k, run in enumerate(dataset.runs) if run.trajectory is record)
-    if not whole:
-        if sign < 0 or dataset.intersample != "zoh":
+    if not late:
+        if rows < 0 or dataset.intersample != "zoh":
             return dataset
         words = (
-            f"{names} {'moves' if len(moving) == 1 else 'move'} between readings: the plant follows a line from one to "
+            f"{names} {'moves' if one else 'move'} between readings: the plant follows a line from one to "
             f"the next (log-likelihood {gained:.0f} higher than held), as where a controller works faster than the "
             'log, and it is read so here; declare intersample = "foh"'
         )
         return _with(replace(dataset, intersample="foh"), [Oddity("between", number, names, (), words, used=True)])
-    if sign < 0:
+    if rows < 0:
         words = (
             f"{names} {verb} recorded {many} early, or the plant has a dead time of {many}: the equations of motion "
             f"ask for it (log-likelihood {gained:.0f} higher), and the record does not tell which"
@@ -158,9 +168,9 @@ def _shifted(system: System, dataset: Dataset) -> Dataset:
         f"{names} {verb} recorded {many} late: the plant answers before (log-likelihood {gained:.0f} higher with "
         f"the input read {many} earlier, as it is here); write u[k] beside the y[k] that it follows, before the step"
     )
-    if without > gained - ODD.shift:
+    if doubted:
         words += "; readings that take up some of the input within the row (crosstalk) would explain it as well"
-    runs = [replace(run, trajectory=_reread(run.trajectory, whole)) for run in dataset.runs]
+    runs = [replace(run, trajectory=_reread(run.trajectory, late)) for run in dataset.runs]
     return _with(replace(dataset, runs=tuple(runs)), [Oddity("shift", number, names, (), words, used=True)])
 
 
@@ -180,8 +190,8 @@ def _without_crosstalk(dataset: Dataset, record: Trajectory, taken_up: FloatArra
             f"{given.name} within the same row (crosstalk): the equations of motion ask for it (log-likelihood "
             f"{gained:.0f} higher without it, as the record is read here, and less so with the input read earlier)"
         )
-        found.append(Oddity("direct", number, output.name, (), words, used=True))
-    rest = tuple(odd for odd in dataset.oddities or () if odd.kind != "crosstalk")
+        found.append(Oddity(CROSSTALK, number, output.name, (), words, used=True))
+    rest = tuple(odd for odd in dataset.oddities or () if odd.kind != CROSSTALK)
     return _with(replace(dataset, runs=tuple(runs), oddities=rest), found)
 
 

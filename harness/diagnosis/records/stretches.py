@@ -165,7 +165,7 @@ def counted(dataset: Dataset) -> Dataset:
 
 
 def told_of_whole(whole: Dataset, pieces: Dataset, kinds: Sequence[str]) -> Dataset:
-    """Return a data set with what was found in the pieces of it since :func:`parted`.
+    """Return a data set with what was found in the pieces of it since :func:`parted`, instead of what was known of it.
 
     - ``kinds``: of what was found since; it stands in no row
 
@@ -184,7 +184,7 @@ def told_of_whole(whole: Dataset, pieces: Dataset, kinds: Sequence[str]) -> Data
         for odd in pieces.oddities or ()
         if odd.kind in kinds
     ]
-    return replace(whole, oddities=(*(whole.oddities or ()), *since))
+    return replace(whole, oddities=(*(odd for odd in whole.oddities or () if odd.kind not in kinds), *since))
 
 
 def windowed(dataset: Dataset, seconds: float | None) -> Dataset:
